@@ -1,0 +1,35 @@
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+BIN := .venv/bin
+
+help:  ## show this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
+
+setup: .venv/.done  ## make .venv with the tested versions
+
+.venv/.done: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: setup  ## correct a simulated burst; results and pictures in runs/demo/
+	$(BIN)/deepir demo
+
+test: setup lint  ## lint and tests
+	$(BIN)/python -m pytest -m "not slow"
+
+test-all: setup lint  ## lint and all tests, the slow ones too
+	$(BIN)/python -m pytest
+
+lint: setup  ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
+	$(BIN)/python benchmarks/nuc.py
+
+clean:  ## remove .venv and caches
+	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
+
+.PHONY: help setup demo test test-all lint bench-nuc clean

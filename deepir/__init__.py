@@ -1,0 +1,31 @@
+"""deepir: inverse problems of thermal cameras."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from deepir.errors import DeepIRError
+    from deepir.io import read_frames
+    from deepir.problem import Problem
+    from deepir.result import Result
+    from deepir.runner import run
+
+# Looked up on first use: `import deepir` and `deepir --help` do without torch.
+_HOMES = {
+    "DeepIRError": "errors",
+    "Problem": "problem",
+    "Result": "result",
+    "read_frames": "io",
+    "run": "runner",
+}
+__all__ = ["DeepIRError", "Problem", "Result", "read_frames", "run"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'deepir' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"deepir.{_HOMES[name]}"), name)

@@ -1,0 +1,229 @@
+"""From a configuration and a burst to a problem."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.burst import Burst
+from deepir.components import make, options_schema
+from deepir.config import Config
+from deepir.errors import ConfigError, nearest
+from deepir.operators import Chain, Operator, Warp
+from deepir.operators.warp import coords
+from deepir.penalties.penalty import Penalty
+from deepir.priors.field import Field
+from deepir.priors.parts import Sum
+from deepir.problem import Problem
+from deepir.registry import lookup
+
+MARGIN = 8  # px that the canvas reaches beyond the registered footprints
+#: What a slot's configuration may hold beside its field's own options.
+SLOT_KEYS = ("type", "init", "fixed", "penalties")
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Sizes along the operator, and where frame 0 lies in the scene."""
+
+    ratio: float  # scene px per detector px
+    window: tuple[int, int, int, int]  # (y0, y1, x0, x1) of frame 0 in the scene's array
+
+
+def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[Problem, Geometry]:
+    """The problem that `config` describes, its fields at their starts.
+
+    Args:
+        config: Already checked by `deepir.config.load`.
+        burst: The frames that are used.
+        motion: (N, 3, 3) float64, registered pull homographies in detector px; None: no motion.
+
+    Raises:
+        ConfigError: A component, option or slot is unknown or does not fit; the message gives its path.
+    """
+    n_frames = len(burst.frames)
+    operator, slots, geometry = _operator(config, burst.size, n_frames, motion)
+    scene_shape = (1, 1, *operator.in_size(burst.size))
+    shapes = operator.slots(scene_shape, n_frames)
+    names = _unknowns(list(shapes))
+    fields: dict[str, Field] = {}
+    penalties: dict[str, dict[str, Penalty]] = {}
+    for slot, shape in shapes.items():
+        stage, _, own = slot.rpartition(".")
+        neutral = operator.stages[stage].neutral.get(own)  # type: ignore[union-attr, operator]
+        where = f"physics.{slot}"
+        settings = _slot_settings(slots[stage].get(own), neutral, where)
+        size = getattr(operator.stages[stage], "size", burst.size)
+        fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, where)
+        penalties[names[slot]] = _penalties(settings, where)
+        _start(fields[names[slot]], settings, motion, geometry, where)
+    settings = _slot_settings(config.scene, None, "scene")
+    fields["scene"] = _field(settings, scene_shape, 0.0, scene_shape[-2:], "scene")
+    penalties["scene"] = _penalties(settings, "scene")
+
+    data = torch.from_numpy(burst.frames)[:, None]
+    usable = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None]
+    fidelity = config.fidelity if isinstance(config.fidelity, dict) else {"type": config.fidelity}
+    kind = str(fidelity.get("type", "gaussian"))
+    options = {k: v for k, v in fidelity.items() if k != "type"}
+    problem = Problem(
+        operator,
+        fields,
+        data,
+        usable.to(data),
+        slots=names,
+        penalties={name: each for name, each in penalties.items() if each},
+        fidelity=make("fidelity", kind, options, "fidelity"),
+    )
+    with torch.no_grad():
+        problem.precision *= problem.valid(problem.values())
+    return problem, geometry
+
+
+def _operator(
+    config: Config, size: tuple[int, int], n_frames: int, motion: Tensor | None
+) -> tuple[Chain, dict[str, dict[str, Any]], Geometry]:
+    """The chain, the slots' configurations by stage, and the geometry; sizes are found from the data backwards."""
+    if not config.physics:
+        raise ConfigError("physics: at least one stage is needed")
+    stages: dict[str, Operator] = {}
+    slots: dict[str, dict[str, Any]] = {}
+    out, twice = size, (2 * size[0], 2 * size[1])
+    origin = (0, 0)
+    for name, settings in reversed(config.physics.items()):
+        where = f"physics.{name}"
+        if "." in name:
+            raise ConfigError(f"{where}: a stage's name has no dot")
+        kind = str((settings or {}).get("type", name))
+        known = options_schema(lookup("operator", kind, where)).model_fields
+        options = {k: v for k, v in (settings or {}).items() if k in known}
+        slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
+        ratio = (twice[0] - out[0]) / size[0]
+        canvas, origin = _canvas(motion, out, ratio)
+        stage = make("operator", kind, options, where, size=out, canvas=canvas, origin=origin)
+        stages[name] = stage
+        out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
+    chain = Chain(dict(reversed(stages.items())))
+    shapes = chain.slots((1, 1, *out), n_frames)
+    for name, own in slots.items():
+        allowed = [slot.rpartition(".")[2] for slot in shapes if slot.startswith(f"{name}.")]
+        for key in own:
+            if key not in allowed:
+                options_of = options_schema(type(chain.stages[name])).model_fields
+                raise ConfigError(f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}")
+    return chain, slots, _geometry(chain, size, out)
+
+
+def _geometry(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geometry:
+    """Frame 0's window has the frame's size times the ratio, and its centre."""
+    stages = [stage for _, stage in chain.named()]
+    first, later = stages[0], Chain(dict(chain.named()[1:]))
+    rest = later if isinstance(first, Warp) else chain
+    near, far = rest.in_size(size), rest.in_size((2 * size[0], 2 * size[1]))
+    ratio = (far[0] - near[0]) / size[0]
+    height, width = round(ratio * size[0]), round(ratio * size[1])
+    y0, x0 = first.origin if isinstance(first, Warp) else (0, 0)
+    inner = near if isinstance(first, Warp) else scene
+    y0, x0 = y0 + (inner[0] - height) // 2, x0 + (inner[1] - width) // 2
+    return Geometry(ratio, (int(y0), int(y0) + height, int(x0), int(x0) + width))
+
+
+def _canvas(
+    motion: Tensor | None, size: tuple[int, int], ratio: float
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Canvas (H, W) and origin (y, x) that hold all footprints of frames of `size`, and a margin."""
+    if motion is None:
+        motion = torch.eye(3, dtype=torch.float64)[None]
+    points = coords(scaled(motion, ratio), size)
+    centre = points.new_tensor([(size[1] - 1) / 2, (size[0] - 1) / 2])
+    low, high = (points + centre).amin((0, 1, 2)), (points + centre).amax((0, 1, 2))
+    x0, y0 = (MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
+    x1, y1 = (MARGIN + math.ceil(max(float(v), side - 1)) for v, side in zip(high, reversed(size), strict=True))
+    return (y0 + y1 + 1, x0 + x1 + 1), (y0, x0)
+
+
+def scaled(motion: Tensor, ratio: float) -> Tensor:
+    """A motion in px of a grid that is `ratio` times finer; the centres coincide."""
+    s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
+    return motion * (s[:, None] / s)
+
+
+def _unknowns(slots: list[str]) -> dict[str, str]:
+    """Slot -> unknown: the slot's own name, with its stage where two would clash."""
+    own = [slot.rpartition(".")[2] for slot in slots]
+    return {
+        slot: name if own.count(name) == 1 and name != "scene" else slot.replace(".", "_")
+        for slot, name in zip(slots, own, strict=True)
+    }
+
+
+def _slot_settings(given: Any, neutral: float | None, where: str) -> dict[str, Any]:
+    """A slot's configuration in full: a name stands for a type, a number for a constant, nothing for neutral."""
+    if given is None:
+        if neutral is None:
+            raise ConfigError(f"{where}: missing; say what it is, for example {where}.type=constant")
+        return {"type": "constant"}
+    if isinstance(given, bool) or not isinstance(given, str | int | float | Mapping):
+        raise ConfigError(f"{where} = {given!r}: give a type, a number, or a mapping with 'type'")
+    if isinstance(given, str):
+        return {"type": given}
+    if isinstance(given, int | float):
+        return {"type": "constant", "value": float(given)}
+    if "type" not in given:
+        raise ConfigError(f"{where}: 'type' is missing; `deepir list` shows the fields there are")
+    return dict(given)
+
+
+def _field(settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, size: Any, where: str) -> Field:
+    options = {k: v for k, v in settings.items() if k not in SLOT_KEYS}
+    kind = str(settings["type"])
+    context = {"shape": shape, "neutral": neutral, "size": size}
+    if "+" not in kind:
+        field = make("field", kind, options, where, **context)
+    else:
+        members = [name.strip() for name in kind.split("+")]
+        if unknown := sorted(set(options) - set(members)):
+            raise ConfigError(f"{where}: no option '{unknown[0]}'; {nearest(unknown[0], members)}")
+        field = Sum(shape, neutral, {
+            name: make("field", name, options.get(name) or {}, f"{where}.{name}", **{**context, "neutral": 0.0})
+            for name in members
+        })  # fmt: skip
+    if settings.get("fixed"):
+        field.requires_grad_(False)
+    return field
+
+
+def _penalties(settings: Mapping[str, Any], where: str) -> dict[str, Penalty]:
+    found = {}
+    for name, given in (settings.get("penalties") or {}).items():
+        options = {"weight": given} if isinstance(given, int | float | str) else (given or {})
+        found[name] = make("penalty", name, options, f"{where}.penalties.{name}")
+    return found
+
+
+def _start(
+    field: Field, settings: Mapping[str, Any], motion: Tensor | None, geometry: Geometry, where: str
+) -> None:
+    """Put a slot's field at its `init`: a number, an array's file, or the registered motion."""
+    init = settings.get("init")
+    if init == "register":
+        if motion is not None:
+            field.init_from(scaled(motion, geometry.ratio))
+    elif isinstance(init, int | float):
+        field.init_from(torch.full(field.shape, float(init)))
+    elif isinstance(init, str):
+        from deepir.io import read_frames
+
+        value = np.squeeze(read_frames(init).frames)
+        try:
+            field.init_from(torch.from_numpy(value))
+        except RuntimeError as error:
+            raise ConfigError(f"{where}.init: {init} has shape {value.shape}, {field.shape} is wanted") from error
+
+

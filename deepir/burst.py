@@ -1,0 +1,68 @@
+"""The data of a run, in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from deepir.config import Data
+from deepir.errors import DataError
+from deepir.io import crop, read_frames, read_mask, read_truth, validate
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Burst:
+    """Frames (N, h, w) float32, what may be used of them, and where they are from.
+
+    `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
+    masked ones among them. `truth` holds the scene (h, w), if it is known.
+    """
+
+    frames: Array
+    valid: Array
+    bad_pixels: Array
+    source: str = "array"
+    sha256: str = ""
+    truth: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(h, w)."""
+        return self.frames.shape[1], self.frames.shape[2]
+
+
+def load(data: Data, *, frames: Array | None = None, needs: int = 1) -> Burst:
+    """Read and check what `data` names; `frames`, (N, h, w), stands in for its file.
+
+    Raises:
+        DataError: Whatever is wrong with the files or the frames, and where.
+    """
+    if frames is not None:
+        stack, source, digest = _as_frames(frames), "frames", ""
+    elif data.path is not None:
+        read = read_frames(data.path, key=data.key, select=data.frames)
+        stack, source, digest = read.frames, read.source, read.sha256
+    else:
+        raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
+    mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
+    truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else {}
+    if data.crop is not None:
+        stack, mask = crop(stack, data.crop), crop(mask, data.crop)
+        truth = {k: crop(v, data.crop) if v.ndim == 2 and v.shape != (3, 3) else v for k, v in truth.items()}
+    bad, valid = validate(stack, source, needs=needs)
+    if (bad | mask).all():
+        raise DataError(f"{source}: the mask leaves no pixel")
+    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth)
+
+
+def _as_frames(frames: Array) -> Array:
+    array = np.asarray(frames)
+    if array.ndim == 2:
+        array = array[None]
+    if array.ndim != 3 or array.dtype.kind not in "uif":
+        raise DataError(f"frames: (N, h, w) real numbers are needed, not {array.dtype} of shape {array.shape}")
+    return array.astype(np.float32)

@@ -1,0 +1,34 @@
+"""Save and load the state of a solve: tensors in safetensors, the rest as JSON in its header. No pickle."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from deepir.errors import DataError
+
+
+def save(path: Path, tensors: dict[str, Tensor], position: dict[str, Any]) -> None:
+    """Replace `path` whole: a kill at any moment leaves the old state or the new one."""
+    from safetensors.torch import save_file
+
+    part = path.with_suffix(".part")
+    contiguous = {name: tensor.detach().contiguous().cpu().clone() for name, tensor in tensors.items()}
+    save_file(contiguous, part, metadata={"position": json.dumps(position)})
+    os.replace(part, path)
+
+
+def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and position; `DataError` if the file is not a checkpoint."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            position = json.loads((file.metadata() or {})["position"])
+            return {name: file.get_tensor(name) for name in file.keys()}, position  # noqa: SIM118
+    except (SafetensorError, KeyError, ValueError, OSError) as error:
+        raise DataError(f"{path}: not a readable checkpoint ({error}); delete it to start again") from error

@@ -1,0 +1,34 @@
+"""The one family of errors that a user may see."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class DeepIRError(Exception):
+    """The user can mend this: the message says what is wrong, where, and what to do (exit code 2)."""
+
+
+class ConfigError(DeepIRError):
+    """A configuration is wrong; the message names the key's path."""
+
+
+class DataError(DeepIRError):
+    """A file or its contents cannot be used; the message names the file."""
+
+
+class SolverError(DeepIRError):
+    """The solve failed on its own (NaN, divergence); the last good state is kept (exit code 1)."""
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str:
+    """`"; did you mean 'tv'? Allowed: ..."` for a misspelt name.
+
+    >>> nearest("tvv", ["tv", "ridge"])
+    "did you mean 'tv'? Allowed: ridge, tv"
+    """
+    names = sorted(allowed)
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean '{close[0]}'? " if close else ""
+    return f"{hint}Allowed: {', '.join(names) if names else 'nothing'}"

@@ -1,0 +1,22 @@
+"""Files in and out: frames, masks and truths as numpy arrays, checked before anything is solved."""
+
+from deepir.io.checks import crop, validate
+from deepir.io.describe import describe
+from deepir.io.frames import Frames, read_frames
+from deepir.io.maps import read_mask, read_truth
+from deepir.io.write import replace, write_json, write_npz, write_preview, write_tiff
+
+__all__ = [
+    "Frames",
+    "crop",
+    "describe",
+    "read_frames",
+    "read_mask",
+    "read_truth",
+    "replace",
+    "validate",
+    "write_json",
+    "write_npz",
+    "write_preview",
+    "write_tiff",
+]

@@ -1,0 +1,66 @@
+"""Whether frames can be worked with, and which of their samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from deepir.errors import DataError
+
+SMALLEST = 16
+"""Pixels on a side: below this there is nothing to register or to estimate a scene from."""
+
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tuple[Mask, Mask]:
+    """Check frames `(N, h, w)`; give `(bad_pixels, valid)`.
+
+    `bad_pixels` `(h, w)` is True for pixels that are NaN or infinite in more than half of the frames, `valid`
+    `(N, h, w)` is True for finite samples. Raises `DataError` for fewer than `needs` frames, frames under
+    16 px on a side, and frames that are constant or mostly not finite; it names the first such frame.
+    """
+    count, height, width = frames.shape
+    if count < needs:
+        raise DataError(f"{source}: {count} frame(s), but this needs at least {needs} of one scene")
+    _check_side(height, width, source)
+    valid = np.isfinite(frames)
+    for k in range(count):
+        share = 1 - valid[k].mean()
+        if share > 0.5:
+            raise DataError(
+                f"{source}: frame {k} is {share:.0%} NaN or infinite; "
+                "leave it out with `select`, or mend the file"
+            )
+        values = frames[k][valid[k]]
+        if values.min() == values.max():
+            raise DataError(
+                f"{source}: frame {k} is {values[0]:g} everywhere: a shutter or a lost frame? "
+                "Leave it out with `select`"
+            )
+    return valid.mean(axis=0) < 0.5, valid
+
+
+def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, Any]:
+    """The part `[y0, y1, x0, x1]` of frames `(..., h, w)`; y1 and x1 are the first row and column left out.
+
+    Raises `DataError` where the box is not inside the frame or is under 16 px on a side.
+    """
+    height, width = frames.shape[-2:]
+    if len(box) != 4:
+        raise DataError(f"crop: {list(box)} must be four numbers, [y0, y1, x0, x1]")
+    y0, y1, x0, x1 = box
+    if not (0 <= y0 < y1 <= height and 0 <= x0 < x1 <= width):
+        raise DataError(
+            f"crop: [y0, y1, x0, x1] = {list(box)} is not inside the frame of {height} x {width} px "
+            f"(the whole frame is [0, {height}, 0, {width}])"
+        )
+    _check_side(y1 - y0, x1 - x0, "crop")
+    return frames[..., y0:y1, x0:x1]
+
+
+def _check_side(height: int, width: int, source: str) -> None:
+    if min(height, width) < SMALLEST:
+        raise DataError(f"{source}: {height} x {width} px is too small; at least {SMALLEST} px on a side")

@@ -1,0 +1,99 @@
+"""What a burst looks like, in words: for `deepir check FILE`."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from deepir.io.frames import Frames
+
+Array = np.ndarray[Any, np.dtype[np.float32]]
+
+FULL_SCALE = [2**bits - 1 for bits in (8, 10, 12, 14, 16)]
+BLOCK = 8
+STILL = 0.1
+"""Pixels between frames below which a camera counts as still."""
+
+SURE = 10.0
+"""F statistic above which a shift is more than noise on a scene without structure."""
+
+
+def describe(burst: Frames) -> list[str]:
+    """Lines on the number, size and type of the frames, their values, unusable samples, noise and motion."""
+    frames = burst.frames
+    count, height, width = frames.shape
+    finite = frames[np.isfinite(frames)]
+    lines = [f"{count} frame(s) of {height} x {width} px (height x width), stored as {burst.dtype}"]
+    if not finite.size:
+        return [*lines, "no finite value at all"]
+    lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
+    lines += _unusable(burst, finite)
+    return lines + _noise_and_motion(frames)
+
+
+def _unusable(burst: Frames, finite: Array) -> list[str]:
+    frames = burst.frames
+    lines = []
+    if lost := frames.size - finite.size:
+        lines.append(f"{lost} sample(s) are NaN or infinite ({lost / frames.size:.2%})")
+    if stuck := int((frames == 0).all(axis=0).sum()):
+        lines.append(f"{stuck} pixel(s) are zero in every frame")
+    top = finite.max()
+    if burst.dtype.startswith("uint") and top in FULL_SCALE:
+        lines.append(f"{int((finite == top).sum())} sample(s) are at full scale ({top:g}): saturated")
+    return lines
+
+
+def _noise_and_motion(frames: Array) -> list[str]:
+    if len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK:
+        return ["too few or too small frames to see temporal noise and motion"]
+    lines = [f"temporal noise about {temporal_noise(frames):.3g} (standard deviation of a sample)"]
+    shift, evidence = apparent_motion(frames)
+    if shift > STILL and evidence > SURE:
+        return [*lines, f"motion: yes, roughly {shift:.1g} px between frames, or more"]
+    return [
+        *lines,
+        "motion: none to be seen; without motion the fixed pattern cannot be told from the scene",
+    ]
+
+
+def temporal_noise(frames: Array) -> float:
+    """Temporal noise of one sample, from differences of consecutive frames `(N, h, w)`; NaN if there is none.
+
+    Differences cancel the fixed pattern, and the diagonal detail of 2 x 2 blocks most of what motion leaves;
+    the median ignores the rest (Donoho and Johnstone, "Ideal spatial adaptation by wavelet shrinkage", 1994).
+    """
+    with np.errstate(invalid="ignore"):
+        d = np.diff(frames, axis=0)[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2]
+        detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
+    detail = np.abs(detail[np.isfinite(detail)])
+    return float(1.4826 * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
+
+
+def apparent_motion(frames: Array) -> tuple[float, float]:
+    """Shift between consecutive frames `(N, h, w)` in px, and the evidence for it (F statistic); medians.
+
+    Differences of 8 x 8 block means are explained by the scene's gradient, as in the first step of Lucas and
+    Kanade's method: rough, and too small where the motion is large, but nothing on a still camera.
+    """
+    finite = np.isfinite(frames)
+    means = _block_means(np.where(finite, frames, np.median(frames[finite])))
+    shifts, evidence = [], []
+    for a, b in pairwise(means):
+        gradients = [g.ravel() for g in np.gradient((a + b) / 2)]
+        model = np.stack([*gradients, np.ones(a.size)], axis=1)
+        change = (b - a).ravel()
+        solution = np.linalg.lstsq(model, change, rcond=None)[0]
+        explained = np.var(model @ solution)
+        rest = np.var(change - model @ solution)
+        shifts.append(BLOCK * np.hypot(*solution[:2]))
+        evidence.append(explained / max(rest, np.finfo(np.float64).tiny) * (a.size - 3) / 2)
+    return float(np.median(shifts)), float(np.median(evidence))
+
+
+def _block_means(frames: Array) -> np.ndarray[Any, np.dtype[np.float64]]:
+    count, rows, columns = len(frames), frames.shape[1] // BLOCK, frames.shape[2] // BLOCK
+    blocks = frames[:, : rows * BLOCK, : columns * BLOCK].reshape(count, rows, BLOCK, columns, BLOCK)
+    return blocks.mean(axis=(2, 4), dtype=np.float64)

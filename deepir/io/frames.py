@@ -1,0 +1,121 @@
+"""Reading a burst of frames."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io import readers
+from deepir.io.readers import Array, folder
+
+Select = str | int | Sequence[int] | None
+
+
+@dataclass(frozen=True)
+class Frames:
+    """A burst as it came from a file.
+
+    `frames` is `(N, h, w)` float32 in the data's units, `source` says where it is from, `dtype` is the type
+    it was stored in, and `sha256` is that of the file (where there are several, of their digests in order).
+    """
+
+    frames: np.ndarray[Any, np.dtype[np.float32]]
+    source: str
+    dtype: str
+    sha256: str
+
+
+def read_frames(path: str | os.PathLike[str], *, key: str | None = None, select: Select = None) -> Frames:
+    """Read `(N, h, w)` frames from a file, a folder of pictures or a glob.
+
+    Contents decide the format, not names. `key` names the array in an `.npz`. `select` takes the first n
+    frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. Raises `DataError` for whatever
+    cannot be read or is no burst of numbers.
+    """
+    file = Path(path).expanduser()
+    stored = stack(readers.read(file, key), str(file))
+    with readers.guarded(file):
+        digest = _sha256(file)
+    source = f"{file}[{key}]" if key else str(file)
+    return Frames(to_float32(_select(stored, select, source)), source, stored.dtype.name, digest)
+
+
+def stack(array: Array, source: str) -> Array:
+    """`(N, h, w)` from `(h, w)`, `(N, h, w)`, `(N, 1, h, w)` or `(N, h, w, 1)`.
+
+    Raises `DataError` for other shapes, and for values that are neither integers nor floats.
+    """
+    if array.dtype.kind not in "uif":
+        raise DataError(f"{source}: values of type {array.dtype}; frames are integers or real numbers")
+    shape = array.shape
+    if array.ndim == 4 and shape[1] == 1:
+        array = array[:, 0]
+    elif array.ndim == 4 and shape[3] == 1:
+        array = array[..., 0]
+    elif array.ndim == 2:
+        array = array[None]
+    if array.ndim != 3 or 0 in shape:
+        raise DataError(
+            f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)"
+        )
+    return array
+
+
+def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """A float32 copy: exact to 24 bits, infinite beyond float32's range, NaN where the array is masked."""
+    with np.errstate(over="ignore"):
+        return np.ma.filled(array.astype(np.float32), np.nan)
+
+
+def _select(frames: Array, select: Select, source: str) -> Array:
+    if select is None:
+        return frames
+    count = len(frames)
+    wrong = DataError(
+        f"{source}: select={select!r} does not fit its {count} frames (numbered from 0). "
+        "Give a count (8), a slice ('2:10', '::2') or a list of frame numbers ([0, 3, 5])."
+    )
+    try:
+        picked = _indices(select)
+    except ValueError:
+        raise wrong from None
+    named = [picked.start, picked.stop] if isinstance(picked, slice) else picked
+    # A slice's end may be one beyond the last frame.
+    limit = count + isinstance(picked, slice)
+    if any(i is not None and not -count <= i < limit for i in named) or not len(np.arange(count)[picked]):
+        raise wrong
+    return frames[picked]
+
+
+def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
+    """A slice or a list; `ValueError` where it is neither, or steps by zero."""
+    if isinstance(select, str) and ":" in select:
+        bounds = [int(part) if part.strip() else None for part in select.split(":")]
+        if len(bounds) > 3 or (len(bounds) == 3 and bounds[2] == 0):
+            raise ValueError(select)
+        return slice(*bounds)
+    if isinstance(select, bool) or not isinstance(select, str | int | Sequence):
+        raise ValueError(select)
+    if isinstance(select, str | int):
+        count = int(select)
+        if count < 1:
+            raise ValueError(select)
+        return slice(0, count)
+    if any(isinstance(i, bool) or not isinstance(i, int | np.integer) for i in select):
+        raise ValueError(select)
+    return [int(i) for i in select]
+
+
+def _sha256(path: Path) -> str:
+    if folder.sniff(b"", path):
+        digests = "".join(_sha256(file) for file in folder.members(path))
+        return hashlib.sha256(digests.encode()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,57 @@
+"""What every reader checks: that a file's claims are plausible, and that its colours carry numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.errors import DataError
+
+GIB = 2**30
+MOST_BYTES = 8 * GIB
+"""The largest array that is read at once."""
+
+MOST_COMPRESSED = 3000
+"""Bytes out of one byte: deflate reaches 1032, LZW about 2700."""
+
+SMALL = GIB // 4
+"""Below this a wrong claim does no harm, and a very empty mask may really be that compressible."""
+
+
+def check_size(path: Path, declared: int, stored: int, *, compressed: bool = False) -> None:
+    """Refuse, before memory is taken, an array of `declared` bytes that `stored` bytes of file cannot hold.
+
+    Raises `DataError` where the claim is negative, more than 8 GiB, or more than the file can hold.
+    """
+    most = max(SMALL, MOST_COMPRESSED * stored) if compressed else stored
+    if not 0 <= declared <= most:
+        raise DataError(
+            f"{path}: damaged or truncated: it declares {declared:,} bytes of data but holds {stored:,}"
+        )
+    if declared > MOST_BYTES:
+        raise DataError(
+            f"{path}: {declared / GIB:.1f} GiB of data; at most {MOST_BYTES // GIB} GiB are read at once. "
+            "Split the file."
+        )
+
+
+def grey(pixels: np.ndarray[Any, Any], path: Path) -> np.ndarray[Any, Any]:
+    """The one channel of a grey picture that was stored in colour.
+
+    `pixels` is `(..., C)` with C = 1 to 4; alpha (C = 2 or 4) is dropped. Up to 1 % of coloured pixels are a
+    marker or text drawn into the picture: they have no value, and the result `(...)` is masked there.
+    Raises `DataError` where more of the picture is coloured.
+    """
+    channels = pixels.shape[-1]
+    first = pixels[..., 0]
+    if channels < 3:
+        return first
+    coloured = (first != pixels[..., 1]) | (first != pixels[..., 2])
+    if coloured.mean() > 0.01:
+        raise DataError(
+            f"{path}: a colour picture. A palette picture carries no radiometry: colours cannot be turned "
+            "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture."
+        )
+    return np.ma.masked_array(first, coloured) if coloured.any() else first

@@ -1,0 +1,63 @@
+"""What goes with frames: a mask of pixels to ignore, and a known truth to compare with."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io import readers
+from deepir.io.checks import Mask
+from deepir.io.frames import stack, to_float32
+from deepir.io.readers import npz
+
+Shape = tuple[int, int]
+
+
+def read_mask(path: str | os.PathLike[str], shape: Shape) -> Mask:
+    """A mask `(h, w)` of pixels to ignore (True), from anything but zero in an array or a picture.
+
+    Raises `DataError` where its shape is not `shape`, or nothing is left to work with.
+    """
+    file = Path(path).expanduser()
+    array = readers.read(file)
+    if array.dtype.kind == "b":
+        array = array.astype(np.uint8)
+    mask = np.ma.getdata(stack(array, str(file))) != 0
+    if mask.shape != (1, *shape):
+        raise DataError(f"{file}: the mask is {_size(mask.shape)}, the frames are {_size(shape)}")
+    if mask.all():
+        raise DataError(f"{file}: the mask ignores every pixel; anything but zero means `ignore`")
+    return mask[0]
+
+
+def read_truth(
+    path: str | os.PathLike[str], shape: Shape
+) -> dict[str, np.ndarray[Any, np.dtype[np.float32]]]:
+    """The truth of simulated or calibrated data: the arrays by name, float32.
+
+    An `.npz` has `scene` and whatever else is known: gain, offset, motion ... (only numbers are kept).
+    Anything else is a picture of the scene. A scene is `(h, w)`, or `(N, h, w)` where each frame has its own.
+    Raises `DataError` where there is no scene, or it is not `shape`.
+    """
+    file = Path(path).expanduser()
+    arrays = {"scene": readers.read(file)} if readers.find(file) is not npz else _arrays(file)
+    if "scene" not in arrays:
+        raise DataError(f"{file}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")
+    scene = stack(arrays["scene"], f"{file}[scene]")
+    if scene.shape[1:] != shape:
+        raise DataError(f"{file}: the scene is {_size(scene.shape)}, expected {_size(shape)}")
+    arrays["scene"] = scene[0] if len(scene) == 1 else scene
+    return {name: to_float32(array) for name, array in arrays.items() if array.dtype.kind in "uif"}
+
+
+def _arrays(file: Path) -> dict[str, readers.Array]:
+    with readers.guarded(file):
+        return npz.read_all(file)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(n) for n in (shape[1:] if shape[0] == 1 else shape)) + " px"

@@ -1,0 +1,129 @@
+"""The file formats, one module each.
+
+A reader is a module in this folder with
+
+    SUFFIXES: tuple[str, ...]                       what its files are usually called
+    def sniff(head: bytes, path: Path) -> bool      is it mine? by its first 64 bytes, not its name
+    def read(path: Path, key: str | None) -> Array  the array as it is stored, of any shape and type
+
+and nothing else has to know of it. A reader of something general sets `GENERIC = True` and is asked last,
+so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything on
+a damaged file: `guarded` turns it into a `DataError`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import importlib
+import pkgutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from deepir.errors import DataError, DeepIRError
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+
+class Reader(Protocol):
+    """What a module in this folder offers."""
+
+    __name__: str
+    SUFFIXES: tuple[str, ...]
+
+    def sniff(self, head: bytes, path: Path) -> bool:
+        """Whether this reader reads `path`, whose first bytes are `head` (empty for a folder or a glob)."""
+
+    def read(self, path: Path, key: str | None) -> Array:
+        """The stored array, or for a format with masks of its own a masked one."""
+
+
+@functools.cache
+def all_readers() -> tuple[Reader, ...]:
+    """Every reader in this folder, general ones last."""
+    names = sorted(module.name for module in pkgutil.iter_modules(__path__))
+    readers = [importlib.import_module(f"{__name__}.{name}") for name in names]
+    return tuple(cast(list[Reader], sorted(readers, key=lambda reader: getattr(reader, "GENERIC", False))))
+
+
+def suffixes() -> list[str]:
+    """What the files of all readers are usually called."""
+    return sorted({suffix for reader in all_readers() for suffix in reader.SUFFIXES})
+
+
+def find(path: Path) -> Reader | None:
+    """The reader that recognises the contents of `path`, or None.
+
+    Raises `DataError` where `path` is missing, empty, no ordinary file, or may not be read.
+    """
+    with guarded(path):
+        head = _head(path)
+        return next((reader for reader in all_readers() if reader.sniff(head, path)), None)
+
+
+def read(path: Path, key: str | None = None) -> Array:
+    """The array stored in `path` (a file, a folder or a glob), as it is stored; `key` names it in an archive.
+
+    Raises `DataError` for whatever is wrong with the file.
+    """
+    reader = find(path)
+    if reader is None:
+        raise DataError(
+            f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
+            "Save it as .npz with an array `frames` (frames, height, width)."
+        )
+    with guarded(path):
+        return reader.read(path, key)
+
+
+@contextmanager
+def guarded(path: Path) -> Iterator[None]:
+    """Turn whatever a decoder raises inside into a `DataError` that names the file; hide its warnings."""
+    try:
+        with warnings.catch_warnings():
+            for category in (UserWarning, RuntimeWarning):
+                warnings.simplefilter("ignore", category)
+            yield
+    except DeepIRError:
+        raise
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file or folder{_neighbours(path)}") from error
+    except PermissionError as error:
+        raise DataError(f"{path}: no permission to read it") from error
+    except MemoryError as error:
+        raise DataError(f"{path}: does not fit into this machine's memory") from error
+    # Decoders raise almost anything on damaged files (struct.error, zlib.error, KeyError ...).
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"{path}: cannot be read; it is damaged or truncated ({reason[:200]})") from error
+
+
+def is_glob(path: Path) -> bool:
+    """Whether `path` is a pattern such as `frames/*.png` rather than the name of something that exists."""
+    return any(letter in str(path) for letter in "*?[") and not path.exists()
+
+
+def _head(path: Path) -> bytes:
+    if path.is_dir() or is_glob(path):
+        return b""
+    # A pipe or a device would block, or never end.
+    if path.exists() and not path.is_file():
+        raise DataError(f"{path}: not an ordinary file")
+    with path.open("rb") as file:
+        head = file.read(64)
+    if not head:
+        raise DataError(f"{path}: the file is empty")
+    return head
+
+
+def _neighbours(path: Path) -> str:
+    folder = path.parent
+    if not folder.is_dir():
+        return f" (there is no folder {folder})"
+    close = difflib.get_close_matches(path.name, [entry.name for entry in folder.iterdir()], n=3)
+    return f"; did you mean {' or '.join(repr(name) for name in close)}?" if close else ""

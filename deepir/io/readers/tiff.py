@@ -1,0 +1,86 @@
+"""TIFF of one or many pages, 8 to 64 bit, integer or float, in any compression that imagecodecs knows."""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+
+from deepir.errors import DataError
+from deepir.io.guards import check_size, grey
+from deepir.io.readers import Array
+
+SUFFIXES = (".tif", ".tiff")
+PALETTE = 3  # PhotometricInterpretation
+
+# Python prints messages of a library's logger that nobody handles; ours become errors instead.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """TIFF and BigTIFF, in either byte order."""
+    return head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+def read(path: Path, key: str | None) -> Array:
+    """All pages of full size, `(N, h, w)`.
+
+    Raises `DataError` where pages differ in size, lie outside the file, or are in colour.
+    """
+    # OME metadata may name other files, which would be opened: read this file's own pages only.
+    with tifffile.TiffFile(path, is_ome=False) as tiff:
+        series = [part for part in tiff.series if not part.keyframe.is_reduced]
+        if not series:
+            raise DataError(f"{path}: a TIFF without a picture")
+        _check_last(tiff, path)
+        for part in series:
+            _check(part, path)
+        check_size(path, sum(p.nbytes for p in series), path.stat().st_size, compressed=True)
+        stacks = [_stack(part, path) for part in series]
+    sizes = {stack.shape[1:] for stack in stacks}
+    if len(sizes) > 1:
+        raise DataError(f"{path}: its pages differ in size: {' and '.join(map(str, sorted(sizes)))}")
+    return np.ma.concatenate(stacks) if len(stacks) > 1 else stacks[0]
+
+
+def _check(part: Any, path: Path) -> None:
+    """Refuse what tifffile would fill up with zeros: data outside the file, and missing pages."""
+    page, size = part.keyframe, path.stat().st_size
+    if page.photometric == PALETTE:
+        raise DataError(f"{path}: a palette picture carries no radiometry. Export raw 16-bit data instead.")
+    check_size(path, part.nbytes, size, compressed=page.compression != tifffile.COMPRESSION.NONE)
+    if part.dataoffset is not None:
+        ends = [part.dataoffset + part.nbytes]
+    else:
+        ends = [
+            offset + count
+            for each in part.pages
+            for offset, count in zip(each.dataoffsets, each.databytecounts, strict=True)
+        ]
+    if not ends or max(ends) > size:
+        raise DataError(f"{path}: truncated: its data end beyond the end of the file")
+
+
+def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
+    """Refuse a chain of pages that breaks off: tifffile would only log that there were more."""
+    layout, page = tiff.tiff, tiff.pages[-1]
+    with path.open("rb") as file:
+        file.seek(page.offset)
+        (tags,) = struct.unpack(layout.tagnoformat, file.read(layout.tagnosize))
+        file.seek(tags * layout.tagsize, os.SEEK_CUR)
+        (following,) = struct.unpack(layout.offsetformat, file.read(layout.offsetsize))
+    if following:
+        raise DataError(f"{path}: truncated: only {len(tiff.pages)} of its pages can be found")
+
+
+def _stack(part: Any, path: Path) -> Array:
+    pixels = part.asarray()
+    # Samples in planes of their own are frames: so tifffile saves a burst of three or four unless told.
+    if part.axes.endswith("S"):
+        pixels = grey(pixels, path)
+    return pixels.reshape(-1, *pixels.shape[-2:])

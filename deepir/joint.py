@@ -1,0 +1,168 @@
+"""The method `joint`: all unknowns of a problem estimated together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.build import Geometry, build
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.errors import ConfigError, DataError, nearest
+from deepir.problem import Problem
+from deepir.problems.definition import Definition
+from deepir.registration import register as register_frames
+from deepir.registry import lookup, register
+from deepir.result import Result, neutral, to_gauge
+from deepir.solve import Progress, Solution, Stage, Step, held_out_error, solve
+
+#: Motion, in px at the frame's edge, below which a burst counts as still.
+STILL = 0.3
+
+
+@register("method", "joint")
+def joint(
+    burst: Burst,
+    config: Config,
+    *,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Path | None = None,
+) -> Result:
+    """Fields for all unknowns, fitted together (the default)."""
+    definition: Definition = lookup("problem", config.problem, "problem")()
+    motion, used, messages = registered(burst, config, definition)
+    kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
+    problem, geometry = build(config, kept, None if motion is None else motion[used])
+    problem = problem.to(config.device)
+    definition.initialise(problem, config.seed)
+    _given_noise(problem, config)
+    plan = _plan(problem, definition, config)
+    solution = solve(problem, plan, callbacks=callbacks, checkpoint=checkpoint)
+    return _result(problem, geometry, solution, burst, used, [*messages, *definition.messages])
+
+
+def registered(
+    burst: Burst, config: Config, definition: Definition
+) -> tuple[Tensor | None, np.ndarray, list[str]]:
+    """Motion (N, 3, 3) of each frame, which frames are used, and messages; no motion if no slot wants it.
+
+    Raises:
+        DataError: Too few frames register, or the burst is still and the problem needs motion.
+    """
+    everything = np.ones(len(burst.frames), bool)
+    model = _motion_model(config)
+    if model is None or len(burst.frames) == 1:
+        return None, everything, []
+    ignore = torch.from_numpy(burst.bad_pixels)
+    found = register_frames(torch.from_numpy(burst.frames), model=model, ignore=ignore)
+    used = found.used.numpy().astype(bool)
+    if used.sum() < max(definition.frames, 1):
+        raise DataError(
+            f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
+            f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
+        )
+    if definition.motion:
+        _demand_motion(found.motion[torch.from_numpy(used)], burst)
+    return found.motion, used, list(found.messages)
+
+
+def _motion_model(config: Config) -> str | None:
+    """The type of the first motion field that wants to be registered."""
+    for stage in config.physics.values():
+        slot = (stage or {}).get("motion")
+        if isinstance(slot, dict) and slot.get("init") == "register":
+            return str(slot.get("type"))
+    return None
+
+
+def _demand_motion(motion: Tensor, burst: Burst) -> None:
+    height, width = burst.size
+    corner = torch.tensor([width / 2, height / 2, 1.0], dtype=motion.dtype)
+    moved = ((motion @ corner)[:, :2] - corner[:2]).abs().amax()
+    if moved < STILL:
+        raise DataError(
+            f"{burst.source}: the frames do not move (at most {float(moved):.2f} px), so the scene and the sensor's "
+            "fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y"
+        )
+
+
+def _given_noise(problem: Problem, config: Config) -> None:
+    if config.noise == "auto":
+        return
+    variance = config.noise.read**2 + problem.data.clamp(min=0) / (config.noise.photons or float("inf"))
+    if not variance.min() > 0:
+        raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
+    problem.precision.copy_((problem.precision > 0) / variance)
+
+
+def _plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
+    given, cap = config.solver.plan, config.solver.max_iterations
+    plan = definition.plan(problem)
+    if given is not None:
+        plan = [
+            Stage(s.name, tuple(Step(tuple(p.group), p.method, p.lr, p.every) for p in s.steps), s.iterations)
+            for s in given
+        ]
+        for i, stage in enumerate(plan):
+            _check_groups(problem, stage, f"solver.plan[{i}]")
+    return [dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap)) for s in plan]
+
+
+def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
+    for step in stage.steps:
+        for name in step.group:
+            if name not in problem.fields:
+                raise ConfigError(f"{where}: no unknown '{name}'; {nearest(name, problem.fields)}")
+            if step.method == "eliminate" and name not in problem.closed_form():
+                raise ConfigError(
+                    f"{where}: '{name}' has no closed form; {nearest(name, problem.closed_form())}"
+                )
+
+
+@torch.no_grad()
+def _result(
+    problem: Problem, geometry: Geometry, solution: Solution, burst: Burst, used: np.ndarray, messages: list[str]
+) -> Result:
+    values = {name: value.cpu().numpy() for name, value in solution.values.items()}
+    y0, y1, x0, x1 = geometry.window
+    result = neutral(values["scene"][0, 0, y0:y1, x0:x1], len(used), burst.size, burst.bad_pixels)
+    for slot, name in problem.slots.items():
+        value, slot = values[name], slot.rpartition(".")[2]
+        if slot in ("gain", "offset"):
+            setattr(result, slot, value[0, 0].astype(np.float64))
+        elif slot == "level":
+            result.level[used] = value.ravel()
+        elif slot == "motion":
+            result.motion[used] = value
+            result.motion[~used] = np.nan
+        else:
+            result.extra[name] = value.squeeze()
+    result.frames_used, result.history, result.messages = used, solution.history, messages
+    to_gauge(result)
+    good = problem.precision > 0
+    result.metrics = {
+        "iterations": solution.iterations,
+        "evaluations": solution.evaluations,
+        "stop_reason": solution.reason,
+        "noise_sigma": float(problem.precision[good].rsqrt().median()),
+        "held_out_rmse": held_out_error(problem),
+        "strengths": strengths(problem),
+    }
+    return result
+
+
+def strengths(problem: Problem) -> dict[str, float]:
+    """What was given or estimated: sigma of each part, weight of each penalty."""
+    found = {}
+    for name, field in problem.fields.items():
+        for part in field.parts():
+            found[f"{name}.{type(part).__name__.lower()}.sigma"] = float(part.sigma)
+    for name, each in problem.penalties.items():
+        for kind, penalty in each.items():
+            found[f"{name}.{kind}.weight"] = float(penalty.weight)
+    return found

@@ -1,0 +1,36 @@
+"""A field that is added on the way, such as stray flux."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.operators.base import Operator, Shape
+from deepir.registry import register
+
+
+@register("operator", "add")
+class Add(Operator):
+    """`y = x + value`; the slot `value` is (1, C, h, w). Before the sensor it is stray flux (narcissus)."""
+
+    linear = False
+    neutral = {"value": 0.0}  # noqa: RUF012
+
+    def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
+        """`value`: (1, C, h, w)."""
+        return {"value": (1, *x_shape[1:])}
+
+    def forward(self, x: Tensor, *, value: Tensor) -> Tensor:  # type: ignore[override]
+        """Add the field to each frame."""
+        return x + value
+
+    def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
+        """Adjoint of the linear part: the identity."""
+        return y
+
+    @classmethod
+    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
+        """Two frames of 4 x 5 px."""
+        generator = torch.Generator().manual_seed(0)
+        x, value = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) for n in (2, 1))
+        return cls(), x, {"value": value}

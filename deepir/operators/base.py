@@ -1,0 +1,125 @@
+"""What an operator is, and how operators compose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+Shape = tuple[int, ...]
+
+
+class Operator(nn.Module):
+    """A map `x, **slots -> y` without hidden state.
+
+    Slots are named extra tensors (`motion`, `gain`, `psf` ...), so an operator knows nothing of how an unknown is
+    represented. `linear` says whether it is linear in `x` (with all slots fixed); an affine map such as the
+    sensor's is not.
+    """
+
+    linear: ClassVar[bool] = True
+    #: The value of each slot that leaves the data as they are (1 for a gain, 0 for an offset).
+    neutral: ClassVar[Mapping[str, float]] = {}
+
+    def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
+        """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""
+        return {}
+
+    def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
+        """Shape of the output for an input of `x_shape`."""
+        return x_shape
+
+    def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:
+        """(height, width) of the input that gives an output of `out_size`; the inverse of `out_shape`."""
+        return out_size
+
+    def forward(self, x: Tensor, **slots: Tensor) -> Tensor:
+        """Apply the operator."""
+        raise NotImplementedError
+
+    def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
+        """The adjoint in `x`, `(x_shape)`: the vector-Jacobian product at zero, exact for a linear operator."""
+        x = torch.zeros(x_shape, dtype=y.dtype, device=y.device, requires_grad=True)
+        with torch.enable_grad():
+            (out,) = torch.autograd.grad(self.forward(x, **slots), x, y)
+        return out
+
+    def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
+        """Where the output is computed from valid input only; `mask` is 1 or 0 in the shape of `x`."""
+        return mask
+
+    @classmethod
+    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
+        """A small instance with an input and slots (float64): the test-suite collects it from the registry."""
+        raise NotImplementedError
+
+    def __matmul__(self, other: Operator) -> Chain:
+        """`B @ A` applies `A` first."""
+        return Chain({**_stages(other), **_stages(self, taken=_stages(other))})
+
+
+class Chain(Operator):
+    """Stages applied top to bottom; the slots of stage `s` are called `s.slot`, so two blurs never clash."""
+
+    def __init__(self, stages: Mapping[str, Operator]) -> None:
+        super().__init__()
+        self.stages = nn.ModuleDict(stages)
+        self.linear = all(stage.linear for stage in stages.values())  # type: ignore[misc]
+
+    def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
+        """Slots of all stages, as `stage.slot`."""
+        found: dict[str, Shape] = {}
+        for name, stage in self.named():
+            found |= {f"{name}.{slot}": shape for slot, shape in stage.slots(x_shape, n_frames).items()}
+            x_shape = stage.out_shape(x_shape, n_frames)
+        return found
+
+    def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
+        """Shape after the last stage."""
+        for _, stage in self.named():
+            x_shape = stage.out_shape(x_shape, n_frames)
+        return x_shape
+
+    def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:
+        """Size before the first stage."""
+        for _, stage in reversed(self.named()):
+            out_size = stage.in_size(out_size)
+        return out_size
+
+    def forward(self, x: Tensor, **slots: Tensor) -> Tensor:
+        """Apply every stage with its own slots."""
+        for name, stage in self.named():
+            x = stage(x, **own(slots, name))
+        return x
+
+    def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
+        """Validity after the last stage."""
+        for name, stage in self.named():
+            mask = stage.valid(mask, **own(slots, name))
+        return mask
+
+    def named(self) -> list[tuple[str, Operator]]:
+        """(name, stage), in the order of application."""
+        return list(self.stages.items())  # type: ignore[arg-type]
+
+
+def own(slots: Mapping[str, Tensor], stage: str) -> dict[str, Tensor]:
+    """The slots of one stage, without its name: `{"warp.motion": m} -> {"motion": m}`."""
+    prefix = f"{stage}."
+    return {name.removeprefix(prefix): value for name, value in slots.items() if name.startswith(prefix)}
+
+
+def _stages(operator: Operator, taken: Mapping[str, Operator] = {}) -> dict[str, Operator]:  # noqa: B006
+    """Stages of a chain, or the operator as a stage named after its class; a name in use gets a number."""
+    own_stages = (
+        dict(operator.named()) if isinstance(operator, Chain) else {type(operator).__name__.lower(): operator}
+    )
+    named: dict[str, Operator] = {}
+    for name, stage in own_stages.items():
+        unique, count = name, 2
+        while unique in taken or unique in named:
+            unique, count = f"{name}{count}", count + 1
+        named[unique] = stage
+    return named

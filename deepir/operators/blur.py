@@ -1,0 +1,58 @@
+"""Blur by a point-spread function."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from deepir.operators.base import Operator, Shape
+from deepir.registry import register
+
+
+@register("operator", "blur")
+class Blur(Operator):
+    """Valid convolution with the slot `psf`, (1, 1, 2 r + 1, 2 r + 1), sum one.
+
+    (N, C, h + 2 r, w + 2 r) -> (N, C, h, w): the input reaches over the output's edges, so that no boundary is
+    made up. It is a convolution (the kernel is flipped), as optics does it.
+    """
+
+    def __init__(self, *, radius: int = 3) -> None:
+        super().__init__()
+        if radius < 0:
+            raise ValueError(f"radius must be at least 0, not {radius}")
+        self.radius = radius
+
+    def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
+        """`psf`: (1, 1, 2 r + 1, 2 r + 1)."""
+        side = 2 * self.radius + 1
+        return {"psf": (1, 1, side, side)}
+
+    def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
+        """Smaller by the radius on each side."""
+        *head, height, width = x_shape
+        return (*head, height - 2 * self.radius, width - 2 * self.radius)
+
+    def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:
+        """Larger by the radius on each side."""
+        return (out_size[0] + 2 * self.radius, out_size[1] + 2 * self.radius)
+
+    def forward(self, x: Tensor, *, psf: Tensor) -> Tensor:  # type: ignore[override]
+        """Convolve each channel."""
+        frames, channels, *size = x.shape
+        flat = x.reshape(frames * channels, 1, *size)
+        out = F.conv2d(flat, psf.flip(-1, -2).to(x.dtype))
+        return out.reshape(frames, channels, *out.shape[-2:])
+
+    def valid(self, mask: Tensor, *, psf: Tensor) -> Tensor:  # type: ignore[override]
+        """Pixels whose whole window is valid, whatever the kernel's weights."""
+        return (self.forward(mask, psf=torch.full_like(psf, 1 / psf.numel())) > 1 - 1e-4).to(mask.dtype)
+
+    @classmethod
+    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
+        """A lopsided 3 x 3 kernel."""
+        generator = torch.Generator().manual_seed(0)
+        psf = torch.rand(1, 1, 3, 3, generator=generator, dtype=torch.float64)
+        x = torch.rand(2, 1, 6, 7, generator=generator, dtype=torch.float64)
+        return cls(radius=1), x, {"psf": psf / psf.sum()}

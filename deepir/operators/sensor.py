@@ -1,0 +1,43 @@
+"""The microbolometer array."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.operators.base import Operator, Shape
+from deepir.registry import register
+
+
+@register("operator", "sensor")
+class Sensor(Operator):
+    """Gain, offset and drift of the level: `y_k = gain * x_k + offset + level_k`, (N, 1, h, w).
+
+    Saragadam et al. 2021, the equation that ends "Sensor modeling"; the level is the drift that it leaves out.
+    """
+
+    linear = False
+    neutral = {"gain": 1.0, "offset": 0.0, "level": 0.0}  # noqa: RUF012
+
+    def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
+        """`gain`, `offset`: (1, C, h, w); `level`: (N, 1, 1, 1)."""
+        maps = (1, *x_shape[1:])
+        return {"gain": maps, "offset": maps, "level": (n_frames, 1, 1, 1)}
+
+    def forward(self, x: Tensor, *, gain: Tensor, offset: Tensor, level: Tensor) -> Tensor:  # type: ignore[override]
+        """Apply the sensor to the flux on each pixel."""
+        return gain * x + offset + level
+
+    def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
+        """Adjoint of the linear part: multiplication by the gain."""
+        return slots["gain"] * y
+
+    @classmethod
+    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
+        """Three frames of 4 x 5 px."""
+        generator = torch.Generator().manual_seed(0)
+        x, gain, offset = (
+            torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) + 0.5 for n in (3, 1, 1)
+        )
+        level = torch.linspace(-0.1, 0.1, 3, dtype=torch.float64).reshape(3, 1, 1, 1)
+        return cls(), x, {"gain": gain, "offset": offset, "level": level}

@@ -1,0 +1,115 @@
+"""Limited-memory BFGS that gets on with kinks, and can be saved and resumed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from deepir.optimisers.optimiser import Evaluate, Optimiser
+from deepir.problem import Problem
+
+MEMORY = 10
+ARMIJO, CURVATURE, MAX_TRIALS = 1e-4, 0.9, 20
+
+
+class LBFGS(Optimiser):
+    """Two-loop recursion (Nocedal and Wright, algorithm 7.4) with the line search of Lewis and Overton (2013).
+
+    Their bracketing for the weak Wolfe conditions needs no smoothness, and mostly takes its first trial. A trial
+    whose value is not finite is one that went too far.
+    """
+
+    def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
+        super().__init__(problem, group, evaluate, lr=lr)
+        self.x = self._flat(self.parameters)
+        self.slope: Tensor | None = None
+        self.pairs: list[tuple[Tensor, Tensor]] = []
+
+    def step(self, *, fresh: bool) -> None:
+        """One quasi-Newton step. Without descent the memory is dropped; without any along the gradient, `done`."""
+        if fresh or self.slope is None:
+            self.value, self.slope = self._at(self.x)
+        if not self.slope.isfinite().all():
+            self.value = float("nan")
+            return
+        direction = self._direction(self.slope)
+        descent = float(torch.dot(self.slope, direction))
+        if not descent < 0:
+            self.pairs.clear()
+            direction = -self.slope
+            descent = float(torch.dot(self.slope, direction))
+        found = self._search(direction, descent)
+        if found is None:
+            self.done = not self.pairs
+            self.pairs.clear()
+            self._at(self.x)  # the eliminated unknowns follow
+            return
+        x, self.value, slope = found
+        s, y = x - self.x, slope - self.slope
+        if float(torch.dot(s, y)) > 1e-10 * float(y.norm() * s.norm()):
+            self.pairs = [*self.pairs, (s, y)][-MEMORY:]
+        self.x, self.slope = x, slope
+
+    def state(self) -> dict[str, Tensor]:
+        """Point, value, gradient and memory."""
+        named = {"x": self.x, "value": torch.tensor(self.value, dtype=torch.float64)}
+        if self.slope is not None:
+            named["slope"] = self.slope
+        for i, (s, y) in enumerate(self.pairs):
+            named |= {f"s{i}": s, f"y{i}": y}
+        return named
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Take all of it over."""
+        self.x, self.value, self.slope = state["x"], float(state["value"]), state.get("slope")
+        self.pairs = [(state[f"s{i}"], state[f"y{i}"]) for i in range(MEMORY) if f"s{i}" in state]
+
+    def _direction(self, slope: Tensor) -> Tensor:
+        q = -slope
+        if not self.pairs:
+            return q
+        factors = []
+        for s, y in reversed(self.pairs):
+            rho = 1 / torch.dot(s, y)
+            alpha = rho * torch.dot(s, q)
+            q = q - alpha * y
+            factors.append((rho, alpha))
+        s, y = self.pairs[-1]
+        q = q * (torch.dot(s, y) / torch.dot(y, y))
+        for (s, y), (rho, alpha) in zip(self.pairs, reversed(factors), strict=True):
+            q = q + (alpha - rho * torch.dot(y, q)) * s
+        return q
+
+    def _search(self, direction: Tensor, descent: float) -> tuple[Tensor, float, Tensor] | None:
+        step = 1.0 if self.pairs else min(1.0, 1.0 / max(float(direction.abs().max()), 1e-30))
+        low, high, best = 0.0, float("inf"), None
+        for _ in range(MAX_TRIALS):
+            x = self.x + step * direction
+            value, slope = self._at(x)
+            if not value <= self.value + ARMIJO * step * descent:
+                high = step
+            else:
+                best = (x, value, slope)
+                if float(torch.dot(slope, direction)) >= CURVATURE * descent:
+                    return best
+                low = step
+            step = (low + high) / 2 if high < float("inf") else 2 * low
+        return best if best is None else (best[0], *self._at(best[0]))
+
+    def _at(self, x: Tensor) -> tuple[float, Tensor]:
+        self._set(x)
+        value, gradients = self.gradient()
+        return value, self._flat(gradients)
+
+    @torch.no_grad()
+    def _set(self, x: Tensor) -> None:
+        for parameter, piece in zip(
+            self.parameters, x.split([p.numel() for p in self.parameters]), strict=True
+        ):
+            parameter.copy_(piece.reshape(parameter.shape))
+
+    @staticmethod
+    def _flat(tensors: Sequence[Tensor]) -> Tensor:
+        return torch.cat([t.detach().flatten() for t in tensors])

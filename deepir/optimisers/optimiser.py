@@ -1,0 +1,50 @@
+"""What an optimiser is: it moves the parameters of a group of fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from deepir.problem import Problem, Values
+
+Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
+
+
+class Optimiser:
+    """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields."""
+
+    def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
+        self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
+        self.parameters = [p for name in group for p in problem.fields[name].parameters() if p.numel()]
+        self.value, self.done, self._count = float("nan"), False, 0
+
+    def step(self, *, fresh: bool) -> None:
+        """One iteration; `fresh`: other unknowns have changed since the last. Sets `value`, and `done` at rest."""
+        raise NotImplementedError
+
+    def state(self) -> dict[str, Tensor]:
+        """All that a resumed run needs, beside the fields' parameters, to take the same steps."""
+        raise NotImplementedError
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Continue from a `state()`."""
+        raise NotImplementedError
+
+    def gradient(self) -> tuple[float, list[Tensor]]:
+        """Objective and gradient at the parameters as they are."""
+        self._count += 1
+        with torch.enable_grad():
+            loss, _ = self.evaluate(self.group)
+            if not loss.requires_grad:
+                return float(loss), [torch.zeros_like(p) for p in self.parameters]
+            found = torch.autograd.grad(loss, self.parameters, allow_unused=True)
+        return float(loss.detach()), [
+            torch.zeros_like(p) if g is None else g for g, p in zip(found, self.parameters, strict=True)
+        ]
+
+    def take_count(self) -> int:
+        """Evaluations since the last call."""
+        count, self._count = self._count, 0
+        return count

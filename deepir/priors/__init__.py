@@ -1,0 +1,1 @@
+"""Fields: how unknowns are represented. One a file; a new file is found by itself."""

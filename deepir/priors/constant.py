@@ -1,0 +1,45 @@
+"""An unknown that is known."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.errors import ConfigError
+from deepir.operators.base import Shape
+from deepir.priors.field import Field
+from deepir.registry import register
+
+
+@register("field", "constant")
+class Constant(Field):
+    """A given value that is never changed: a number, or an array from a file (a calibrated gain map, a PSF)."""
+
+    values: Tensor
+
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, value: float | None = None, path: str | None = None
+    ) -> None:
+        super().__init__(shape, neutral)
+        if value is not None and path is not None:
+            raise ConfigError("give either 'value' or 'path', not both")
+        given = torch.tensor(float(neutral if value is None else value)) if path is None else _read(path)
+        try:
+            self.register_buffer("values", given.expand(self.shape).clone())
+        except RuntimeError:
+            raise ConfigError(
+                f"{path}: its shape {tuple(given.shape)} does not fit, {self.shape[-2:]} is wanted"
+            ) from None
+
+    def forward(self) -> Tensor:
+        """The given value."""
+        return self.values
+
+    def init_from(self, value: Tensor) -> None:
+        """Nothing: what is known stays."""
+
+
+def _read(path: str) -> Tensor:
+    from deepir.io import read_frames
+
+    return torch.from_numpy(read_frames(path).frames)[:, None]

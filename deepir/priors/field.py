@@ -1,0 +1,42 @@
+"""What a field is: the representation of one unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from torch import Tensor, nn
+
+from deepir.operators.base import Shape
+
+if TYPE_CHECKING:
+    from deepir.priors.parts import Part
+
+
+class Field(nn.Module):
+    """How an unknown is represented: `forward()` gives its value, a tensor of `shape`.
+
+    `neutral` is the value that leaves the data as they are (1 for a gain). Options that a configuration may set
+    are the keyword-only arguments of the constructor. Parameters are stored so that a change of one in each of
+    them is of the same order in the data: that is what lets one L-BFGS step move scene and motion together.
+    """
+
+    def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
+        super().__init__()
+        self.shape, self.neutral = tuple(shape), neutral
+
+    def forward(self) -> Tensor:
+        """The value, of `shape`."""
+        raise NotImplementedError
+
+    def init_from(self, value: Tensor) -> None:
+        """Represent `value` as well as the field can; its shape must broadcast to `shape`."""
+        raise NotImplementedError
+
+    def penalty(self) -> Tensor | None:
+        """The field's own negative log-prior in nats, or None."""
+        return None
+
+    def parts(self) -> Sequence[Part]:
+        """Gaussian parts that add up to the field's deviation from neutral: what can be solved in closed form."""
+        return ()

@@ -1,0 +1,125 @@
+"""Camera motion with few parameters: shift, rigid, affine, homography."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from deepir.operators.base import Shape
+from deepir.priors.field import Field
+from deepir.registry import register
+
+#: Pixels of motion for a step of one in a parameter, times the frame's side: see `Field`. The misfit's curvature in a
+#: shift is about HW times that in a pixel of the scene, weighted by the scene's squared gradient.
+STEP = 10.0
+
+
+class Motion(Field):
+    """Pull homographies (N, 3, 3); frame 0 is the identity, always.
+
+    Parameters are displacements in px at the frame's edge. `size` is the frame's (h, w), which sets that unit.
+    """
+
+    count: ClassVar[int]
+
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int]) -> None:
+        super().__init__(shape, neutral)
+        self.radius = math.hypot(*size) / 2
+        self.step = STEP / math.sqrt(size[0] * size[1])
+        self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.count))
+
+    def forward(self) -> Tensor:
+        """Identity for frame 0, then the parameters' homographies."""
+        moved = self.matrices(self.step * self.values)
+        first = torch.eye(3, dtype=moved.dtype, device=moved.device)[None]
+        return torch.cat((first, moved))
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take the parameters of `value` (N, 3, 3) over; what the model lacks is dropped."""
+        self.values.copy_(self.parameters_of(value[1:].double()) / self.step)
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """(N - 1, count) parameters in px -> (N - 1, 3, 3)."""
+        raise NotImplementedError
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """The inverse of `matrices`."""
+        raise NotImplementedError
+
+
+@register("field", "shift")
+class Shift(Motion):
+    """Translation, 2 parameters a frame."""
+
+    count = 2
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """`T p = p + t`."""
+        one, zero = torch.ones_like(p[:, 0]), torch.zeros_like(p[:, 0])
+        return _matrix(one, zero, p[:, 0], zero, one, p[:, 1])
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """The translation."""
+        return t[:, :2, 2]
+
+
+@register("field", "rigid")
+class Rigid(Motion):
+    """Rotation about the frame's centre and translation, 3 parameters a frame."""
+
+    count = 3
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """`T p = R(angle) p + t`."""
+        angle = p[:, 2] / self.radius
+        cos, sin = angle.cos(), angle.sin()
+        return _matrix(cos, -sin, p[:, 0], sin, cos, p[:, 1])
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """Translation, and the angle of the nearest rotation."""
+        angle = torch.atan2(t[:, 1, 0] - t[:, 0, 1], t[:, 0, 0] + t[:, 1, 1])
+        return torch.cat((t[:, :2, 2], self.radius * angle[:, None]), 1)
+
+
+@register("field", "affine")
+class Affine(Motion):
+    """Any linear map and translation, 6 parameters a frame."""
+
+    count = 6
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """`T p = A p + t`."""
+        a = p[:, 2:] / self.radius
+        return _matrix(1 + a[:, 0], a[:, 1], p[:, 0], a[:, 2], 1 + a[:, 3], p[:, 1])
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """Translation and linear part."""
+        linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
+        return torch.cat((t[:, :2, 2], self.radius * linear), 1)
+
+
+@register("field", "homography")
+class Homography(Motion):
+    """Any perspective map, 8 parameters a frame."""
+
+    count = 8
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """Affine part, and two perspective terms."""
+        a, tilt = p[:, 2:6] / self.radius, p[:, 6:] / self.radius**2
+        return _matrix(1 + a[:, 0], a[:, 1], p[:, 0], a[:, 2], 1 + a[:, 3], p[:, 1], tilt[:, 0], tilt[:, 1])
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """All entries but the last, which is one."""
+        t = t / t[:, 2:, 2:]
+        linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
+        return torch.cat((t[:, :2, 2], self.radius * linear, self.radius**2 * t[:, 2, :2]), 1)
+
+
+def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor, e: Tensor, f: Tensor, *last: Tensor) -> Tensor:
+    g, h = last or (torch.zeros_like(a), torch.zeros_like(a))
+    return torch.stack((a, b, c, d, e, f, g, h, torch.ones_like(a)), -1).unflatten(-1, (3, 3))

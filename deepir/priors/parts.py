@@ -1,0 +1,111 @@
+"""Gain and offset as sums of Gaussian parts: columns, rows, single pixels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from deepir.operators.base import Shape
+from deepir.priors.field import Field
+from deepir.registry import register
+
+
+class Part(Field):
+    """Independent Gaussian values with standard deviation `sigma`, constant along `along`.
+
+    `sigma` is in the unknown's units (a fraction for a gain, counts for an offset); without it, it is estimated
+    from the burst. The parameters are white, `value / sigma`, and float64: see `deepir.elimination`.
+    """
+
+    along: ClassVar[tuple[int, ...]] = ()
+    sigma: Tensor
+
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
+        super().__init__(shape, neutral)
+        if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
+            raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
+        own = [1 if axis - len(shape) in self.along else side for axis, side in enumerate(self.shape)]
+        self.white = nn.Parameter(torch.zeros(own, dtype=torch.float64))
+        self.given = sigma is not None
+        self.register_buffer("sigma", torch.tensor(0.0 if sigma is None else sigma, dtype=torch.float64))
+
+    def forward(self) -> Tensor:
+        """`neutral + values`, float32."""
+        return (self.neutral + self.values).float().expand(self.shape)
+
+    @property
+    def values(self) -> Tensor:
+        """The deviation from neutral, float64, of length one along `along`."""
+        return self.sigma * self.white
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """The mean along the axes on which the part is constant."""
+        deviation = value.to(self.white).expand(self.shape) - self.neutral
+        self.assign(deviation.mean(self.along, keepdim=True) if self.along else deviation)
+
+    @torch.no_grad()
+    def assign(self, values: Tensor) -> None:
+        """Set the deviation from neutral; a part whose sigma is zero stays zero."""
+        self.white.copy_(values / self.sigma if self.sigma > 0 else torch.zeros_like(values))
+
+    def penalty(self) -> Tensor:
+        """`½ Σ values² / sigma²`."""
+        return self.white.square().sum() / 2
+
+    def parts(self) -> Sequence[Part]:
+        """The part itself."""
+        return (self,)
+
+
+@register("field", "column")
+class Column(Part):
+    """One value for each column: the readout amplifiers."""
+
+    along = (-2,)
+
+
+@register("field", "row")
+class Row(Part):
+    """One value for each row."""
+
+    along = (-1,)
+
+
+@register("field", "pixel")
+class Pixel(Part):
+    """One value for each pixel, with a Gaussian prior."""
+
+
+class Sum(Field):
+    """The sum of several fields, written `column+row+pixel` in a configuration; options go by the part's name."""
+
+    def __init__(self, shape: Shape, neutral: float, members: dict[str, Field]) -> None:
+        super().__init__(shape, neutral)
+        self.members = nn.ModuleDict(members)
+
+    def forward(self) -> Tensor:
+        """`neutral + Σ members`."""
+        return self.neutral + torch.stack([member() for member in self.members.values()]).sum(0)
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Give each member, in turn, what those before it left."""
+        rest = value.expand(self.shape) - self.neutral
+        for member in self.members.values():
+            member.init_from(rest)  # type: ignore[operator]
+            rest = rest - member().to(rest)
+
+    def penalty(self) -> Tensor | None:
+        """The sum of the members' own."""
+        found = [p for member in self.members.values() if (p := member.penalty()) is not None]  # type: ignore[operator]
+        return torch.stack([p.double() for p in found]).sum() if found else None
+
+    def parts(self) -> Sequence[Part]:
+        """All parts, if every member is made of parts; otherwise none: the sum has no closed form."""
+        each = [member.parts() for member in self.members.values()]  # type: ignore[operator]
+        return [part for parts in each for part in parts] if all(each) else ()

@@ -1,0 +1,162 @@
+"""A problem: unknowns bound to the slots of an operator, and to data."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+import torch
+from torch import Tensor, nn
+
+from deepir.elimination import eliminate
+from deepir.fidelity import Fidelity, Gaussian
+from deepir.operators import Chain, Sensor
+from deepir.operators.base import own
+from deepir.priors.field import Field
+
+Values = dict[str, Tensor]
+
+
+class Problem(nn.Module):
+    """`data = operator(scene, **slots) + noise`, with a field for the scene and for each slot.
+
+    Args:
+        operator: The physics; its slots are called `stage.slot`.
+        fields: One for each unknown: `scene`, and the unknowns that `slots` names.
+        data: The frames, (N, C, h, w); samples whose precision is zero may hold anything finite.
+        precision: 1 / noise variance of each sample, same shape; zero where a sample does not count.
+        slots: Slot of the operator -> unknown, `{"warp.motion": "motion"}`; None names an unknown after its slot.
+        penalties: Unknown -> its penalties by name.
+        fidelity: How prediction and data are compared; Gaussian unless given.
+
+    Raises:
+        ValueError: A slot has no field.
+    """
+
+    data: Tensor
+    precision: Tensor
+    held_out: Tensor
+
+    def __init__(
+        self,
+        operator: Chain,
+        fields: Mapping[str, Field],
+        data: Tensor,
+        precision: Tensor,
+        *,
+        slots: Mapping[str, str] | None = None,
+        penalties: Mapping[str, Mapping[str, nn.Module]] | None = None,
+        fidelity: Fidelity | None = None,
+    ) -> None:
+        super().__init__()
+        self.operator, self.fidelity = operator, fidelity or Gaussian()
+        self.fields = nn.ModuleDict(fields)
+        self.penalties = nn.ModuleDict({name: nn.ModuleDict(each) for name, each in (penalties or {}).items()})
+        wanted = operator.slots(tuple(fields["scene"].shape), len(data))
+        self.slots = dict(slots) if slots is not None else {slot: slot.rpartition(".")[2] for slot in wanted}
+        for slot in wanted:
+            if self.slots.get(slot) not in fields:
+                raise ValueError(f"slot {slot!r} has no field; fields are {sorted(fields)}")
+        self.register_buffer("data", data)
+        self.register_buffer("precision", precision)
+        self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
+
+    def values(self, free: Collection[str] | None = None) -> Values:
+        """The value of each unknown; those not in `free` carry no gradient (None: all are free)."""
+        found = {}
+        for name, field in self.fields.items():
+            with torch.set_grad_enabled(torch.is_grad_enabled() and (free is None or name in free)):
+                found[name] = field()
+        return found
+
+    def predict(self, values: Values) -> Tensor:
+        """The noiseless frames, (N, C, h, w)."""
+        return self.operator(values["scene"], **self._slot_values(values))
+
+    def flux(self, values: Values) -> Tensor:
+        """What falls on the detector: the prediction before the sensor, which must be the last stage."""
+        x, slots = values["scene"], self._slot_values(values)
+        for name, stage in self.operator.named()[:-1]:
+            x = stage(x, **own(slots, name))
+        return x
+
+    def losses(self, values: Values, eliminated: Collection[str] = (), *, use_held_out: bool = False) -> Values:
+        """Terms of the objective in nats, by name: `data`, `unknown.penalty`, and `unknown` for a field's own.
+
+        Unknowns in `eliminated` are first set to their optimum in closed form, given the others; `values` is
+        updated. Held-out samples count only if `use_held_out`.
+        """
+        precision = self.precision if use_held_out else self.precision * ~self.held_out
+        if eliminated:
+            flux = self.flux(values)
+            self.eliminate(values, eliminated, flux=flux.detach(), precision=precision)
+            name, sensor = self.operator.named()[-1]
+            prediction = sensor(flux, **own(self._slot_values(values), name))
+        else:
+            prediction = self.predict(values)
+        terms = {"data": self.fidelity(prediction, self.data, precision)}
+        for name, field in self.fields.items():
+            if (prior := field.penalty()) is not None:
+                terms[name] = prior
+            for kind, penalty in self.penalties[name].items() if name in self.penalties else ():
+                terms[f"{name}.{kind}"] = penalty(values[name])
+        return terms
+
+    def free(self) -> list[str]:
+        """The unknowns that can move: those with parameters that are not fixed."""
+        return [name for name, field in self.fields.items() if any(p.requires_grad for p in field.parameters())]
+
+    def closed_form(self) -> list[str]:
+        """The unknowns that can be eliminated: Gaussian parts of the sensor that ends the operator."""
+        name, last = self.operator.named()[-1]
+        if not (isinstance(last, Sensor) and self.fidelity.quadratic):
+            return []
+        unknowns = [self.slots[f"{name}.{slot}"] for slot in ("gain", "offset")]
+        free = [each for each in unknowns if each in self.free() and each not in self.penalties]
+        return [each for each in free if self.fields[each].parts()]
+
+    def valid(self, values: Values) -> Tensor:
+        """Samples that are computed from the scene's array alone, bool (N, C, h, w): geometry, not estimate."""
+        mask = torch.ones_like(values["scene"])
+        return (self.operator.valid(mask, **self._slot_values(values)) > 0.5).expand_as(self.data)
+
+    def backproject(self, values: Values) -> tuple[Tensor, Tensor]:
+        """Registered average of the data on the scene's grid, and the weight of each of its pixels.
+
+        Each sample is spread by the operator's adjoint, less what the sensor adds; the weight is the same of ones.
+        """
+        slots, stages = self._slot_values(values), self.operator.named()
+        shapes = [tuple(values["scene"].shape)]
+        for _, stage in stages:
+            shapes.append(stage.out_shape(shapes[-1], len(self.data)))
+        zero = {name: stage(torch.zeros(shape), **own(slots, name)) for (name, stage), shape in zip(stages, shapes[:-1], strict=True)}
+        counts = (self.precision > 0).to(self.data)
+        total, weight = counts * self.data, counts
+        for (name, stage), shape in zip(reversed(stages), reversed(shapes[:-1]), strict=True):
+            mine = own(slots, name)
+            if not stage.linear:
+                total = total - weight * zero[name]
+            total, weight = (stage.adjoint(each, shape, **mine) for each in (total, weight))
+        return total / weight.clamp(min=1e-6), weight
+
+    @torch.no_grad()
+    def eliminate(
+        self, values: Values, group: Collection[str], *, flux: Tensor | None = None, precision: Tensor | None = None
+    ) -> dict[str, list[Tensor]]:
+        """Set the unknowns of `group` to their optimum given the others; `values` is updated.
+
+        Returns the posterior variance of each part, by unknown, see `deepir.elimination.eliminate`. `flux` and
+        `precision` spare their computation where they are known.
+        """
+        name, sensor = self.operator.named()[-1]
+        flux = self.flux(values) if flux is None else flux
+        precision = self.precision * ~self.held_out if precision is None else precision
+        known = values | {each: torch.full_like(values[each], self.fields[each].neutral) for each in group}
+        rest = self.data - sensor(flux, **own(self._slot_values(known), name))
+        unknowns = [self.slots[f"{name}.{slot}"] for slot in ("gain", "offset")]
+        parts = [self.fields[each].parts() if each in group else () for each in unknowns]
+        variances = iter(eliminate(flux, rest, precision, *parts))
+        values.update({each: self.fields[each]() for each in group})
+        return {each: [next(variances) for _ in mine] for each, mine in zip(unknowns, parts, strict=True)}
+
+    def _slot_values(self, values: Values) -> Values:
+        return {slot: values[unknown] for slot, unknown in self.slots.items()}

@@ -1,0 +1,68 @@
+"""What a problem definition is, and the generic one: a problem that is a YAML file only."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import torch
+from scipy import ndimage
+from torch import Tensor
+
+from deepir.noise import sample_noise
+from deepir.problem import Problem
+from deepir.registry import register
+from deepir.solve import Stage, Step
+
+
+class Definition:
+    """How a problem is initialised, planned and reported; `frames` is the least number that it needs."""
+
+    frames: ClassVar[int] = 1
+    messages: tuple[str, ...] | list[str] = ()
+    #: Whether it cannot work without motion between the frames.
+    motion: ClassVar[bool] = False
+
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """Set starts and strengths from the data."""
+        start_precision(problem)
+        start_scene(problem)
+
+    def plan(self, problem: Problem) -> list[Stage]:
+        """The stages of the solve."""
+        closed = problem.closed_form()
+        free = tuple(name for name in problem.free() if name not in closed)
+        steps = (Step(free, "lbfgs"), *((Step(tuple(closed), "eliminate"),) if closed else ()))
+        return [Stage("joint", steps, iterations=200)]
+
+
+@register("problem", "generic")
+class Generic(Definition):
+    """Any operator and any unknowns: all are moved together; gain and offset in closed form where they have one."""
+
+
+def start_precision(problem: Problem) -> float:
+    """Set the precision of usable samples to 1 / variance of the noise that the frames show; returns its sigma."""
+    usable = problem.precision > 0
+    sigma = sample_noise(problem.data[:, 0], usable[:, 0])
+    spread = float(problem.data[usable].std())
+    sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
+    problem.precision.copy_(usable / sigma**2)
+    return sigma
+
+
+@torch.no_grad()
+def start_scene(problem: Problem) -> None:
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
+    values = problem.values()
+    average, weight = problem.backproject(values)
+    problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
+
+
+def filled(image: Tensor, known: Tensor) -> Tensor:
+    """Replace unknown pixels by the nearest known one, (S, C, H, W)."""
+    holes = (~known).cpu().numpy()
+    if not holes.any():
+        return image
+    index = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
+    return torch.from_numpy(np.ascontiguousarray(image.cpu().numpy()[tuple(index)])).to(image)

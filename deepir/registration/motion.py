@@ -1,0 +1,68 @@
+"""Motion models: homographies about the frame's centre, updated by composition."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
+
+
+def pixel_grid(height: int, width: int) -> Tensor:
+    """Centred coordinates (x, y) of every pixel, in px: `(2, height * width)` float32."""
+    y, x = torch.meshgrid(torch.arange(height) - (height - 1) / 2, torch.arange(width) - (width - 1) / 2, indexing="ij")
+    return torch.stack((x.flatten(), y.flatten()))
+
+
+def transform(motion: Tensor, points: Tensor) -> Tensor:
+    """Points `(..., 2, M)` moved by homographies `(..., 3, 3)`, both in centred px."""
+    motion = motion.to(points.dtype)
+    moved = motion[..., :2, :2] @ points + motion[..., :2, 2:]
+    if not motion[..., 2, :2].any():
+        return moved
+    return moved / (motion[..., 2:, :2] @ points + motion[..., 2:, 2:])
+
+
+def normalised(motion: Tensor) -> Tensor:
+    """The same homographies with `T[2, 2] = 1`."""
+    return motion / motion[..., 2:, 2:]
+
+
+def rotation(angle: Tensor) -> Tensor:
+    """Rotations `(..., 3, 3)` by angles `(...)` in radians; positive turns +x towards +y."""
+    out = torch.zeros(*angle.shape, 3, 3, dtype=torch.float64)
+    out[..., 0, 0] = out[..., 1, 1] = angle.cos()
+    out[..., 1, 0] = angle.sin()
+    out[..., 0, 1] = -angle.sin()
+    out[..., 2, 2] = 1
+    return out
+
+
+def generators(model: str, points: Tensor, size: float) -> tuple[Tensor, Tensor]:
+    """Derivative of a moved point with respect to the model's parameters, at the identity.
+
+    `points` are `(..., M)`-shaped x and y stacked as `(..., 2, M)`; `size` (px) scales the parameters to pixels at the
+    frame's edge, which keeps the normal equations well conditioned. Returns dx and dy, each `(..., P, M)`.
+    """
+    x, y = points[..., 0, :] / size, points[..., 1, :] / size
+    one, zero = torch.ones_like(x), torch.zeros_like(x)
+    columns = {
+        "shift": [(one, zero), (zero, one)],
+        "rigid": [(one, zero), (zero, one), (-y, x)],
+    }.get(model, [(one, zero), (zero, one), (x, zero), (y, zero), (zero, x), (zero, y)])
+    if model == "homography":
+        columns = [*columns, (-x * x, -x * y), (-x * y, -y * y)]
+    return torch.stack([c[0] for c in columns], -2), torch.stack([c[1] for c in columns], -2)
+
+
+def increment(model: str, delta: Tensor, size: float) -> Tensor:
+    """The motions `(B, 3, 3)` of small parameters `(B, P)`, in the order and scale of `generators`."""
+    out = torch.eye(3, dtype=torch.float64).repeat(len(delta), 1, 1)
+    if model == "rigid":
+        out = rotation(delta[:, 2] / size)
+    elif model in ("affine", "homography"):
+        out[:, :2, :2] += delta[:, 2:6].reshape(-1, 2, 2) / size
+    if model == "homography":
+        out[:, 2, :2] = delta[:, 6:] / size**2
+    out[:, :2, 2] = delta[:, :2]
+    return out

@@ -1,0 +1,96 @@
+"""Short names for components: found in the package's folders, in plugins, and nowhere else.
+
+A configuration never holds an import path: that would be code execution. Third parties add components by the entry
+point group `deepir.plugins`, or with `--plugin MODULE` on the command line.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import importlib.metadata
+import pkgutil
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from deepir.errors import ConfigError, nearest
+
+T = TypeVar("T")
+
+#: Kind of component -> the modules and packages that hold deepir's own; every module of a package is looked at.
+HOMES = {
+    "operator": ["deepir.operators"],
+    "field": ["deepir.priors"],
+    "penalty": ["deepir.penalties"],
+    "fidelity": ["deepir.fidelity"],
+    "problem": ["deepir.problems"],
+    "method": ["deepir.joint", "deepir.baselines"],
+}
+_components: dict[str, dict[str, Any]] = {kind: {} for kind in HOMES}
+
+
+def register(kind: str, name: str) -> Callable[[T], T]:
+    """Class or function decorator: `@register("operator", "blur")`.
+
+    Raises `ValueError` if the kind is unknown, or another component has the name.
+    """
+    if kind not in _components:
+        raise ValueError(f"unknown kind of component {kind!r}: {nearest(kind, _components)}")
+
+    def add(component: T) -> T:
+        known = _components[kind].get(name)
+        if known is not None and _origin(known) != _origin(component):
+            raise ValueError(f"{kind} {name!r} is taken by {_origin(known)}")
+        _components[kind][name] = component
+        return component
+
+    return add
+
+
+def lookup(kind: str, name: str, where: str = "") -> Any:
+    """The component of that name; `ConfigError` with the nearest spelling if there is none."""
+    found = components(kind)
+    if name not in found:
+        raise ConfigError(f"{where or kind}: no {kind} is called {name!r}; {nearest(name, found)}")
+    return found[name]
+
+
+def components(kind: str) -> dict[str, Any]:
+    """All components of a kind by name, deepir's own and the plugins'."""
+    for home in HOMES[kind]:
+        _load(home)
+    _load_plugins()
+    return dict(sorted(_components[kind].items()))
+
+
+def load_plugin(module: str) -> None:
+    """Import a module that registers components; `ConfigError` if it cannot be imported."""
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        raise ConfigError(f"plugin {module!r} cannot be imported: {error}") from error
+
+
+def summary(component: Any) -> str:
+    """The first line of a component's docstring."""
+    return (component.__doc__ or "").strip().split("\n")[0]
+
+
+@functools.cache
+def _load(home: str) -> None:
+    module = importlib.import_module(home)
+    for info in pkgutil.iter_modules(getattr(module, "__path__", [])):
+        importlib.import_module(f"{home}.{info.name}")
+
+
+@functools.cache
+def _load_plugins() -> None:
+    for entry in importlib.metadata.entry_points(group="deepir.plugins"):
+        try:
+            entry.load()
+        except Exception as error:  # noqa: BLE001 - a broken plugin must name itself, whatever it raises
+            raise ConfigError(f"plugin {entry.name!r} ({entry.value}) does not load: {error}") from error
+
+
+def _origin(component: Any) -> str:
+    return f"{component.__module__}.{component.__qualname__}"

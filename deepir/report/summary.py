@@ -1,0 +1,60 @@
+"""One picture of a run: a raw frame, the scene, gain, offset, and how the loss fell."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepir.io import replace
+
+if TYPE_CHECKING:
+    from deepir.result import Result
+
+Array = np.ndarray[Any, Any]
+
+
+def write_summary(path: Path, result: Result, example: Array) -> None:
+    """Write the picture; `example` is a raw frame (h, w)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    height, width = example.shape
+    figure = Figure(figsize=(12, 12 * 0.66 * height / width + 0.9), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(2, 3)
+    _picture(grid[0, 0], example, "raw frame", "gray")
+    _picture(grid[0, 1], result.scene, "scene", "gray")
+    _picture(grid[0, 2], result.scene, "scene, inferno", "inferno")
+    _picture(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
+    _picture(grid[1, 1], result.offset, f"offset (σ {result.offset.std():.3g})", "RdBu_r", centre=0.0)
+    _loss(grid[1, 2], result.history)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    with replace(path) as part:
+        part.write_bytes(buffer.getvalue())
+
+
+def _picture(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
+    low, high = np.nanpercentile(image, [0.5, 99.5])
+    if centre is not None:
+        reach = max(high - centre, centre - low, 1e-6)
+        low, high = centre - reach, centre + reach
+    shown = axes.imshow(image, cmap=palette, vmin=low, vmax=high if high > low else low + 1, interpolation="nearest")
+    axes.set_title(title, fontsize=10)
+    axes.set_axis_off()
+    axes.figure.colorbar(shown, ax=axes, fraction=0.046 * image.shape[0] / image.shape[1] * 1.2, pad=0.02)
+
+
+def _loss(axes: Any, history: list[dict[str, Any]]) -> None:
+    axes.set_title("loss in each stage, less its least (nats)", fontsize=10)
+    axes.set_xlabel("iteration")
+    start = 0
+    for stage in dict.fromkeys(row["stage"] for row in history):
+        loss = np.array([row["loss"] for row in history if row["stage"] == stage])
+        axes.semilogy(np.arange(start, start + len(loss)), loss - loss.min() + 1, label=stage)
+        start += len(loss)
+    if history:
+        axes.legend(fontsize=8)

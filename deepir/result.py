@@ -1,0 +1,75 @@
+"""What a run gives: the same arrays for every method, and the files that hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.io import write_json, write_npz, write_preview, write_tiff
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass
+class Result:
+    """Scene, sensor and motion in the input's units; what a method does not estimate is neutral.
+
+    `scene` (H, W) float32 lies on frame 0's grid, `gain` and `offset` (h, w) on the detector's; `motion` (N, 3, 3)
+    holds pull homographies in px of the scene's grid about the frame's centre, NaN for unused frames; `level` (N,).
+    """
+
+    scene: Array
+    gain: Array
+    offset: Array
+    motion: Array
+    level: Array
+    bad_pixels: Array
+    frames_used: Array
+    metrics: dict[str, Any] = field(default_factory=dict)
+    history: list[dict[str, Any]] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
+    extra: dict[str, Array] = field(default_factory=dict)  # what only some problems have: stray, psf ...
+
+    def arrays(self) -> dict[str, Array]:
+        """All arrays by name, as `result.npz` holds them."""
+        names = ("scene", "gain", "offset", "motion", "level", "bad_pixels", "frames_used")
+        return {name: getattr(self, name) for name in names} | self.extra
+
+    def save(self, folder: Path, example: Array) -> None:
+        """Write all files of a finished run; `example` is a raw frame for the summary. Each is replaced whole."""
+        from deepir.report.summary import write_summary
+
+        write_npz(folder / "result.npz", self.arrays())
+        write_tiff(folder / "scene.tiff", self.scene)
+        write_preview(folder / "scene_preview.png", self.scene)
+        write_summary(folder / "summary.png", self, example)
+        write_json(folder / "metrics.json", self.metrics)
+
+
+def neutral(scene: Array, n_frames: int, size: tuple[int, int], bad_pixels: Array) -> Result:
+    """A result with gain one, offset zero and no motion."""
+    return Result(
+        scene=scene.astype(np.float32),
+        gain=np.ones(size, np.float32),
+        offset=np.zeros(size, np.float32),
+        motion=np.tile(np.eye(3), (n_frames, 1, 1)),
+        level=np.zeros(n_frames, np.float32),
+        bad_pixels=bad_pixels,
+        frames_used=np.ones(n_frames, bool),
+    )
+
+
+def to_gauge(result: Result) -> None:
+    """Gain mean one, offset and level mean zero, over good pixels and used frames; the prediction does not change."""
+    good = ~result.bad_pixels
+    mean = result.gain[good].mean(dtype=np.float64)
+    result.gain, result.scene = result.gain / mean, result.scene * mean
+    drift = np.nanmean(np.where(result.frames_used, result.level, np.nan))
+    result.level, result.offset = result.level - drift, result.offset + drift
+    shift = result.offset[good].mean(dtype=np.float64)
+    result.scene, result.offset = result.scene + shift, result.offset - shift * result.gain
+    for name in ("scene", "gain", "offset", "level"):
+        setattr(result, name, getattr(result, name).astype(np.float32))

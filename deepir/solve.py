@@ -1,0 +1,233 @@
+"""Run a plan: a list of stages, each a list of steps over groups of unknowns."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from deepir import checkpoint as store
+from deepir.errors import SolverError
+from deepir.optimisers import OPTIMISERS, Optimiser
+from deepir.problem import Problem, Values
+
+
+@dataclass(frozen=True)
+class Step:
+    """How a group of unknowns moves: `lbfgs`, `adam`, or `eliminate` (closed form, at every evaluation)."""
+
+    group: tuple[str, ...]
+    method: str = "lbfgs"
+    lr: float = 1e-2  # adam only
+    every: int = 1  # the step is taken at every n-th iteration
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Steps that alternate until the objective rests, or `iterations` are reached. Unknowns in no step are fixed.
+
+    `prepare` is called when the stage is entered, to set strengths from what the stages before it found: it may
+    change buffers of the problem, nothing else. `use_held_out`: fit the held-out samples too.
+    """
+
+    name: str
+    steps: tuple[Step, ...]
+    iterations: int = 100
+    prepare: Callable[[Problem], None] | None = None
+    use_held_out: bool = False
+    tolerance: float = 1e-5  # stop when ten iterations gain less than this, in nats for each sample
+
+
+@dataclass
+class Progress:
+    """Where a solve is: handed to callbacks after every iteration."""
+
+    stage: str
+    iteration: int  # in this stage
+    iterations: int  # at most, in this stage
+    done: float  # fraction of the plan's iterations
+    loss: float
+    evaluations: int  # of the objective, in all
+    held_out: Callable[[], float]  # root mean square error at the held-out samples; NaN without
+
+
+@dataclass
+class Solution:
+    """What a solve found, and why it ended; `history` has one row an iteration."""
+
+    values: Values
+    reason: str
+    iterations: int
+    evaluations: int
+    history: list[dict[str, Any]] = field(default_factory=list)
+
+
+@dataclass
+class _Position:
+    stage: int = 0
+    iteration: int = 0
+    evaluations: int = 0
+    total: int = 0
+    history: list[dict[str, Any]] = field(default_factory=list)
+
+
+def solve(
+    problem: Problem,
+    plan: Sequence[Stage],
+    *,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Path | None = None,
+    every: float = 2.0,
+) -> Solution:
+    """Minimise `problem.losses` as `plan` says; the problem's fields hold the result.
+
+    Args:
+        problem: Its fields' parameters are changed in place.
+        plan: Stages, run in order.
+        callbacks: Called after each iteration. One that raises stops the solve; the state is saved first.
+        checkpoint: File for the state: read at the start if it is there, so that an interrupted solve goes on with
+            the same steps, and written every `every` seconds.
+        every: Seconds between checkpoints.
+
+    Raises:
+        SolverError: The objective is not a number. The last good state is in the problem, and saved.
+    """
+    at, optimisers = _Position(), None
+    if checkpoint is not None and checkpoint.exists():
+        at, optimisers = _restore(problem, plan, checkpoint)
+    saved, reason = time.monotonic(), "converged"
+    while at.stage < len(plan):
+        stage = plan[at.stage]
+        if optimisers is None:
+            if stage.prepare is not None:
+                stage.prepare(problem)
+            optimisers = _optimisers(problem, stage)
+        reason = "converged"
+        while at.iteration < stage.iterations:
+            loss = _iterate(problem, stage, optimisers, at)
+            report = _report(problem, plan, stage, at, loss)
+            try:
+                if not math.isfinite(loss):
+                    raise SolverError(_lost(stage, at))
+                for callback in callbacks:
+                    callback(report)
+            except BaseException:
+                if checkpoint is not None:
+                    _save(problem, optimisers, at, checkpoint)
+                raise
+            if checkpoint is not None and time.monotonic() - saved > every:
+                _save(problem, optimisers, at, checkpoint)
+                saved = time.monotonic()
+            if _rests(at, stage, problem) or all(o.done for o, _ in optimisers):
+                break
+        else:
+            reason = "iteration limit reached"
+        at.stage, at.iteration, optimisers = at.stage + 1, 0, None
+    with torch.no_grad():
+        values = problem.values()
+    return Solution(values, reason, at.total, at.evaluations, at.history)
+
+
+def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: _Position) -> float:
+    """One step of each group; the loss after it."""
+    alternate = len(optimisers) > 1
+    loss = math.nan
+    for optimiser, step in optimisers:
+        if at.iteration % step.every == 0:
+            optimiser.step(fresh=alternate)
+        loss = optimiser.value
+    at.iteration, at.total = at.iteration + 1, at.total + 1
+    at.evaluations += sum(o.take_count() for o, _ in optimisers)
+    row = {"stage": stage.name, "iteration": at.iteration, "loss": loss}
+    if problem.held_out.any() and not stage.use_held_out and at.iteration % 10 == 0:
+        row["held_out"] = held_out_error(problem)
+    at.history.append(row)
+    return loss
+
+
+def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
+    """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
+    eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
+
+    def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
+        values = problem.values(free)
+        terms = problem.losses(values, eliminated, use_held_out=stage.use_held_out)
+        return torch.stack([term.double() for term in terms.values()]).sum(), values
+
+    return evaluate
+
+
+@torch.no_grad()
+def held_out_error(problem: Problem) -> float:
+    """Root mean square error of the prediction at the held-out samples, in the data's units; NaN without any."""
+    held = problem.held_out & (problem.precision > 0)
+    if not held.any():
+        return math.nan
+    error = (problem.predict(problem.values()) - problem.data)[held]
+    return float(error.square().mean().sqrt())
+
+
+def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
+    evaluate = objective(problem, stage)
+    made = []
+    for step in stage.steps:
+        if step.method != "eliminate":
+            made.append((OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step))
+    return made
+
+
+def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:
+    """Whether the last ten iterations of the stage gained next to nothing."""
+    if at.iteration <= 10:
+        return False
+    gain = at.history[-11]["loss"] - at.history[-1]["loss"]
+    return gain < stage.tolerance * problem.data.numel()
+
+
+def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position, loss: float) -> Progress:
+    before = sum(each.iterations for each in plan[: at.stage])
+    done = (before + at.iteration) / max(sum(each.iterations for each in plan), 1)
+    return Progress(
+        stage.name, at.iteration, stage.iterations, done, loss, at.evaluations, lambda: held_out_error(problem)
+    )
+
+
+def _lost(stage: Stage, at: _Position) -> str:
+    return (
+        f"the objective is not a number at iteration {at.iteration} of stage '{stage.name}': the solve diverged. "
+        "The last good state is kept. Check the data's range and the penalties' weights, or lower the step (lr)."
+    )
+
+
+def _save(problem: Problem, optimisers: list[tuple[Optimiser, Step]], at: _Position, path: Path) -> None:
+    tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
+    for i, (optimiser, _) in enumerate(optimisers):
+        tensors |= {f"optimiser{i}.{name}": value for name, value in optimiser.state().items()}
+    store.save(path, tensors, asdict(at))
+
+
+def _restore(
+    problem: Problem, plan: Sequence[Stage], path: Path
+) -> tuple[_Position, list[tuple[Optimiser, Step]] | None]:
+    tensors, position = store.load(path)
+    at = _Position(**position)
+    for name, value in _state(problem).items():
+        value.copy_(tensors[f"problem.{name}"])
+    if at.stage >= len(plan):
+        return at, None
+    optimisers = _optimisers(problem, plan[at.stage])
+    for i, (optimiser, _) in enumerate(optimisers):
+        prefix = f"optimiser{i}."
+        optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
+    return at, optimisers
+
+
+def _state(problem: Problem) -> Mapping[str, Tensor]:
+    """Parameters and buffers less the data, which a resumed run reads again."""
+    return {name: value.detach() for name, value in problem.state_dict().items() if name != "data"}

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from deepir.errors import DataError
+from deepir.io import crop, validate
+
+
+@pytest.fixture
+def frames(burst):
+    return burst.astype(np.float32)
+
+
+def test_good_frames_have_no_bad_pixels(frames):
+    bad_pixels, valid = validate(frames, "a")
+    assert not bad_pixels.any()
+    assert valid.all()
+    assert bad_pixels.shape == (20, 24)
+    assert valid.shape == (3, 20, 24)
+
+
+def test_a_pixel_is_bad_where_most_of_its_samples_are_missing(frames):
+    frames[:2, 4, 5] = np.nan
+    frames[0, 6, 7] = np.inf
+    bad_pixels, valid = validate(frames, "a")
+    assert np.argwhere(bad_pixels).tolist() == [[4, 5]]
+    assert np.argwhere(~valid).tolist() == [[0, 4, 5], [0, 6, 7], [1, 4, 5]]
+
+
+def test_a_pixel_missing_in_half_of_the_frames_is_kept(frames):
+    frames = frames[:2]
+    frames[0, 4, 5] = np.nan
+    assert not validate(frames, "a")[0].any()
+
+
+def test_a_frame_that_is_mostly_not_finite_is_named(frames):
+    frames[1, :11] = np.nan
+    with pytest.raises(DataError, match=r"^a: frame 1 is 55% NaN or infinite"):
+        validate(frames, "a")
+
+
+def test_a_constant_frame_is_named(frames):
+    frames[2] = 7
+    frames[2, 0, 0] = np.nan
+    with pytest.raises(DataError, match=r"^a: frame 2 is 7 everywhere: a shutter"):
+        validate(frames, "a")
+
+
+def test_too_few_frames_say_how_many_are_needed(frames):
+    with pytest.raises(DataError, match=r"3 frame\(s\), but this needs at least 8"):
+        validate(frames, "a", needs=8)
+
+
+def test_too_small_frames_are_refused(frames):
+    with pytest.raises(DataError, match="15 x 24 px is too small; at least 16"):
+        validate(frames[:, :15], "a")
+
+
+def test_crop_takes_rows_then_columns(frames):
+    np.testing.assert_array_equal(crop(frames, [1, 18, 3, 24]), frames[:, 1:18, 3:24])
+
+
+@pytest.mark.parametrize("box", [[0, 21, 0, 24], [-1, 18, 0, 24], [0, 20, 24, 3], [5, 5, 0, 24]])
+def test_a_crop_outside_the_frame_says_how_large_it_is(frames, box):
+    with pytest.raises(DataError, match="not inside the frame of 20 x 24 px"):
+        crop(frames, box)
+
+
+def test_a_crop_has_four_numbers_and_sixteen_pixels(frames):
+    with pytest.raises(DataError, match="four numbers"):
+        crop(frames, [0, 20])
+    with pytest.raises(DataError, match="15 x 24 px is too small"):
+        crop(frames, [0, 15, 0, 24])

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from deepir.io import Frames, describe, read_frames
+
+RNG_SEED = 4
+
+
+def burst_of(frames, dtype="uint16"):
+    return Frames(np.asarray(frames, np.float32), "a", dtype, "")
+
+
+def simulated(step, count=4, noise=6.0, contrast=200.0):
+    """Frames of a smooth scene that moves `step` px right each frame, behind a fixed pattern, with noise."""
+    rng = np.random.default_rng(RNG_SEED)
+    y, x = np.mgrid[:128, :160]
+    pattern = 20 * rng.standard_normal((128, 160))
+    return np.stack(
+        [
+            8000
+            + contrast * (np.sin((x - step * k) / 17) + np.cos((y + 0.3 * x - step * k) / 23))
+            + pattern
+            + noise * rng.standard_normal((128, 160))
+            for k in range(count)
+        ]
+    )
+
+
+def text(frames, dtype="uint16"):
+    return "\n".join(describe(burst_of(frames, dtype)))
+
+
+def number_after(words, content):
+    return float(content.split(words)[1].split()[0])
+
+
+def test_number_size_type_and_range_are_told():
+    frames = np.zeros((2, 20, 24))
+    frames[0, 0, 0] = 9
+    assert "2 frame(s) of 20 x 24 px (height x width), stored as uint16" in text(frames)
+    assert "values 0 to 9, median 0" in text(frames)
+
+
+def test_missing_stuck_and_saturated_samples_are_counted():
+    frames = simulated(0)
+    frames[1, 2, 3] = np.nan
+    frames[:, 5, 5:7] = 0
+    frames[0, 9, 9] = 2**14 - 1
+    content = text(frames)
+    assert "1 sample(s) are NaN" in content
+    assert "2 pixel(s) are zero in every frame" in content
+    assert "1 sample(s) are at full scale (16383)" in content
+
+
+def test_kelvin_do_not_saturate():
+    frames = simulated(0)
+    frames[0, 9, 9] = 2**14 - 1
+    assert "full scale" not in text(frames, "float32")
+
+
+@pytest.mark.parametrize("step", [0, 1.5])
+def test_noise_is_right_with_and_without_motion(step):
+    assert number_after("temporal noise about", text(simulated(step))) == pytest.approx(6, rel=0.1)
+
+
+@pytest.mark.parametrize(("step", "moves"), [(0, False), (0.02, False), (0.3, True), (1.5, True), (6, True)])
+def test_motion_is_seen_and_a_still_camera_too(step, moves):
+    assert ("motion: yes" in text(simulated(step))) == moves
+
+
+def test_noise_on_a_blank_scene_is_no_motion():
+    assert "motion: none" in text(simulated(0, contrast=0))
+
+
+def test_identical_frames_have_neither_noise_nor_motion():
+    content = text(simulated(0, count=1).repeat(3, axis=0))
+    assert "temporal noise about 0 " in content
+    assert "motion: none" in content
+
+
+@pytest.mark.parametrize("frames", [np.ones((1, 20, 20)), np.ones((3, 8, 20))])
+def test_too_little_to_see_motion_is_told(frames):
+    assert "too few or too small" in text(frames)
+
+
+def test_nothing_finite_is_told():
+    assert "no finite value" in text(np.full((2, 20, 20), np.nan))
+
+
+def test_a_moving_and_a_still_real_camera_are_told_apart(data):
+    moving = "\n".join(describe(read_frames(data / "a65" / "a65_frames_000-009.npz")))
+    still = "\n".join(describe(read_frames(data / "lepton" / "lepton_tlinear_82x120x160.npz")))
+    assert "motion: yes" in moving
+    assert "motion: none" in still
+    assert number_after("temporal noise about", moving) == pytest.approx(6, abs=1)
