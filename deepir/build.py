@@ -66,6 +66,8 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     settings = _slot_settings(config.scene, None, "scene")
     fields["scene"] = _field(settings, scene_shape, 0.0, scene_shape[-2:], "scene")
     penalties["scene"] = _penalties(settings, "scene")
+    if settings.get("init", "average") != "average":
+        raise ConfigError(f"scene.init = {settings['init']!r}: a scene starts at the registered 'average'")
 
     data = torch.from_numpy(burst.frames)[:, None]
     usable = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None]
@@ -194,14 +196,18 @@ def _field(settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, 
             name: make("field", name, options.get(name) or {}, f"{where}.{name}", **{**context, "neutral": 0.0})
             for name in members
         })  # fmt: skip
-    if settings.get("fixed"):
+    if not isinstance(fixed := settings.get("fixed", False), bool):
+        raise ConfigError(f"{where}.fixed = {fixed!r}: true or false is needed")
+    if fixed:
         field.requires_grad_(False)
     return field
 
 
 def _penalties(settings: Mapping[str, Any], where: str) -> dict[str, Penalty]:
-    found = {}
-    for name, given in (settings.get("penalties") or {}).items():
+    found, wanted = {}, settings.get("penalties") or {}
+    if not isinstance(wanted, Mapping):
+        raise ConfigError(f"{where}.penalties = {wanted!r}: a mapping is needed, for example {where}.penalties.tv=50")
+    for name, given in wanted.items():
         options = {"weight": given} if isinstance(given, int | float | str) else (given or {})
         found[name] = make("penalty", name, options, f"{where}.penalties.{name}")
     return found
@@ -215,7 +221,7 @@ def _start(
     if init == "register":
         if motion is not None:
             field.init_from(scaled(motion, geometry.ratio))
-    elif isinstance(init, int | float):
+    elif isinstance(init, int | float) and not isinstance(init, bool):
         field.init_from(torch.full(field.shape, float(init)))
     elif isinstance(init, str):
         from deepir.io import read_frames
@@ -225,5 +231,7 @@ def _start(
             field.init_from(torch.from_numpy(value))
         except RuntimeError as error:
             raise ConfigError(f"{where}.init: {init} has shape {value.shape}, {field.shape} is wanted") from error
+    elif init is not None:
+        raise ConfigError(f"{where}.init = {init!r}: a number, 'register' (a motion), or an array's file is needed")
 
 

@@ -13,13 +13,20 @@ from deepir.errors import DataError
 
 
 def save(path: Path, tensors: dict[str, Tensor], position: dict[str, Any]) -> None:
-    """Replace `path` whole: a kill at any moment leaves the old state or the new one."""
+    """Replace `path` whole: a kill at any moment leaves the old state or the new one.
+
+    Raises `DataError` where it cannot be written (a full disk, say).
+    """
+    from safetensors import SafetensorError
     from safetensors.torch import save_file
 
     part = path.with_suffix(".part")
     contiguous = {name: tensor.detach().contiguous().cpu().clone() for name, tensor in tensors.items()}
-    save_file(contiguous, part, metadata={"position": json.dumps(position)})
-    os.replace(part, path)
+    try:
+        save_file(contiguous, part, metadata={"position": json.dumps(position)})
+        os.replace(part, path)
+    except (SafetensorError, OSError) as error:
+        raise DataError(f"{path}: the state cannot be written: {error}") from error
 
 
 def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -29,6 +36,7 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     try:
         with safe_open(path, framework="pt") as file:
             position = json.loads((file.metadata() or {})["position"])
-            return {name: file.get_tensor(name) for name in file.keys()}, position  # noqa: SIM118
+            # Cloned: in the file they lie unaligned, and sums would round differently from the interrupted run.
+            return {name: file.get_tensor(name).clone() for name in file.keys()}, position  # noqa: SIM118
     except (SafetensorError, KeyError, ValueError, OSError) as error:
         raise DataError(f"{path}: not a readable checkpoint ({error}); delete it to start again") from error

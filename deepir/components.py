@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import functools
 import inspect
+import types
 import typing
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, Union
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
-from deepir.errors import ConfigError, nearest
+from deepir.errors import ConfigError, DeepIRError, nearest
 from deepir.registry import lookup
 
 #: Arguments that the problem supplies, never a configuration.
 CONTEXT = frozenset({"shape", "neutral", "size", "canvas", "origin", "members"})
+WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
+WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
 
 
 def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context: Any) -> Any:
@@ -28,11 +31,11 @@ def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context
     """
     component = lookup(kind, name, where)
     accepted = inspect.signature(component).parameters
-    values = validate(options_schema(component), options, f"{where} ({kind} {name!r})")
+    values = validate(options_schema(component), options, f"{where} ({kind} '{name}')")
     supplied = {key: value for key, value in context.items() if key in accepted}
     try:
         return component(**supplied, **values)
-    except (ValueError, ConfigError) as error:
+    except (ValueError, DeepIRError) as error:
         raise ConfigError(f"{where}: {error}") from error
 
 
@@ -48,37 +51,93 @@ def options_schema(component: Any) -> type[BaseModel]:
     return create_model(component.__name__, __config__=ConfigDict(extra="forbid"), **fields)
 
 
-def validate(schema: type[BaseModel], options: Mapping[str, Any], where: str) -> dict[str, Any]:
+def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any]:
     """The options with defaults filled in; `ConfigError` with the path, what is allowed and the nearest spelling.
 
     `auto` stands for "not given".
     """
+    if not isinstance(options, Mapping):
+        raise ConfigError(f"{where} = {options!r}: a mapping of options is needed ({', '.join(schema.model_fields)})")
     given = {key: value for key, value in options.items() if value != "auto"}
     try:
         checked = schema.model_validate(given)
     except ValidationError as error:
-        raise ConfigError(explain(error, schema, where)) from None
+        _, problem = explain(error, schema)
+        raise ConfigError(f"{where}: {problem}") from None
     return {name: getattr(checked, name) for name in schema.model_fields}
 
 
-def explain(error: ValidationError, schema: type[BaseModel], where: str) -> str:
-    """The first thing wrong, as one line."""
-    first = error.errors()[0]
-    path = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        return f"{where}: no option '{path}'; {nearest(str(first['loc'][-1]), _allowed(schema, first['loc']))}"
-    if first["type"] == "missing":
-        return f"{where}: '{path}' is missing"
-    return f"{where}: '{path}' = {first['input']!r}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+def explain(error: ValidationError, schema: type[BaseModel]) -> tuple[str, str]:
+    """The path of the key that is most likely wrong, and what is wrong with it, in one line."""
+    # A misspelt key explains best; of a union's branches, the one that went deepest is what was meant.
+    rank = {"extra_forbidden": 0, "missing": 1}
+    worst = min(error.errors(), key=lambda e: (rank.get(e["type"], 2), -len(list(_steps(schema, e["loc"])))))
+    steps = list(_steps(schema, worst["loc"]))
+    path = ".".join(name for name, _ in steps)
+    if worst["type"] == "extra_forbidden":
+        allowed = _keys(steps[-2][1] if steps[1:] else schema)
+        return path, f"no option '{path}'; {nearest(steps[-1][0], allowed)}"
+    if worst["type"] == "missing":
+        return path, f"{path} is missing"
+    if worst["type"] == "too_short":
+        need = "at least one is needed"
+    elif worst["type"].startswith(("greater", "less")):
+        need = worst["msg"].lower().replace("input should", "it must")
+    else:
+        need = f"{wanted(steps[-1][1]) if steps else 'a mapping'} is needed"
+    return path, f"{path} = {worst['input']!r}: {need}"
 
 
-def _allowed(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Names allowed at the level of the wrong key."""
-    for step in loc[:-1]:
-        field = schema.model_fields.get(str(step))
-        inner = field.annotation if field is not None else None
-        nested = [t for t in (inner, *typing.get_args(inner)) if inspect.isclass(t) and issubclass(t, BaseModel)]
-        if not nested:
-            return []
-        schema = nested[0]
-    return list(schema.model_fields)
+def wanted(annotation: Any) -> str:
+    """What a value of this type is, in words.
+
+    >>> wanted(int | list[float] | None)
+    'a whole number or a list [...] of numbers'
+    """
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if annotation in WANTED:
+        return WANTED[annotation]
+    if origin is Literal:
+        return " or ".join(f"'{each}'" for each in arguments)
+    if origin in (Union, types.UnionType):
+        return " or ".join(wanted(each) for each in _alternatives(annotation))
+    if origin in (list, tuple) and arguments:
+        return f"a list [...] of {WANTED_MANY.get(arguments[0], 'mappings')}"
+    if names := _keys(annotation):
+        return f"a mapping with {', '.join(names)}"
+    return "a mapping" if annotation is dict or origin is dict else f"a value of type {annotation}"
+
+
+def annotation_of(schema: type[BaseModel], path: str) -> Any:
+    """The type that a key such as `data.path` has in a schema; None if the schema does not know the key."""
+    steps = list(_steps(schema, tuple(path.split("."))))
+    return steps[-1][1] if len(steps) == path.count(".") + 1 else None
+
+
+def _steps(schema: Any, loc: tuple[int | str, ...]) -> Iterator[tuple[str, Any]]:
+    """A path's keys with their types; the names that pydantic gives to a union's branches are left out."""
+    for part in loc:
+        models = [each for each in _alternatives(schema) if hasattr(each, "model_fields")]
+        inner = next((m.model_fields[part].annotation for m in models if part in m.model_fields), None)
+        if inner is None and (branch := next((m for m in models if m.__name__ == part), None)):
+            schema = branch
+            continue
+        if inner is None and models and len(_alternatives(schema)) > 1:
+            return  # pydantic's name of another branch
+        if inner is None and not models:
+            lists = [each for each in _alternatives(schema) if typing.get_origin(each) in (list, dict)]
+            if not lists or (typing.get_origin(lists[0]) is list) != isinstance(part, int):
+                return
+            inner = typing.get_args(lists[0])[-1]
+        schema = inner
+        yield str(part), inner
+
+
+def _alternatives(annotation: Any) -> tuple[Any, ...]:
+    if typing.get_origin(annotation) not in (Union, types.UnionType):
+        return (annotation,)
+    return tuple(each for each in typing.get_args(annotation) if each is not type(None))
+
+
+def _keys(annotation: Any) -> list[str]:
+    return [name for each in _alternatives(annotation) for name in getattr(each, "model_fields", ())]

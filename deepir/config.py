@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -10,17 +11,18 @@ from typing import Any, Literal
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from yaml import YAMLError
 
+from deepir import overrides
 from deepir.components import explain
-from deepir.errors import ConfigError
+from deepir.errors import ConfigError, nearest
+from deepir.yaml import parse
 
 PACKED = Path(__file__).parent / "configs"  # in the wheel
 SHIPPED = PACKED if PACKED.is_dir() else Path(__file__).parent.parent / "configs"  # in a checkout
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)  # a folder may be called 2021
 
 
 class Data(_Strict):
@@ -44,7 +46,7 @@ class Noise(_Strict):
 class StepConfig(_Strict):
     """A step of a stage, see `deepir.solve.Step`."""
 
-    group: list[str]
+    group: list[str] = Field(min_length=1)
     method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
     lr: float = Field(1e-2, gt=0)
     every: int = Field(1, ge=1)
@@ -54,7 +56,7 @@ class StageConfig(_Strict):
     """A stage of the plan, see `deepir.solve.Stage`."""
 
     name: str
-    steps: list[StepConfig]
+    steps: list[StepConfig] = Field(min_length=1)
     iterations: int = Field(100, ge=0)
 
 
@@ -62,7 +64,7 @@ class Solver(_Strict):
     """How long, and in which order."""
 
     max_iterations: int | None = Field(None, ge=0)  # caps each stage
-    plan: list[StageConfig] | None = None  # None: the problem's own
+    plan: list[StageConfig] | None = Field(None, min_length=1)  # None: the problem's own
 
 
 class Output(_Strict):
@@ -84,46 +86,59 @@ class Config(_Strict):
     data: Data = Data()
     solver: Solver = Solver()
     output: Output = Output()
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, lt=2**63)
     device: str = "cpu"
-    threads: int | None = Field(None, ge=1)
+    threads: int | None = Field(None, ge=1, le=1024)
 
 
-def load(config: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> Config:
-    """A configuration from a path, a shipped name (`nuc`) or a mapping, with `key=value` overrides.
+def load(
+    config: str | Path | Mapping[str, Any], changes: Sequence[str] = (), options: Mapping[str, Any] | None = None
+) -> Config:
+    """A configuration from a path, a shipped name (`nuc`) or a mapping.
+
+    Args:
+        config: The path, name or mapping.
+        changes: `key=value`, applied last; see `deepir.overrides`.
+        options: Top-level keys, merged over `config`.
 
     Raises:
         ConfigError: Unknown name, broken YAML, unknown key or wrong value; the message gives the key's path.
     """
-    base = _parse(dict(config)) if isinstance(config, Mapping) else _parse(find(config))
-    changes = _overrides(overrides)
-    merged = _merge(base, changes)
-    name = merged.get("prior", Config.model_fields["prior"].default)
-    preset = _parse(_preset(str(name)))
-    merged = _merge(preset, base, changes)
-    try:
-        plain = OmegaConf.to_container(merged, resolve=True, throw_on_missing=True)
-        checked = Config.model_validate(plain)
-    except ValidationError as error:
-        raise ConfigError(explain(error, Config, _label(config))) from None
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{_label(config)}: {str(error).splitlines()[0]}") from None
-    _order(checked, list(base.get("physics") or {}), _label(config))
+    label = "configuration" if isinstance(config, Mapping) else str(config)
+    base = _merge(label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {}))
+    pairs = overrides.split(changes, Config)
+    prior = dict(pairs).get("prior") or base.get("prior") or Config.model_fields["prior"].default
+    whole = _merge(label, _read(_preset(str(prior))), base)
+    for key, value in pairs:
+        overrides.apply(whole, key, value)
+    checked = _check(_merge(label, whole, resolve=True), label, changes)
+    _order(checked, list(base.get("physics") or {}), label)
     return checked
+
+
+def read(path: Path) -> Config:
+    """A configuration that `dump` wrote: complete, so that presets are not looked at."""
+    return _check(_read(path), str(path))
+
+
+def dump(config: Config) -> str:
+    """The configuration as YAML that `read` and `load` read back."""
+    return OmegaConf.to_yaml(OmegaConf.create(config.model_dump()))
 
 
 def find(name: str | Path) -> Path:
     """The file of a configuration, given its path or its shipped name."""
-    path, shipped = Path(name), SHIPPED / f"{name}.yaml"
-    if path.suffix in (".yaml", ".yml") or path.is_file():
-        if not path.is_file():
-            raise ConfigError(f"{path}: no such configuration file; shipped ones: {', '.join(shipped_names())}")
+    path = Path(name).expanduser()
+    if str(name) in shipped_names() and not path.is_file():
+        return SHIPPED / f"{name}.yaml"
+    if path.suffix in (".yaml", ".yml") and path.is_file():
         return path
-    if not shipped.is_file():
-        close = difflib.get_close_matches(str(name), shipped_names(), n=1)
-        hint = f"did you mean '{close[0]}'? " if close else ""
-        raise ConfigError(f"no configuration '{name}'; {hint}Shipped: {', '.join(shipped_names())}")
-    return shipped
+    if path.exists():
+        use = f"resume {name}" if (path / "config.yaml").is_file() else f"run {shipped_names()[0]} data.path={name}"
+        raise ConfigError(f"{name}: not a configuration (a .yaml file); did you mean `deepir {use}`?")
+    here = [str(each) for each in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
+    hint = _did_you_mean(str(name), [*shipped_names(), *here])
+    raise ConfigError(f"no configuration '{name}'; {hint}Give a .yaml file or one of: {', '.join(shipped_names())}")
 
 
 def shipped_names() -> list[str]:
@@ -137,46 +152,47 @@ def priors() -> list[str]:
     return sorted(path.stem for path in (SHIPPED / "prior").glob("*.yaml"))
 
 
-def dump(config: Config) -> str:
-    """The configuration as YAML that `load` reads back."""
-    return OmegaConf.to_yaml(OmegaConf.create(config.model_dump(exclude_none=True)))
+def headline(path: Path) -> str:
+    """The comment that a configuration's file begins with, in one line."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return lines[0].lstrip("# ") if lines and lines[0].startswith("#") else ""
 
 
-def _parse(source: Path | dict[str, Any]) -> Any:
-    label = "configuration" if isinstance(source, dict) else str(source)
+def _read(path: Path) -> dict[str, Any]:
     try:
-        parsed = OmegaConf.create(source) if isinstance(source, dict) else OmegaConf.load(source)
-    except (YAMLError, OmegaConfBaseException, UnicodeDecodeError, OSError) as error:
-        raise ConfigError(f"{label}: not readable as YAML: {' '.join(str(error).split())}") from None
-    if not OmegaConf.is_dict(parsed):
-        raise ConfigError(f"{label}: a configuration is a mapping of keys to values")
+        parsed = parse(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: broken YAML: {error}") from None
+    if not isinstance(parsed, dict):
+        raise ConfigError(f"{path}: a configuration is a mapping of keys to values; `deepir list` shows examples")
     return parsed
 
 
-def _overrides(pairs: Sequence[str]) -> Any:
-    for pair in pairs:
-        if "=" not in pair or pair.startswith("="):
-            raise ConfigError(f"'{pair}': an override is key=value, for example data.path=burst.npz")
+def _merge(label: str, *parts: Mapping[str, Any], resolve: bool = False) -> dict[str, Any]:
     try:
-        return OmegaConf.from_dotlist(list(pairs))
-    except (YAMLError, OmegaConfBaseException) as error:
-        raise ConfigError(f"overrides {list(pairs)}: {' '.join(str(error).split())}") from None
-
-
-def _merge(*parts: Any) -> Any:
-    try:
-        return OmegaConf.merge(*parts)
+        merged = OmegaConf.merge(*(OmegaConf.create(dict(part)) for part in parts))
+        return OmegaConf.to_container(merged, resolve=resolve, throw_on_missing=resolve)  # type: ignore[return-value]
     except OmegaConfBaseException as error:
-        raise ConfigError(f"an override does not fit the configuration: {str(error).splitlines()[0]}") from None
+        raise ConfigError(f"{label}: {str(error).splitlines()[0]}") from None
+
+
+def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) -> Config:
+    try:
+        return Config.model_validate(whole)
+    except ValidationError as error:
+        path, problem = explain(error, Config)
+        own = next((f"'{each}'" for each in reversed(changes) if f"{path}.".startswith(f"{each.split('=')[0]}.")), label)
+        raise ConfigError(f"{own}: {problem}") from None
 
 
 def _preset(name: str) -> Path:
-    path = SHIPPED / "prior" / f"{name}.yaml"
     if name not in priors():
-        close = difflib.get_close_matches(name, priors(), n=1)
-        hint = f"did you mean '{close[0]}'? " if close else ""
-        raise ConfigError(f"prior: no prior is called '{name}'; {hint}Allowed: {', '.join(priors())}")
-    return path
+        raise ConfigError(f"prior: no prior is called '{name}'; {nearest(name, priors())}")
+    return SHIPPED / "prior" / f"{name}.yaml"
 
 
 def _order(config: Config, in_file: list[str], label: str) -> None:
@@ -188,12 +204,14 @@ def _order(config: Config, in_file: list[str], label: str) -> None:
         if target is None:
             if name not in in_file:
                 raise ConfigError(
-                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)}); a stage that is added must say "
-                    f"where it goes, for example physics.{name}.before={in_file[-1] if in_file else 'STAGE'}"
+                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)}); {_did_you_mean(name, in_file)}A "
+                    "stage that is added must say where it goes, for example "
+                    f"physics.{name}.before={in_file[-1] if in_file else 'STAGE'}"
                 )
             continue
         if target not in stages or target == name:
-            raise ConfigError(f"physics.{name}.before: no stage '{target}'; stages: {', '.join(stages)}")
+            others = [each for each in stages if each != name]
+            raise ConfigError(f"physics.{name}.before: no stage '{target}'; {nearest(str(target), others)}")
         own = stages.pop(name)
         rest = list(stages.items())
         index = [key for key, _ in rest].index(target)
@@ -201,5 +219,13 @@ def _order(config: Config, in_file: list[str], label: str) -> None:
         stages.update([*rest[:index], (name, own), *rest[index:]])
 
 
-def _label(config: str | Path | Mapping[str, Any]) -> str:
-    return "configuration" if isinstance(config, Mapping) else str(config)
+def _did_you_mean(name: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{close[0]}'? " if close else ""
+
+
+def _plain(value: Any) -> Any:
+    """Paths as text, for a caller in Python."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    return os.fspath(value) if isinstance(value, os.PathLike) else value

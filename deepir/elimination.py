@@ -1,9 +1,9 @@
 """Gain and offset in closed form, given the flux on the detector (variable projection, Golub and Pereyra 1973).
 
 With the flux `z_k` fixed, `y_k = gain * z_k + offset + level_k + noise` is linear in gain and offset, and their parts
-are Gaussian: the optimum solves one symmetric system. Pixel parts are eliminated from it exactly, a 2 x 2 ridge for
-each pixel; what remains couples columns and rows only, and is solved by conjugate gradients to float64 precision. It
-has to be *exact*: with an approximation the objective is no longer a function of the scene, and line searches fail.
+are Gaussian: the optimum solves one symmetric system, 2 x 2 (gain, offset) at each pixel. Pixel parts are eliminated
+from it exactly, then columns; what remains couples the rows, and is solved by conjugate gradients. It has to be
+*exact*: with an approximation the objective is no longer a function of the scene, and line searches fail.
 
 By the envelope theorem the gradient of the eliminated objective in everything else is the partial gradient with gain
 and offset held.
@@ -11,7 +11,7 @@ and offset held.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -21,6 +21,7 @@ from deepir.priors.parts import Part
 
 #: Relative residual at which conjugate gradients stop, and the most iterations they get.
 TOLERANCE, MAX_ITERATIONS = 1e-9, 200
+PIXEL, COLUMN, ROW = (), (-2,), (-1,)
 
 
 @torch.no_grad()
@@ -33,140 +34,178 @@ def eliminate(
         flux: what falls on the detector, (N, 1, h, w), in the data's units.
         data: the frames less all that the parts do not explain (known gain times flux, known offset, level).
         precision: 1 / noise variance, same shape; zero where a sample does not count.
-        gain: parts of the gain; may be empty (a known gain).
-        offset: parts of the offset; may be empty.
+        gain: parts of the gain, at most one for each of columns, rows, pixels; none for a known gain.
+        offset: parts of the offset, likewise.
 
     Returns:
         The posterior variance of each part's values, the gain's first, in the shape of the values. Couplings
         between columns, and between columns and rows, are left out of them.
+
+    Raises:
+        ValueError: Two parts are constant along the same axis, or one along others than columns or rows.
     """
-    z, y, w = flux.double(), data.double(), precision.double()
-    wz = w * z
-    normal = _Symmetric((wz * z).sum(0), wz.sum(0), w.sum(0))
-    rhs = torch.stack(((wz * y).sum(0), (w * y).sum(0)))
-
-    pixel = _sigmas(gain, offset, along=())
-    pixel_system = _PixelSystem(normal, pixel.square())
-    axes = sorted({part.along for part in (*gain, *offset) if part.along})
-    coarse = [_Axis(along, _sigmas(gain, offset, along), pixel_system.reduced) for along in axes]
-    white = _conjugate_gradients(pixel_system.reduced, coarse, pixel_system.solve(rhs))
-    rest = rhs - normal.times(_expand(coarse, white, rhs))
-    values = {axis.along: axis.sigma * x for axis, x in zip(coarse, white, strict=True)}
-    values[()] = pixel.square()[:, None, None, None] * pixel_system.solve(rest)
-    variances = {axis.along: axis.variance() for axis in coarse} | {(): pixel_system.variance()}
-
-    for i, parts in enumerate((gain, offset)):
-        for part in parts:
-            part.assign(values[part.along][i].reshape(part.white.shape))
-    return [
-        variances[part.along][i].reshape(part.white.shape)
-        for i, parts in enumerate((gain, offset))
-        for part in parts
-    ]
+    parts = [_by_axis(each) for each in (gain, offset)]
+    sigma = {along: _sigmas(parts, along, flux.device) for along in (PIXEL, COLUMN, ROW)}
+    pixels = _Pixels(*_normal_equations(flux, data, precision), sigma[PIXEL])
+    columns = _Lines(0, sigma[COLUMN], pixels)
+    rows = _Lines(1, sigma[ROW], pixels)
+    _solve(columns, rows, pixels.system)
+    pixels.finish(columns.spread() + rows.spread())
+    solved: dict[tuple[int, ...], _Pixels | _Lines] = {PIXEL: pixels, COLUMN: columns, ROW: rows}
+    variances = []
+    for i, mine in enumerate(parts):
+        for along, part in mine.items():
+            part.white.copy_(solved[along].white[i].reshape(part.white.shape))
+            variance = part.sigma.square() * solved[along].variance(i)
+            variances.append(variance.reshape(part.white.shape))
+    return variances
 
 
 @dataclass
 class _Symmetric:
-    """A 2 x 2 symmetric matrix, for (gain, offset), at each pixel of a map or at each column or row."""
+    """A 2 x 2 symmetric matrix, for (gain, offset), at each pixel (h, w) or at each column or row."""
 
     aa: Tensor
     ab: Tensor
     bb: Tensor
 
     def times(self, x: Tensor) -> Tensor:
+        """Product with (2, ...) at each place."""
         return torch.stack((self.aa * x[0] + self.ab * x[1], self.ab * x[0] + self.bb * x[1]))
 
-    def determinant(self) -> Tensor:
-        return self.aa * self.bb - self.ab.square()
+    def inverse(self) -> _Symmetric:
+        det = self.aa * self.bb - self.ab.square()
+        return _Symmetric(self.bb / det, -self.ab / det, self.aa / det)
+
+    def sums(self, x: Tensor) -> Tensor:
+        """Product with values of columns, (2, w), summed along each row of the map, (2, h)."""
+        return torch.stack((self.aa @ x[0] + self.ab @ x[1], self.ab @ x[0] + self.bb @ x[1]))
+
+    def transposed(self) -> _Symmetric:
+        return _Symmetric(self.aa.T, self.ab.T, self.bb.T)
 
 
-class _PixelSystem:
-    """The normal equations `A` with the pixel parts, of prior variance `V`, eliminated.
+def _normal_equations(flux: Tensor, data: Tensor, precision: Tensor) -> tuple[_Symmetric, Tensor]:
+    """`A = Σ w [z² z; z 1]` and `s = Σ w y (z, 1)` at each pixel, in float64, frame by frame to spare copies."""
+    aa, ab, bb, sa, sb = flux.new_zeros(5, *flux.shape[-2:], dtype=torch.float64)
+    for frame in zip(flux, data, precision, strict=True):
+        z, y, w = (each[0].double() for each in frame)
+        wz = w * z
+        aa.addcmul_(wz, z)
+        ab += wz
+        bb += w
+        sa.addcmul_(wz, y)
+        sb.addcmul_(w, y)
+    return _Symmetric(aa, ab, bb), torch.stack((sa, sb))
 
-    What is left for the other parts is `(I + A V)^-1 A`, and `(I + A V)^-1 s` for a right-hand side `s`; unlike
+
+class _Pixels:
+    """The normal equations `A x = s` with the pixel parts, of prior variance `V`, eliminated.
+
+    What is left for the other parts is the system `(I + A V)^-1 A` with the right-hand side `(I + A V)^-1 s`; unlike
     `(A + V^-1)^-1` both are finite where V or A is zero (no pixel part, a dead pixel).
     """
 
-    def __init__(self, a: _Symmetric, variance: Tensor) -> None:
-        u, v = self.prior = variance
-        rest = a.determinant()
-        self.a = a
-        self.det = 1 + a.aa * u + a.bb * v + rest * u * v
-        self.reduced = _Symmetric((a.aa + v * rest) / self.det, a.ab / self.det, (a.bb + u * rest) / self.det)
+    white: Tensor
 
-    def solve(self, s: Tensor) -> Tensor:
-        u, v = self.prior
-        gain = (1 + self.a.bb * v) * s[0] - self.a.ab * v * s[1]
-        offset = (1 + self.a.aa * u) * s[1] - self.a.ab * u * s[0]
-        return torch.stack((gain, offset)) / self.det
+    def __init__(self, a: _Symmetric, s: Tensor, sigma: Tensor) -> None:
+        self.sigma = sigma
+        u, v = sigma.square().tolist()
+        minus_ab = -a.ab
+        determinant = torch.addcmul(a.aa * a.bb, a.ab, minus_ab)
+        aa, bb = torch.add(a.aa, determinant, alpha=v), torch.add(a.bb, determinant, alpha=u)
+        scale = torch.add(1 + u * a.aa, bb, alpha=v).reciprocal_()
+        self.system = _Symmetric(aa.mul_(scale), a.ab * scale, bb.mul_(scale))
+        gain = torch.addcmul(s[0] * a.bb, s[1], minus_ab).mul_(v).add_(s[0])
+        offset = torch.addcmul(s[1] * a.aa, s[0], minus_ab).mul_(u).add_(s[1])
+        self.rhs = torch.stack((gain, offset)).mul_(scale)
 
-    def variance(self) -> Tensor:
-        """Diagonal of the posterior covariance, `V - V R V`."""
-        u, v = self.prior
-        return torch.stack((u - u * u * self.reduced.aa, v - v * v * self.reduced.bb))
+    def finish(self, others: Tensor) -> None:
+        """Set the white pixel values, given the sum of all other parts, (2, h, w)."""
+        self.white = self.sigma[:, None, None] * (self.rhs - self.system.times(others))
+
+    def variance(self, i: int) -> Tensor:
+        """Posterior variance of the white values of gain (0) or offset (1)."""
+        return 1 - self.sigma[i].square() * (self.system.bb if i else self.system.aa)
 
 
-class _Axis:
-    """The parts that are constant along one axis, in white coordinates: `value = sigma * white`."""
+class _Lines:
+    """All columns (`dim` 0) or all rows (1), in white coordinates: `value = sigma * white`, (2, lines)."""
 
-    def __init__(self, along: tuple[int, ...], sigma: Tensor, system: _Symmetric) -> None:
-        self.along, self.sigma = along, sigma[:, None, None, None]
+    white: Tensor
+
+    def __init__(self, dim: int, sigma: Tensor, pixels: _Pixels) -> None:
+        self.dim, self.sigma = dim, sigma[:, None]
         s, t = sigma
+        system = pixels.system
         self.block = _Symmetric(
-            1 + s * s * system.aa.sum(along, keepdim=True),
-            s * t * system.ab.sum(along, keepdim=True),
-            1 + t * t * system.bb.sum(along, keepdim=True),
+            1 + s * s * system.aa.sum(dim), s * t * system.ab.sum(dim), 1 + t * t * system.bb.sum(dim)
         )
+        self.inverse = self.block.inverse()
+        self.rhs = self.sigma * pixels.rhs.sum(dim + 1)
 
-    def gather(self, maps: Tensor) -> Tensor:
-        return self.sigma * maps.sum(self.along, keepdim=True)
+    def spread(self) -> Tensor:
+        """The values over the map, (2, 1, w) or (2, h, 1)."""
+        return (self.sigma * self.white).unsqueeze(self.dim + 1)
 
-    def precondition(self, x: Tensor) -> Tensor:
-        inverse = _Symmetric(self.block.bb, -self.block.ab, self.block.aa)
-        return inverse.times(x) / self.block.determinant()
-
-    def variance(self) -> Tensor:
-        diagonal = torch.stack((self.block.bb, self.block.aa)) / self.block.determinant()
-        return self.sigma.square() * diagonal
+    def variance(self, i: int) -> Tensor:
+        """Posterior variance of the white values of gain (0) or offset (1)."""
+        return self.inverse.bb if i else self.inverse.aa
 
 
-def _conjugate_gradients(system: _Symmetric, axes: list[_Axis], rhs: Tensor) -> list[Tensor]:
-    """Solve `(I + S E' R E S) x = S E' rhs`, S = sigmas, E = spreading columns and rows over the map.
+def _solve(columns: _Lines, rows: _Lines, system: _Symmetric) -> None:
+    """Set the white values of columns and rows: `[C K'; K R] [c; r] = rhs`, the columns eliminated.
 
-    The preconditioner is the 2 x 2 block of each column and row: only the coupling of columns with rows is left to
-    the iterations.
+    C and R are 2 x 2 blocks; K, dense, is never formed. A side without a part has sigma zero, so that K is too.
     """
-    b = [axis.gather(rhs) for axis in axes]
-    x = [torch.zeros_like(part) for part in b]
-    r, z = b, [axis.precondition(part) for axis, part in zip(axes, b, strict=True)]
-    p, rz = z, _dot(b, z)
+    transposed = system.transposed()
+
+    def across(c: Tensor) -> Tensor:  # K c
+        return rows.sigma * system.sums(columns.sigma * c)
+
+    def down(r: Tensor) -> Tensor:  # K' r
+        return columns.sigma * transposed.sums(rows.sigma * r)
+
+    def schur(r: Tensor) -> Tensor:
+        return rows.block.times(r) - across(columns.inverse.times(down(r)))
+
+    rhs = rows.rhs - across(columns.inverse.times(columns.rhs))
+    rows.white = _conjugate_gradients(schur, rows.inverse.times, rhs)
+    columns.white = columns.inverse.times(columns.rhs - down(rows.white))
+
+
+def _conjugate_gradients(
+    apply: Callable[[Tensor], Tensor], precondition: Callable[[Tensor], Tensor], b: Tensor
+) -> Tensor:
+    """Solve `apply(x) = b` for a symmetric positive definite map (Hestenes and Stiefel 1952)."""
+    x, r = torch.zeros_like(b), b.clone()
+    p = z = precondition(r)
+    rz = (r * z).sum()
     goal = TOLERANCE**2 * rz
     for _ in range(MAX_ITERATIONS):
         if not rz > goal:
             break
-        maps = system.times(_expand(axes, p, rhs))
-        q = [part + axis.gather(maps) for axis, part in zip(axes, p, strict=True)]
-        step = rz / _dot(p, q)
-        x = [a + step * d for a, d in zip(x, p, strict=True)]
-        r = [a - step * d for a, d in zip(r, q, strict=True)]
-        z = [axis.precondition(part) for axis, part in zip(axes, r, strict=True)]
-        rz, old = _dot(r, z), rz
-        p = [a + (rz / old) * d for a, d in zip(z, p, strict=True)]
+        q = apply(p)
+        step = rz / (p * q).sum()
+        x += step * p
+        r -= step * q
+        z = precondition(r)
+        rz, old = (r * z).sum(), rz
+        p = z + (rz / old) * p
     return x
 
 
-def _expand(axes: list[_Axis], white: list[Tensor], like: Tensor) -> Tensor:
-    maps = torch.zeros_like(like)
-    for axis, x in zip(axes, white, strict=True):
-        maps += axis.sigma * x
-    return maps
+def _by_axis(parts: Sequence[Part]) -> dict[tuple[int, ...], Part]:
+    found = {part.along: part for part in parts}
+    if len(found) < len(parts) or not found.keys() <= {PIXEL, COLUMN, ROW}:
+        raise ValueError(
+            f"no closed form for parts along {[part.along for part in parts]}: "
+            f"at most one each of {PIXEL} (pixels), {COLUMN} (columns) and {ROW} (rows) has one"
+        )
+    return found
 
 
-def _dot(a: list[Tensor], b: list[Tensor]) -> Tensor:
-    return sum((torch.dot(u.flatten(), v.flatten()) for u, v in zip(a, b, strict=True)), torch.zeros((), dtype=torch.float64))
-
-
-def _sigmas(gain: Sequence[Part], offset: Sequence[Part], along: tuple[int, ...]) -> Tensor:
-    """Prior standard deviation of (gain, offset) for the parts constant along `along`; zero where there is none."""
-    found = [[part.sigma.square() for part in parts if part.along == along] for parts in (gain, offset)]
-    return torch.stack([torch.stack(each).sum() if each else torch.zeros((), dtype=torch.float64) for each in found]).sqrt()
+def _sigmas(parts: Sequence[dict[tuple[int, ...], Part]], along: tuple[int, ...], device: torch.device) -> Tensor:
+    """Prior standard deviations of (gain, offset) along an axis, float64; zero where there is no part."""
+    zero = torch.zeros((), dtype=torch.float64, device=device)
+    return torch.stack([each[along].sigma.double() if along in each else zero for each in parts])

@@ -1,15 +1,23 @@
-"""How a prediction is compared with the data: negative log-likelihoods in nats."""
+"""How a prediction is compared with the data: negative log-likelihoods in nats.
+
+Each is least where the prediction equals the data, and summed in float64: line searches compare values that
+differ in the eighth digit.
+"""
 
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from deepir.registry import register
 
 
 class Fidelity(nn.Module):
-    """`forward(prediction, data, precision)`: all (N, 1, h, w); precision is 1 / variance, zero where nothing counts."""
+    """`forward(prediction, data, precision)`, all (N, 1, h, w).
+
+    `precision` is 1 / variance of a sample, and zero where it does not count; such a sample may hold anything finite.
+    """
 
     #: Whether it is the sum of squares that a closed form needs.
     quadratic = False
@@ -36,35 +44,42 @@ class L1(Fidelity):
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """The sum of absolute, weighted residuals."""
-        return ((2 * precision).sqrt() * (prediction - data).abs()).sum()
+        return ((2 * precision).sqrt() * (prediction - data).abs()).sum(dtype=torch.float64)
 
 
 @register("fidelity", "huber")
 class Huber(Fidelity):
-    """Gaussian up to `threshold` standard deviations, Laplacian beyond (Huber 1964)."""
+    """Gaussian up to `threshold` standard deviations, Laplacian beyond (Huber 1964): a sample may be an outlier."""
 
     def __init__(self, *, threshold: float = 1.345) -> None:
         super().__init__()
+        if not 0 < threshold < float("inf"):
+            raise ValueError(f"threshold must be a positive number, not {threshold}")
         self.threshold = threshold
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """Huber's function of the weighted residuals."""
         residual = precision.sqrt() * (prediction - data)
-        return torch.nn.functional.huber_loss(
-            residual, torch.zeros_like(residual), reduction="sum", delta=self.threshold
-        )
+        each = F.huber_loss(residual, torch.zeros_like(residual), reduction="none", delta=self.threshold)
+        return each.sum(dtype=torch.float64)
 
 
 @register("fidelity", "poisson")
 class Poisson(Fidelity):
-    """Photon noise: `Σ t (p - y log p)` with `t = precision * data` photons for each unit of data."""
+    """Photon noise: `Σ t (p - y - y log(p / y))`, half the Poisson deviance of `t y` photons.
+
+    `t`, the photons for each unit of data, is one number for the burst: the one with which photon noise, `y / t`,
+    explains the variances, `t = Σ y² / variance / Σ y`. A sample of no photons counts too.
+    """
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
-        """Poisson deviance; a prediction that is not positive counts as a very small one."""
-        photons = precision * data.clamp(min=0)
-        floor = 1e-6 * data.abs().max()
-        positive = prediction.clamp(min=floor)
-        # The linear continuation below the floor keeps a gradient that points back up.
-        below = (floor - prediction).clamp(min=0) * (data.clamp(min=0) / floor)
-        log_ratio = (positive / data.clamp(min=floor)).log()
-        return (photons * (prediction - data - data.clamp(min=0) * log_ratio + below)).sum()
+        """Half the deviance; negative data count as zero."""
+        counts = precision > 0
+        y = data.clamp(min=0) * counts
+        photons = (precision * y.square()).sum(dtype=torch.float64) / y.sum(dtype=torch.float64)
+        # Below a tenth of a photon the parabola goes on: finite, convex, and its slope points back up.
+        floor = (0.1 / photons).to(y)
+        p, below = prediction.clamp(min=floor), (floor - prediction).clamp(min=0)
+        deviance = p - y + torch.xlogy(y, y) - y * p.log()
+        beyond = (y / floor - 1) * below + (y / floor + 1) * below.square() / (2 * floor)
+        return photons * (counts * (deviance + beyond)).sum(dtype=torch.float64)

@@ -41,8 +41,8 @@ def joint(
     problem = problem.to(config.device)
     definition.initialise(problem, config.seed)
     _given_noise(problem, config)
-    plan = _plan(problem, definition, config)
-    solution = solve(problem, plan, callbacks=callbacks, checkpoint=checkpoint)
+    stages = plan(problem, definition, config)
+    solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     return _result(problem, geometry, solution, burst, used, [*messages, *definition.messages])
 
 
@@ -98,22 +98,28 @@ def _given_noise(problem: Problem, config: Config) -> None:
     if not variance.min() > 0:
         raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
     problem.precision.copy_((problem.precision > 0) / variance)
+    problem.known_noise = True
 
 
-def _plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
+def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
+    """The stages of `solver.plan`, or else the problem's own; `ConfigError` where they do not fit the unknowns."""
     given, cap = config.solver.plan, config.solver.max_iterations
-    plan = definition.plan(problem)
-    if given is not None:
-        plan = [
+    if given is None:
+        stages, where = definition.plan(problem), f"problem '{config.problem}' (or take problem=generic)"
+    else:
+        where = "solver.plan"
+        stages = [
             Stage(s.name, tuple(Step(tuple(p.group), p.method, p.lr, p.every) for p in s.steps), s.iterations)
             for s in given
         ]
-        for i, stage in enumerate(plan):
-            _check_groups(problem, stage, f"solver.plan[{i}]")
-    return [dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap)) for s in plan]
+    for stage in stages:
+        _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
+    return [dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap)) for s in stages]
 
 
 def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
+    if all(step.method == "eliminate" for step in stage.steps):
+        raise ConfigError(f"{where}: a stage needs a step that is not 'eliminate'")
     for step in stage.steps:
         for name in step.group:
             if name not in problem.fields:

@@ -32,6 +32,8 @@ class Problem(nn.Module):
         ValueError: A slot has no field.
     """
 
+    fields: Mapping[str, Field]
+    penalties: Mapping[str, Mapping[str, nn.Module]]
     data: Tensor
     precision: Tensor
     held_out: Tensor
@@ -49,8 +51,10 @@ class Problem(nn.Module):
     ) -> None:
         super().__init__()
         self.operator, self.fidelity = operator, fidelity or Gaussian()
-        self.fields = nn.ModuleDict(fields)
-        self.penalties = nn.ModuleDict({name: nn.ModuleDict(each) for name, each in (penalties or {}).items()})
+        self.known_noise = False  # whether the precision is given, not to be estimated
+        self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
+        each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
+        self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]
         wanted = operator.slots(tuple(fields["scene"].shape), len(data))
         self.slots = dict(slots) if slots is not None else {slot: slot.rpartition(".")[2] for slot in wanted}
         for slot in wanted:
@@ -122,20 +126,16 @@ class Problem(nn.Module):
     def backproject(self, values: Values) -> tuple[Tensor, Tensor]:
         """Registered average of the data on the scene's grid, and the weight of each of its pixels.
 
-        Each sample is spread by the operator's adjoint, less what the sensor adds; the weight is the same of ones.
+        With `y = A x + b`, and ones where a sample counts in W: `A' W (y - b) / A' W A 1`.
         """
-        slots, stages = self._slot_values(values), self.operator.named()
-        shapes = [tuple(values["scene"].shape)]
-        for _, stage in stages:
-            shapes.append(stage.out_shape(shapes[-1], len(self.data)))
-        zero = {name: stage(torch.zeros(shape), **own(slots, name)) for (name, stage), shape in zip(stages, shapes[:-1], strict=True)}
+        scene, slots = values["scene"], self._slot_values(values)
+        at_zero = self.operator(torch.zeros_like(scene), **slots)
+        of_ones = self.operator(torch.ones_like(scene), **slots) - at_zero
         counts = (self.precision > 0).to(self.data)
-        total, weight = counts * self.data, counts
-        for (name, stage), shape in zip(reversed(stages), reversed(shapes[:-1]), strict=True):
-            mine = own(slots, name)
-            if not stage.linear:
-                total = total - weight * zero[name]
-            total, weight = (stage.adjoint(each, shape, **mine) for each in (total, weight))
+        total, weight = (
+            self.operator.adjoint(counts * each, tuple(scene.shape), **slots)
+            for each in (self.data - at_zero, of_ones)
+        )
         return total / weight.clamp(min=1e-6), weight
 
     @torch.no_grad()

@@ -67,7 +67,7 @@ def load_plugin(module: str) -> None:
     """Import a module that registers components; `ConfigError` if it cannot be imported."""
     try:
         importlib.import_module(module)
-    except ImportError as error:
+    except Exception as error:  # noqa: BLE001 - a plugin may raise anything
         raise ConfigError(f"plugin {module!r} cannot be imported: {error}") from error
 
 

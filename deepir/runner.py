@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import platform
 import resource
 import sys
@@ -15,65 +16,88 @@ import torch
 
 import deepir
 from deepir import burst as bursts
+from deepir.build import build
 from deepir.config import Config, load
 from deepir.errors import ConfigError
+from deepir.joint import plan
 from deepir.metrics import scores
 from deepir.registry import lookup
 from deepir.result import Result
 from deepir.solve import Progress
 
-CHECKPOINT = "checkpoint.safetensors"
+Callbacks = Sequence[Callable[[Progress], None]]
 
 
 def run(
     config: str | Path | Mapping[str, Any] | Config,
     *overrides: str,
     frames: np.ndarray[Any, Any] | None = None,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
+    callbacks: Callbacks = (),
+    overwrite: bool = False,
     **options: Any,
 ) -> Result:
     """Correct a burst: `run("nuc", frames=array, prior="tv")`.
+
+    Nothing is written unless the configuration names a folder: `output={"dir": "runs/mine"}`.
 
     Args:
         config: A shipped name, a path, a mapping, or a configuration already loaded.
         overrides: `key=value`, as on the command line: `"scene.penalties.tv.weight=50"`.
         frames: (N, h, w) in place of `data.path`.
         callbacks: Called with a `Progress` after each iteration.
+        overwrite: Replace a former run in the output folder.
         options: Top-level keys of the configuration, for example `prior="tv"`, `seed=1`, `data={"path": ...}`.
 
     Raises:
         DeepIRError: The configuration or the data are wrong; the message says what and where.
     """
-    checked = config if isinstance(config, Config) else _load(config, overrides, options)
-    data = prepare(checked, frames)
-    return execute(checked, data, callbacks=callbacks)
+    from deepir.stored import run_into
+
+    checked = config if isinstance(config, Config) else load(config, overrides, options)
+    if checked.output.dir is not None:
+        return run_into(checked, Path(checked.output.dir), frames, overwrite=overwrite, callbacks=callbacks)
+    return execute(checked, prepare(checked, frames), callbacks=callbacks)
 
 
 def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> bursts.Burst:
-    """Check all that can be checked without solving, and read the data."""
+    """Read the data, and check all that can be checked without solving.
+
+    Raises:
+        DeepIRError: Whatever is wrong with the configuration, the files or the frames.
+    """
     definition = lookup("problem", config.problem, "problem")
     lookup("method", config.method, "method")
-    _device(config)
-    return bursts.load(config.data, frames=frames, needs=definition.frames)
+    _check_device(config.device)
+    data = bursts.load(config.data, frames=frames, needs=definition.frames)
+    check_components(config, data)
+    return data
+
+
+def check_components(config: Config, data: bursts.Burst) -> None:
+    """Build the problem for a camera at rest, so that what is wrong with a component shows before anything runs."""
+    few = dataclasses.replace(data, frames=data.frames[:2], valid=data.valid[:2])
+    still = torch.eye(3, dtype=torch.float64).repeat(len(few.frames), 1, 1)
+    problem, _ = build(config, few, still)
+    plan(problem, lookup("problem", config.problem, "problem")(), config)
 
 
 def execute(
-    config: Config,
-    data: bursts.Burst,
-    *,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Path | None = None,
+    config: Config, data: bursts.Burst, *, callbacks: Callbacks = (), checkpoint: Path | None = None
 ) -> Result:
     """Run the method on data in memory; adds time, memory and scores to the metrics."""
     torch.manual_seed(config.seed)
-    if config.threads is not None:
-        torch.set_num_threads(config.threads)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(config.threads or threads)
     start = time.perf_counter()
-    result: Result = lookup("method", config.method)(data, config, callbacks=callbacks, checkpoint=checkpoint)
+    try:
+        method = lookup("method", config.method)
+        result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
+    finally:
+        torch.set_num_threads(threads)
     seconds = time.perf_counter() - start
-    result.metrics = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()} | result.metrics
-    if "scene" in data.truth and data.truth["scene"].shape == result.scene.shape:
-        result.metrics |= scores(result.scene, data.truth["scene"])
+    unknown = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
+    measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
+    result.metrics = measured | unknown | result.metrics | _compared(result, data)
     result.metrics |= {
         "method": config.method,
         "prior": config.prior,
@@ -81,7 +105,7 @@ def execute(
         "frames_used": int(result.frames_used.sum()),
         "messages": result.messages,
         "input_sha256": data.sha256,
-        "versions": {"deepir": deepir.__version__, "torch": torch.__version__, "python": platform.python_version()},
+        "versions": versions(),
     }
     return result
 
@@ -89,20 +113,32 @@ def execute(
 def peak_memory() -> float:
     """Most memory that this process has held, MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (1 if sys.platform == "darwin" else 1024) / (1024 if sys.platform == "darwin" else 1), 1)
+    return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)
 
 
-def _load(config: Any, overrides: Sequence[str], options: Mapping[str, Any]) -> Config:
-    import json
-
-    extra = [f"{key}={json.dumps(value)}" for key, value in options.items()]
-    return load(config, [*overrides, *extra])
+def versions() -> dict[str, str]:
+    """What a result depends on beside the data and the configuration."""
+    return {"deepir": deepir.__version__, "torch": torch.__version__, "python": platform.python_version()}
 
 
-def _device(config: Config) -> None:
+def _compared(result: Result, data: bursts.Burst) -> dict[str, float]:
+    truth = data.truth.get("scene")
+    if truth is None:
+        return {}
+    if truth.shape != result.scene.shape:
+        result.messages.append(
+            f"data.truth: the scene is {truth.shape}, the result {result.scene.shape}: not compared"
+        )
+        return {}
+    return {name: float(value) for name, value in scores(result.scene, truth).items()}
+
+
+def _check_device(name: str) -> None:
     try:
-        torch.zeros(1, device=config.device)
+        torch.zeros(1, device=name)
     except (RuntimeError, AssertionError) as error:
-        raise ConfigError(f"device: '{config.device}' cannot be used here: {str(error).splitlines()[0]}") from None
-
-
+        there = ["cpu"] + ["cuda"] * torch.cuda.is_available() + ["mps"] * torch.backends.mps.is_available()
+        reason = str(error).splitlines()[0].split("device type at start")[0][:80]
+        raise ConfigError(
+            f"device: '{name}' cannot be used here ({reason.strip()}); there is {', '.join(there)}"
+        ) from None

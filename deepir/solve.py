@@ -13,9 +13,13 @@ import torch
 from torch import Tensor
 
 from deepir import checkpoint as store
-from deepir.errors import SolverError
+from deepir.errors import DataError, SolverError
 from deepir.optimisers import OPTIMISERS, Optimiser
 from deepir.problem import Problem, Values
+
+
+#: A solve has diverged whose objective is so many times what its stage began with (and a nat for each sample).
+RISE = 1e3
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,8 @@ def solve(
         every: Seconds between checkpoints.
 
     Raises:
-        SolverError: The objective is not a number. The last good state is in the problem, and saved.
+        SolverError: The objective is not a number, or far above where the stage began. The last good state is in
+            the problem, and saved.
     """
     at, optimisers = _Position(), None
     if checkpoint is not None and checkpoint.exists():
@@ -108,13 +113,16 @@ def solve(
             if stage.prepare is not None:
                 stage.prepare(problem)
             optimisers = _optimisers(problem, stage)
+        start = [parameter.detach().clone() for parameter in problem.parameters()]
         reason = "converged"
         while at.iteration < stage.iterations:
+            # Asked here and not below, so that a resumed solve asks it too.
+            if not optimisers or _rests(at, stage, problem):
+                break
             loss = _iterate(problem, stage, optimisers, at)
             report = _report(problem, plan, stage, at, loss)
             try:
-                if not math.isfinite(loss):
-                    raise SolverError(_lost(stage, at))
+                _check(problem, start, stage, at)
                 for callback in callbacks:
                     callback(report)
             except BaseException:
@@ -124,10 +132,13 @@ def solve(
             if checkpoint is not None and time.monotonic() - saved > every:
                 _save(problem, optimisers, at, checkpoint)
                 saved = time.monotonic()
-            if _rests(at, stage, problem) or all(o.done for o, _ in optimisers):
+            if all(o.done for o, _ in optimisers):
                 break
         else:
             reason = "iteration limit reached"
+        if any(step.method == "eliminate" for step in stage.steps):
+            with torch.no_grad():
+                objective(problem, stage)(())  # they follow the others' last step
         at.stage, at.iteration, optimisers = at.stage + 1, 0, None
     with torch.no_grad():
         values = problem.values()
@@ -137,11 +148,11 @@ def solve(
 def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: _Position) -> float:
     """One step of each group; the loss after it."""
     alternate = len(optimisers) > 1
-    loss = math.nan
+    loss = at.history[-1]["loss"] if at.iteration else math.nan
     for optimiser, step in optimisers:
         if at.iteration % step.every == 0:
             optimiser.step(fresh=alternate)
-        loss = optimiser.value
+            loss = optimiser.value
     at.iteration, at.total = at.iteration + 1, at.total + 1
     at.evaluations += sum(o.take_count() for o, _ in optimisers)
     row = {"stage": stage.name, "iteration": at.iteration, "loss": loss}
@@ -175,19 +186,17 @@ def held_out_error(problem: Problem) -> float:
 
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
     evaluate = objective(problem, stage)
-    made = []
-    for step in stage.steps:
-        if step.method != "eliminate":
-            made.append((OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step))
-    return made
+    moved = [step for step in stage.steps if step.method != "eliminate"]
+    made = [(OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step) for step in moved]
+    return [(optimiser, step) for optimiser, step in made if optimiser.parameters]
 
 
 def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:
-    """Whether the last ten iterations of the stage gained next to nothing."""
+    """Whether the last ten iterations of the stage gained next to nothing; Adam's steps may go up and down."""
     if at.iteration <= 10:
         return False
-    gain = at.history[-11]["loss"] - at.history[-1]["loss"]
-    return gain < stage.tolerance * problem.data.numel()
+    losses = [row["loss"] for row in at.history[-at.iteration :]]
+    return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()
 
 
 def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position, loss: float) -> Progress:
@@ -198,9 +207,18 @@ def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position
     )
 
 
-def _lost(stage: Stage, at: _Position) -> str:
-    return (
-        f"the objective is not a number at iteration {at.iteration} of stage '{stage.name}': the solve diverged. "
+@torch.no_grad()
+def _check(problem: Problem, start: Sequence[Tensor], stage: Stage, at: _Position) -> None:
+    """Raise `SolverError` if the solve is lost; one that only rose goes back to where it began."""
+    first, last = at.history[-at.iteration]["loss"], at.history[-1]["loss"]
+    if math.isfinite(last) and last <= RISE * max(abs(first), problem.data.numel()):
+        return
+    if math.isfinite(last):
+        for parameter, value in zip(problem.parameters(), start, strict=True):
+            parameter.copy_(value)
+    what = "is not a number" if not math.isfinite(last) else f"rose from {first:.3g} to {last:.3g}"
+    raise SolverError(
+        f"the objective {what} at iteration {at.iteration} of stage '{stage.name}': the solve diverged. "
         "The last good state is kept. Check the data's range and the penalties' weights, or lower the step (lr)."
     )
 
@@ -216,15 +234,18 @@ def _restore(
     problem: Problem, plan: Sequence[Stage], path: Path
 ) -> tuple[_Position, list[tuple[Optimiser, Step]] | None]:
     tensors, position = store.load(path)
-    at = _Position(**position)
-    for name, value in _state(problem).items():
-        value.copy_(tensors[f"problem.{name}"])
-    if at.stage >= len(plan):
-        return at, None
-    optimisers = _optimisers(problem, plan[at.stage])
-    for i, (optimiser, _) in enumerate(optimisers):
-        prefix = f"optimiser{i}."
-        optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
+    try:
+        at = _Position(**position)
+        for name, value in _state(problem).items():
+            value.copy_(tensors[f"problem.{name}"])
+        if at.stage >= len(plan):
+            return at, None
+        optimisers = _optimisers(problem, plan[at.stage])
+        for i, (optimiser, _) in enumerate(optimisers):
+            prefix = f"optimiser{i}."
+            optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise DataError(f"{path}: the state of another problem ({error}); delete it to start again") from error
     return at, optimisers
 
 

@@ -32,13 +32,13 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
         if share > 0.5:
             raise DataError(
                 f"{source}: frame {k} is {share:.0%} NaN or infinite; "
-                "leave it out with `select`, or mend the file"
+                "leave it out (data.frames), or mend the file"
             )
         values = frames[k][valid[k]]
         if values.min() == values.max():
             raise DataError(
                 f"{source}: frame {k} is {values[0]:g} everywhere: a shutter or a lost frame? "
-                "Leave it out with `select`"
+                "Leave it out (data.frames)"
             )
     return valid.mean(axis=0) < 0.5, valid
 
@@ -50,14 +50,14 @@ def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, An
     """
     height, width = frames.shape[-2:]
     if len(box) != 4:
-        raise DataError(f"crop: {list(box)} must be four numbers, [y0, y1, x0, x1]")
+        raise DataError(f"data.crop: {list(box)} must be four numbers, [y0, y1, x0, x1]")
     y0, y1, x0, x1 = box
     if not (0 <= y0 < y1 <= height and 0 <= x0 < x1 <= width):
         raise DataError(
-            f"crop: [y0, y1, x0, x1] = {list(box)} is not inside the frame of {height} x {width} px "
+            f"data.crop: [y0, y1, x0, x1] = {list(box)} is not inside the frame of {height} x {width} px "
             f"(the whole frame is [0, {height}, 0, {width}])"
         )
-    _check_side(y1 - y0, x1 - x0, "crop")
+    _check_side(y1 - y0, x1 - x0, "data.crop")
     return frames[..., y0:y1, x0:x1]
 
 

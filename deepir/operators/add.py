@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
@@ -14,7 +16,7 @@ class Add(Operator):
     """`y = x + value`; the slot `value` is (1, C, h, w). Before the sensor it is stray flux (narcissus)."""
 
     linear = False
-    neutral = {"value": 0.0}  # noqa: RUF012
+    neutral: ClassVar = {"value": 0.0}
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """`value`: (1, C, h, w)."""
@@ -23,10 +25,6 @@ class Add(Operator):
     def forward(self, x: Tensor, *, value: Tensor) -> Tensor:  # type: ignore[override]
         """Add the field to each frame."""
         return x + value
-
-    def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
-        """Adjoint of the linear part: the identity."""
-        return y
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:

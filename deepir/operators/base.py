@@ -12,14 +12,15 @@ Shape = tuple[int, ...]
 
 
 class Operator(nn.Module):
-    """A map `x, **slots -> y` without hidden state.
+    """A map `x, **slots -> y` without hidden state; `deepir.testing.check_operator` tests one.
 
     Slots are named extra tensors (`motion`, `gain`, `psf` ...), so an operator knows nothing of how an unknown is
-    represented. `linear` says whether it is linear in `x` (with all slots fixed); an affine map such as the
-    sensor's is not.
+    represented.
     """
 
-    linear: ClassVar[bool] = True
+    #: Whether it is linear in `x`, all slots fixed, and whether it is so up to a constant (a sensor with an offset).
+    linear: bool = True
+    affine: bool = True
     #: The value of each slot that leaves the data as they are (1 for a gain, 0 for an offset).
     neutral: ClassVar[Mapping[str, float]] = {}
 
@@ -40,7 +41,7 @@ class Operator(nn.Module):
         raise NotImplementedError
 
     def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
-        """The adjoint in `x`, `(x_shape)`: the vector-Jacobian product at zero, exact for a linear operator."""
+        """The adjoint in `x` of the linear part, `(x_shape)`; of a nonlinear operator, of its derivative at zero."""
         x = torch.zeros(x_shape, dtype=y.dtype, device=y.device, requires_grad=True)
         with torch.enable_grad():
             (out,) = torch.autograd.grad(self.forward(x, **slots), x, y)
@@ -57,7 +58,8 @@ class Operator(nn.Module):
 
     def __matmul__(self, other: Operator) -> Chain:
         """`B @ A` applies `A` first."""
-        return Chain({**_stages(other), **_stages(self, taken=_stages(other))})
+        first = _stages(other)
+        return Chain(first | _stages(self, taken=first))
 
 
 class Chain(Operator):
@@ -66,7 +68,8 @@ class Chain(Operator):
     def __init__(self, stages: Mapping[str, Operator]) -> None:
         super().__init__()
         self.stages = nn.ModuleDict(stages)
-        self.linear = all(stage.linear for stage in stages.values())  # type: ignore[misc]
+        self.linear = all(stage.linear for stage in stages.values())
+        self.affine = all(stage.affine for stage in stages.values())
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Slots of all stages, as `stage.slot`."""
@@ -111,15 +114,14 @@ def own(slots: Mapping[str, Tensor], stage: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in slots.items() if name.startswith(prefix)}
 
 
-def _stages(operator: Operator, taken: Mapping[str, Operator] = {}) -> dict[str, Operator]:  # noqa: B006
+def _stages(operator: Operator, taken: Mapping[str, Operator] | None = None) -> dict[str, Operator]:
     """Stages of a chain, or the operator as a stage named after its class; a name in use gets a number."""
-    own_stages = (
-        dict(operator.named()) if isinstance(operator, Chain) else {type(operator).__name__.lower(): operator}
-    )
+    single = {type(operator).__name__.lower(): operator}
+    stages = dict(operator.named()) if isinstance(operator, Chain) else single
     named: dict[str, Operator] = {}
-    for name, stage in own_stages.items():
+    for name, stage in stages.items():
         unique, count = name, 2
-        while unique in taken or unique in named:
-            unique, count = f"{name}{count}", count + 1
+        while unique in named or unique in (taken or {}):
+            unique, count = f"{name.rstrip('0123456789')}{count}", count + 1
         named[unique] = stage
     return named

@@ -41,13 +41,13 @@ class Blur(Operator):
     def forward(self, x: Tensor, *, psf: Tensor) -> Tensor:  # type: ignore[override]
         """Convolve each channel."""
         frames, channels, *size = x.shape
-        flat = x.reshape(frames * channels, 1, *size)
-        out = F.conv2d(flat, psf.flip(-1, -2).to(x.dtype))
+        # conv2d correlates: flipped, the kernel is convolved.
+        out = F.conv2d(x.reshape(frames * channels, 1, *size), psf.flip(-1, -2).to(x.dtype))
         return out.reshape(frames, channels, *out.shape[-2:])
 
     def valid(self, mask: Tensor, *, psf: Tensor) -> Tensor:  # type: ignore[override]
         """Pixels whose whole window is valid, whatever the kernel's weights."""
-        return (self.forward(mask, psf=torch.full_like(psf, 1 / psf.numel())) > 1 - 1e-4).to(mask.dtype)
+        return -F.max_pool2d(-mask, 2 * self.radius + 1, stride=1)
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:

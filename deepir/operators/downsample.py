@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
@@ -38,14 +39,9 @@ class Downsample(Operator):
         *head, height, width = self.out_shape(x.shape, x.shape[0])
         return x.reshape(*head, height, self.factor, width, self.factor).mean((-1, -3))
 
-    def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
-        """Spread each value evenly over its block."""
-        spread = y.repeat_interleave(self.factor, -1).repeat_interleave(self.factor, -2)
-        return spread / self.factor**2
-
     def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
         """Blocks all of whose pixels are valid."""
-        return (self.forward(mask) > 1 - 1e-4).to(mask.dtype)
+        return -F.max_pool2d(-mask, self.factor)
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:

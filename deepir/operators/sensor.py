@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
@@ -17,7 +19,7 @@ class Sensor(Operator):
     """
 
     linear = False
-    neutral = {"gain": 1.0, "offset": 0.0, "level": 0.0}  # noqa: RUF012
+    neutral: ClassVar = {"gain": 1.0, "offset": 0.0, "level": 0.0}
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """`gain`, `offset`: (1, C, h, w); `level`: (N, 1, 1, 1)."""
@@ -27,10 +29,6 @@ class Sensor(Operator):
     def forward(self, x: Tensor, *, gain: Tensor, offset: Tensor, level: Tensor) -> Tensor:  # type: ignore[override]
         """Apply the sensor to the flux on each pixel."""
         return gain * x + offset + level
-
-    def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
-        """Adjoint of the linear part: multiplication by the gain."""
-        return slots["gain"] * y
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
 from deepir.registry import register
+
+#: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
+FAR, NEAR = 1e6, 1e-3
 
 
 @register("operator", "warp")
@@ -22,10 +23,17 @@ class Warp(Operator):
     pixel; `valid` is zero there.
     """
 
-    def __init__(self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[float, float]) -> None:
+    place: Tensor
+
+    def __init__(self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[int, int]) -> None:
         """`size` = (h, w) of a frame, `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's pixel 0, 0."""
         super().__init__()
         self.size, self.canvas, self.origin = size, canvas, origin
+        centre = [o + (side - 1) / 2 for o, side in zip(origin, size, strict=True)]
+        # From centred px to grid_sample's units with align_corners=False: index i of `side` is (2 i + 1) / side - 1.
+        (sy, ty), (sx, tx) = ((2 / s, (2 * c + 1) / s - 1) for c, s in zip(centre, canvas, strict=True))
+        place = torch.tensor([[sx, 0, tx], [0, sy, ty], [0, 0, 1]], dtype=torch.float64)
+        self.register_buffer("place", place, persistent=False)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """`motion`: (N, 3, 3)."""
@@ -40,21 +48,37 @@ class Warp(Operator):
         return self.canvas
 
     def forward(self, x: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
-        """Sample the canvas at the moved pixel centres."""
-        return sample(x, self.indices(motion))
+        """Sample the canvas at the moved pixel centres.
 
-    def indices(self, motion: Tensor) -> Tensor:
-        """Canvas index (x, y) that each pixel of each frame looks at, (N, h, w, 2)."""
-        points = motion if motion.ndim == 4 else coords(motion, self.size)
-        height, width = self.size
-        shift = points.new_tensor([(width - 1) / 2 + self.origin[1], (height - 1) / 2 + self.origin[0]])
-        return points + shift
+        Raises:
+            ValueError: `x` has another size than the canvas.
+        """
+        return self._sample(x, self._grid(motion, x.dtype))
 
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
-        """Samples whose four neighbours are valid and in the canvas."""
-        index = self.indices(motion.to(mask.dtype))
-        inside = (index >= 0).all(-1) & (index <= index.new_tensor([self.canvas[1] - 1, self.canvas[0] - 1])).all(-1)
-        return inside[:, None] * (sample(mask, index) > 1 - 1e-4).to(mask.dtype)
+        """Samples whose neighbours are valid and in the canvas, to 1e-4 px."""
+        grid = self._grid(motion, mask.dtype)
+        height, width = self.canvas
+        edge = grid.new_tensor([1 - (1 - 2e-4) / width, 1 - (1 - 2e-4) / height])
+        inside = (grid.abs() <= edge).all(-1)[:, None]
+        return (inside & (self._sample(mask, grid) > 1 - 1e-4)).to(mask.dtype)
+
+    def _grid(self, motion: Tensor, dtype: torch.dtype) -> Tensor:
+        """Where each pixel looks, (N, h, w, 2), in grid_sample's units; never NaN.
+
+        A NaN crashes grid_sample's backward pass on the CPU (torch 2.13); a line search can produce one, and must
+        see a bad loss instead.
+        """
+        motion = motion.nan_to_num(nan=FAR).clamp(-FAR, FAR)
+        if motion.ndim == 4:
+            return (motion * self.place.diagonal()[:2] + self.place[:2, 2]).to(dtype)
+        return coords((self.place @ motion.double()).to(dtype), self.size)
+
+    def _sample(self, x: Tensor, grid: Tensor) -> Tensor:
+        if x.shape[-2:] != self.canvas:
+            raise ValueError(f"warp: the canvas is {self.canvas}, but the scene {tuple(x.shape[-2:])}")
+        x = x.expand(len(grid), -1, -1, -1)
+        return F.grid_sample(x, grid, mode="bilinear", padding_mode="border", align_corners=False)
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
@@ -63,34 +87,20 @@ class Warp(Operator):
         jitter = 0.05 * torch.rand(3, 3, 3, generator=generator, dtype=torch.float64)
         jitter[:, :2, 2] *= 20
         jitter[:, 2] *= 0.02
-        jitter[0], jitter[:, 2, 2] = 0, 0
-        motion = torch.eye(3, dtype=torch.float64) + jitter
+        jitter[:, 2, 2] = 0
         x = torch.rand(1, 1, 11, 12, generator=generator, dtype=torch.float64)
-        return cls((6, 7), (11, 12), (2, 3)), x, {"motion": motion}
+        return cls((6, 7), (11, 12), (2, 3)), x, {"motion": torch.eye(3, dtype=torch.float64) + jitter}
 
 
 def coords(motion: Tensor, size: tuple[int, int]) -> Tensor:
-    """The points `T_k p` of all pixel centres `p`, origin at the frame's centre; (N, 3, 3) -> (N, h, w, 2)."""
+    """The points `T_k p` of all pixel centres `p`, origin at the frame's centre; (N, 3, 3) -> (N, h, w, 2).
+
+    In memory the planes of x and y follow each other: three times as fast to make as pairs, and to differentiate.
+    """
     height, width = size
     y = torch.arange(height, dtype=motion.dtype, device=motion.device) - (height - 1) / 2
     x = torch.arange(width, dtype=motion.dtype, device=motion.device) - (width - 1) / 2
     t = motion[..., None, None]
     px, py, pz = (t[:, i, 0] * x + (t[:, i, 1] * y[:, None] + t[:, i, 2]) for i in range(3))
-    return torch.stack((px / pz, py / pz), -1)
-
-
-def sample(x: Tensor, index: Tensor) -> Tensor:
-    """Bilinear values of `x` (1 or N, C, H, W) at array indices (x, y), (N, h, w, 2); edges are extended."""
-    height, width = x.shape[-2:]
-    # A coordinate that is NaN crashes torch's backward pass on the CPU, and a huge one overflows its integers;
-    # a line search can produce either, and must see a bad loss instead.
-    index = index.nan_to_num(nan=math.inf).clamp(-8.0 * width, 8.0 * width + 8.0 * height)
-    half = index.new_tensor([width / 2, height / 2])
-    grid = (index + 0.5) / half - 1
-    frames, channels = grid.shape[0], x.shape[1]
-    if x.shape[0] == 1 and frames > 1:
-        # One canvas seen by all frames: the frames stacked as one tall image spare N copies of the canvas.
-        tall = grid.reshape(1, -1, grid.shape[2], 2)
-        out = F.grid_sample(x, tall, mode="bilinear", padding_mode="border", align_corners=False)
-        return out.reshape(channels, frames, *grid.shape[1:3]).transpose(0, 1)
-    return F.grid_sample(x, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    nearness = pz.clamp(min=NEAR).reciprocal()
+    return torch.stack((px * nearness, py * nearness), 1).permute(0, 2, 3, 1)

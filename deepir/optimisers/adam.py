@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -19,10 +20,11 @@ class Adam(Optimiser):
         self.torch = torch.optim.Adam(self.parameters, lr=lr)
 
     def step(self, *, fresh: bool) -> None:
-        """One step; a gradient that is not finite is not taken, so that the last good state stays."""
+        """One step; from a value or gradient that is not finite none is taken: the last good state stays."""
         value, gradients = self.gradient()
-        self.value = value if all(bool(g.isfinite().all()) for g in gradients) else float("nan")
-        if self.value != self.value:
+        finite = math.isfinite(value) and all(bool(g.isfinite().all()) for g in gradients)
+        self.value = value if finite else math.nan
+        if not finite:
             return
         for parameter, gradient in zip(self.parameters, gradients, strict=True):
             parameter.grad = gradient

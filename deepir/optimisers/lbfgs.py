@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -18,7 +19,7 @@ class LBFGS(Optimiser):
     """Two-loop recursion (Nocedal and Wright, algorithm 7.4) with the line search of Lewis and Overton (2013).
 
     Their bracketing for the weak Wolfe conditions needs no smoothness, and mostly takes its first trial. A trial
-    whose value is not finite is one that went too far.
+    whose value or slope is not finite is one that went too far.
     """
 
     def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
@@ -31,8 +32,8 @@ class LBFGS(Optimiser):
         """One quasi-Newton step. Without descent the memory is dropped; without any along the gradient, `done`."""
         if fresh or self.slope is None:
             self.value, self.slope = self._at(self.x)
-        if not self.slope.isfinite().all():
-            self.value = float("nan")
+        if not (math.isfinite(self.value) and self.slope.isfinite().all()):
+            self.value = math.nan
             return
         direction = self._direction(self.slope)
         descent = float(torch.dot(self.slope, direction))
@@ -88,11 +89,12 @@ class LBFGS(Optimiser):
         for _ in range(MAX_TRIALS):
             x = self.x + step * direction
             value, slope = self._at(x)
-            if not value <= self.value + ARMIJO * step * descent:
+            along = float(torch.dot(slope, direction))
+            if not (value <= self.value + ARMIJO * step * descent and math.isfinite(along)):
                 high = step
             else:
                 best = (x, value, slope)
-                if float(torch.dot(slope, direction)) >= CURVATURE * descent:
+                if along >= CURVATURE * descent:
                     return best
                 low = step
             step = (low + high) / 2 if high < float("inf") else 2 * low

@@ -17,7 +17,8 @@ class Optimiser:
 
     def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
-        self.parameters = [p for name in group for p in problem.fields[name].parameters() if p.numel()]
+        mine = [p for name in group for p in problem.fields[name].parameters()]
+        self.parameters = [p for p in mine if p.requires_grad and p.numel()]
         self.value, self.done, self._count = float("nan"), False, 0
 
     def step(self, *, fresh: bool) -> None:

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 class Penalty(nn.Module):
     """A negative log-prior of a value, in nats: `weight * energy(value)`.
 
-    `weight` is in nats for each unit of the energy. Without it, it is estimated from the burst by the problem
-    (or one, where a problem has no estimate).
+    `weight` is in nats for each unit of the energy; `given` is what the configuration says of it, None for `auto`:
+    then a problem sets it, mostly to `natural`.
     """
 
     weight: Tensor
@@ -19,7 +19,7 @@ class Penalty(nn.Module):
         super().__init__()
         if weight is not None and not 0 <= weight < float("inf"):
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
-        self.given = weight is not None
+        self.given = weight
         self.register_buffer("weight", torch.tensor(1.0 if weight is None else float(weight)))
 
     def forward(self, value: Tensor) -> Tensor:
@@ -27,5 +27,16 @@ class Penalty(nn.Module):
         return self.weight * self.energy(value)
 
     def energy(self, value: Tensor) -> Tensor:
-        """The energy, a scalar in the value's units (or their square)."""
+        """The energy of a value (..., H, W), a scalar in the value's units (or their square)."""
         raise NotImplementedError
+
+    def natural(self, noise: float) -> float:
+        """The weight that suits a value which has noise of this standard deviation, before it is penalised."""
+        return 1.0
+
+
+def squared_gradient(value: Tensor) -> Tensor:
+    """`|∇x|²` by forward differences, (..., H, W); those across the lower and right edge are zero."""
+    down = value.diff(dim=-2, append=value[..., -1:, :])
+    right = value.diff(dim=-1, append=value[..., :, -1:])
+    return down.square() + right.square()

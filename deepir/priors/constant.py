@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from deepir.errors import ConfigError
-from deepir.operators.base import Shape
-from deepir.priors.field import Field
+from deepir.priors.field import Field, Shape
 from deepir.registry import register
 
 
@@ -40,6 +39,6 @@ class Constant(Field):
 
 
 def _read(path: str) -> Tensor:
-    from deepir.io import read_frames
+    from deepir.io import read_frames  # not above: it is slow to import
 
     return torch.from_numpy(read_frames(path).frames)[:, None]

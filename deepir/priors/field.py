@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor, nn
 
-from deepir.operators.base import Shape
-
 if TYPE_CHECKING:
     from deepir.priors.parts import Part
+
+Shape = tuple[int, ...]
 
 
 class Field(nn.Module):
@@ -40,3 +40,8 @@ class Field(nn.Module):
     def parts(self) -> Sequence[Part]:
         """Gaussian parts that add up to the field's deviation from neutral: what can be solved in closed form."""
         return ()
+
+    @classmethod
+    def example(cls) -> Field:
+        """A small instance: the test-suite collects it from the registry."""
+        return cls((1, 1, 6, 7))

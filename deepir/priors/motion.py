@@ -8,12 +8,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.operators.base import Shape
-from deepir.priors.field import Field
+from deepir.priors.field import Field, Shape
 from deepir.registry import register
 
-#: Pixels of motion for a step of one in a parameter, times the frame's side: see `Field`. The misfit's curvature in a
-#: shift is about HW times that in a pixel of the scene, weighted by the scene's squared gradient.
+#: What a parameter that all pixels feel moves for a step of one, times the frame's side: see `Field`. The misfit's
+#: curvature in a shift is about HW times that in a pixel of the scene, weighted by the scene's squared gradient.
 STEP = 10.0
 
 
@@ -39,16 +38,23 @@ class Motion(Field):
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take the parameters of `value` (N, 3, 3) over; what the model lacks is dropped."""
-        self.values.copy_(self.parameters_of(value[1:].double()) / self.step)
+        """Take the parameters of `value` (N, 3, 3) over, relative to its frame 0; what the model lacks is dropped."""
+        value = value.double()
+        relative = torch.linalg.solve(value[:1], value[1:])
+        self.values.copy_(self.parameters_of(relative / relative[:, 2:, 2:]) / self.step)
 
     def matrices(self, p: Tensor) -> Tensor:
         """(N - 1, count) parameters in px -> (N - 1, 3, 3)."""
         raise NotImplementedError
 
     def parameters_of(self, t: Tensor) -> Tensor:
-        """The inverse of `matrices`."""
+        """The inverse of `matrices`; `t[:, 2, 2]` is one."""
         raise NotImplementedError
+
+    @classmethod
+    def example(cls) -> Motion:
+        """Three frames of 60 x 80 px."""
+        return cls((3, 3, 3), size=(60, 80))
 
 
 @register("field", "shift")
@@ -115,7 +121,6 @@ class Homography(Motion):
 
     def parameters_of(self, t: Tensor) -> Tensor:
         """All entries but the last, which is one."""
-        t = t / t[:, 2:, 2:]
         linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
         return torch.cat((t[:, :2, 2], self.radius * linear, self.radius**2 * t[:, 2, :2]), 1)
 

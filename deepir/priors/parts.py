@@ -9,8 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.operators.base import Shape
-from deepir.priors.field import Field
+from deepir.priors.field import Field, Shape
 from deepir.registry import register
 
 
@@ -18,24 +17,27 @@ class Part(Field):
     """Independent Gaussian values with standard deviation `sigma`, constant along `along`.
 
     `sigma` is in the unknown's units (a fraction for a gain, counts for an offset); without it, it is estimated
-    from the burst. The parameters are white, `value / sigma`, and float64: see `deepir.elimination`.
+    from the burst. The parameters are white, `value / sigma`, and float64 whatever the output is: see
+    `deepir.elimination`.
     """
 
     along: ClassVar[tuple[int, ...]] = ()
+    center: Tensor
     sigma: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral)
         if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
             raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
-        own = [1 if axis - len(shape) in self.along else side for axis, side in enumerate(self.shape)]
+        own = [1 if axis - len(shape) in self.along else side for axis, side in enumerate(shape)]
         self.white = nn.Parameter(torch.zeros(own, dtype=torch.float64))
         self.given = sigma is not None
+        self.register_buffer("center", torch.tensor(float(neutral)))  # neutral, in the output's type
         self.register_buffer("sigma", torch.tensor(0.0 if sigma is None else sigma, dtype=torch.float64))
 
     def forward(self) -> Tensor:
-        """`neutral + values`, float32."""
-        return (self.neutral + self.values).float().expand(self.shape)
+        """`neutral + values`."""
+        return (self.neutral + self.values).to(self.center.dtype).expand(self.shape)
 
     @property
     def values(self) -> Tensor:
@@ -60,6 +62,11 @@ class Part(Field):
     def parts(self) -> Sequence[Part]:
         """The part itself."""
         return (self,)
+
+    @classmethod
+    def example(cls) -> Part:
+        """A map of 6 x 7 px."""
+        return cls((1, 1, 6, 7), 1.0, sigma=0.1)
 
 
 @register("field", "column")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from deepir.operators.base import Shape
-from deepir.priors.field import Field
+from deepir.priors.field import Field, Shape
 from deepir.registry import register
 
 

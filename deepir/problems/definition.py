@@ -13,6 +13,7 @@ from deepir.noise import sample_noise
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.solve import Stage, Step
+from deepir.strengths import start_parts, weigh_scene
 
 
 class Definition:
@@ -27,6 +28,8 @@ class Definition:
         """Set starts and strengths from the data."""
         start_precision(problem)
         start_scene(problem)
+        start_parts(problem)
+        weigh_scene(problem)
 
     def plan(self, problem: Problem) -> list[Stage]:
         """The stages of the solve."""

@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
-import torch
-
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
 from deepir.solve import Stage, Step
+from deepir.strengths import hold_out, start_parts, update_noise, update_parts, weigh_scene
+
+#: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
+WEAK = 0.02
 
 
 @register("problem", "nuc")
 class NUC(Definition):
-    """Scene, gain, offset and motion from a jittered burst."""
+    """Scene, gain, offset and motion from a jittered burst.
+
+    First the sensor, under a scene prior so weak that it only fills holes: with total variation at its proper scale
+    the joint optimum is biased, for it pays to shrink the scene's contrast into the gain. Then the scene, with the
+    sensor fixed. Strengths are estimated between the rounds.
+    """
 
     frames = 2
     motion = True
 
     def initialise(self, problem: Problem, seed: int) -> None:
+        """Noise and patterns as the raw frames show them; scene: registered average."""
         start_precision(problem)
         start_scene(problem)
+        start_parts(problem)
+        hold_out(problem, seed)
+        weigh_scene(problem, WEAK)
 
     def plan(self, problem: Problem) -> list[Stage]:
-        sensor = (Step(("scene","motion"), "lbfgs"), Step(("gain","offset"), "eliminate"))
-        return [Stage("sensor", sensor, 100), Stage("scene", (Step(("scene",), "lbfgs"),), 60)]
+        """Three rounds for the sensor, then the scene on all samples."""
+        closed = tuple(problem.closed_form())
+        free = tuple(name for name in problem.free() if name not in closed)
+        sensor = (Step(free, "lbfgs"), *((Step(closed, "eliminate"),) if closed else ()))
+        scene = (Step(("scene",), "lbfgs"),)
+        return [
+            Stage("sensor 1", sensor, 30),
+            Stage("sensor 2", sensor, 30, prepare=_update),
+            Stage("sensor 3", sensor, 40, prepare=_update),
+            Stage("scene", scene, 60, prepare=weigh_scene, use_held_out=True),
+        ]
+
+
+def _update(problem: Problem) -> None:
+    update_noise(problem)
+    update_parts(problem)
+    weigh_scene(problem, WEAK)

@@ -10,7 +10,7 @@ from torch import Tensor
 from deepir.errors import DataError, nearest
 from deepir.registration.coarse import guesses
 from deepir.registration.flatten import flatten, without_stripes
-from deepir.registration.motion import PARAMETERS, normalised, transform
+from deepir.registration.motion import PARAMETERS, normalised, rotation, transform
 from deepir.registration.pyramid import Level, build_level, pattern_share, sample
 from deepir.registration.refine import refine
 
@@ -25,8 +25,9 @@ SETTLED = 5e-3  # px of the level: a smaller change ends the passes
 class Registration:
     """The motions of a burst.
 
-    motion: `(N, 3, 3)` float64 pull homographies about the frame's centre, `frame_k(p) = frame_0(T_k p)`, in px; NaN
-    where a frame is left out. confidence: `(N,)` in [0, 1]. used: `(N,)` bool. messages: what the user should know.
+    motion: `(N, 3, 3)` float64 pull homographies about the frame's centre, `frame_k(p) = frame_0(T_k p)`, in
+    px; NaN where a frame is left out. confidence: `(N,)` in [0, 1]. used: `(N,)` bool. messages: what the
+    user should know.
     """
 
     motion: Tensor
@@ -50,10 +51,12 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
     rough = without_stripes(flat, WIDE)
     coarse = build_level(rough, weight, factor)
     motion, score = search(coarse, model)
+    motion, score = retry(coarse, motion, score, model)
     for i in range(factor.bit_length() - 1):
         motion, score = to_scene(build_level(rough, weight, factor >> i), motion, score, model)
-    motion, score = to_scene(build_level(without_stripes(flat, NARROW), weight, 1), motion, score, model)
-    return verdict(motion, score)
+    level = build_level(without_stripes(flat, NARROW), weight, 1)
+    motion, score = to_scene(level, motion, score, model)
+    return verdict(motion, score - pattern_share(level) * stillness(level, motion))
 
 
 def check(frames: Tensor, model: str, ignore: Tensor | None) -> None:
@@ -71,37 +74,55 @@ def check(frames: Tensor, model: str, ignore: Tensor | None) -> None:
 def search(level: Level, model: str) -> tuple[Tensor, Tensor]:
     """The best start `(N, 3, 3)` of every frame against frame 0, and its correlation `(N,)`."""
     starts = guesses(level.flat[0], level, model)
+    found, score = best_of(starts, level.frames[0], level.weight, level, model)
+    found[0] = torch.eye(3, dtype=torch.float64)
+    return found, score
+
+
+def retry(level: Level, motion: Tensor, score: Tensor, model: str) -> tuple[Tensor, Tensor]:
+    """Frames that failed, again: from their neighbours' motions, and searched against the others' mean.
+
+    The mean of the good frames sees more of the scene than frame 0 does, and the pattern is blurred in it.
+    """
+    score[0] = 1.0
+    good = score > FAILED
+    if good.all() or good.sum() < 2:
+        return motion, score
+    total, count, _, _ = scene(level, level.flat, motion, good.float()[:, None, None])
+    starts = guesses(total / count.clamp_min(1), level, model)
+    starts = torch.cat((starts, motion.roll(1, 0)[:, None], motion.roll(-1, 0)[:, None]), 1)
+    total, count, _, _ = scene(level, level.frames, motion, good.float()[:, None, None])
+    found, again = best_of(starts, total / count.clamp_min(1), (count > 0.5).float(), level, model)
+    better = ~good & (again > score)
+    return torch.where(better[:, None, None], found, motion), torch.where(better, again, score)
+
+
+def best_of(
+    starts: Tensor, reference: Tensor, seen: Tensor, level: Level, model: str
+) -> tuple[Tensor, Tensor]:
+    """Of starts `(N, keep, 3, 3)`, each frame's that correlates best once refined, and how well.
+
+    What the pattern adds to the correlation is taken off.
+    """
     n, keep = starts.shape[:2]
     frames = level.frames.repeat_interleave(keep, 0)
-    references = level.frames[:1].expand_as(frames)
     rigid = "shift" if model == "shift" else "rigid"
-    found, score = refine(frames, references, level.weight.expand_as(frames), level, starts.flatten(0, 1), rigid, 8)
+    pair = reference.expand_as(frames), seen.expand_as(frames)
+    found, score = refine(frames, *pair, level, starts.flatten(0, 1), rigid, 8)
     score = score - pattern_share(level).repeat_interleave(keep) * stillness(level, found)
-    best = score.reshape(n, keep).argmax(1)
-    row = torch.arange(n)
-    motion = found.reshape(n, keep, 3, 3)[row, best]
-    motion[0] = torch.eye(3, dtype=torch.float64)
-    return motion, score.reshape(n, keep)[row, best]
+    score, index = score.reshape(n, keep).max(1)
+    return found.reshape(n, keep, 3, 3)[torch.arange(n), index], score
 
 
 def stillness(level: Level, motion: Tensor) -> Tensor:
-    """Share `(B,)` of a fixed pattern's correlation that is left under a motion: its band-passed autocorrelation."""
+    """Share `(B,)` of a fixed pattern's correlation that a motion leaves: its band-passed autocorrelation."""
     points = level.points()
     moved = ((transform(motion, points) - points) / level.factor).square().sum(1)
     return torch.exp(-moved / (4 * level.fine**2)).mean(1)
 
 
-def pairwise(level: Level, motion: Tensor, model: str) -> tuple[Tensor, Tensor]:
-    """Motions refined against frame 0 on one level."""
-    references = level.frames[:1].expand_as(level.frames)
-    seen = level.weight.expand_as(level.frames)
-    found, score = refine(level.frames, references, seen, level, motion, model, 6)
-    found[0] = torch.eye(3, dtype=torch.float64)
-    return found, score
-
-
 def to_scene(level: Level, motion: Tensor, score: Tensor, model: str) -> tuple[Tensor, Tensor]:
-    """Motions refined against the mean of the *other* registered frames, the fixed pattern taken out of all."""
+    """Motions refined against the mean of the *other* frames, the fixed pattern taken out of all."""
     pattern = torch.zeros_like(level.weight)
     for _ in range(ROUNDS):
         good = (score > FAILED).float()[:, None, None]
@@ -114,7 +135,7 @@ def to_scene(level: Level, motion: Tensor, score: Tensor, model: str) -> tuple[T
         others = count - good * valid
         references = (total - good * warped) / others.clamp_min(1e-3)
         found, score = refine(clean, references, (others > 0.5).float(), level, motion, model, 5)
-        found = normalised(torch.linalg.inv(found[:1]) @ found)
+        found = part_way(motion, normalised(torch.linalg.inv(found[:1]) @ found), model)
         step = (transform(found, level.points()) - transform(motion, level.points())).abs().mean()
         motion = found
         if step < SETTLED * level.factor:
@@ -122,10 +143,23 @@ def to_scene(level: Level, motion: Tensor, score: Tensor, model: str) -> tuple[T
     return motion, score
 
 
+def part_way(motion: Tensor, found: Tensor, model: str) -> Tensor:
+    """Motions `(N, 3, 3)` moved by `1 - 1 / N` of the way to those found.
+
+    Each frame is moved onto the mean of the others at once: a relative error comes back as `-1 / (N - 1)` of
+    itself: for two frames it would change sign for ever. This share of the way ends it.
+    """
+    blend = motion + (1 - 1 / len(motion)) * (found - motion)
+    if model == "rigid":
+        angle = torch.atan2(blend[:, 1, 0] - blend[:, 0, 1], blend[:, 0, 0] + blend[:, 1, 1])
+        blend[:, :2, :2] = rotation(angle)[:, :2, :2]
+    return blend
+
+
 def scene(
     level: Level, frames: Tensor, motion: Tensor, good: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Frames pulled back to frame 0's grid: their sum and count `(h, w)`, each warped frame and its validity."""
+    """Frames pulled back to frame 0's grid: sum, count `(h, w)`, each warped frame, its validity."""
     h, w = level.weight.shape
     points = transform(torch.linalg.inv(motion), level.points())
     weights = level.weight.expand(len(frames), h, w)
@@ -136,10 +170,11 @@ def scene(
 
 
 def fixed_pattern(level: Level, frames: Tensor, picture: Tensor, motion: Tensor, good: Tensor) -> Tensor:
-    """What stands still `(h, w)` in what the scene does not explain: lines, and single pixels as far as they are clear.
+    """What stands still `(h, w)` and is not the scene: lines, and pixels as far as they are clear.
 
-    A line is known from many pixels. The pixels' part, a mean over n frames, is shrunk by its share above the n-th part
-    of the residual's variance (James & Stein 1961): two frames with a free pattern for each pixel would fit any motion.
+    A line is known from many pixels. The pixels' part, a mean over n frames, is shrunk by its share above the
+    n-th part of the residual's variance (James & Stein 1961): two frames with a free pattern for each pixel
+    would fit any motion.
     """
     h, w = level.weight.shape
     known = (picture != 0).float()
@@ -160,6 +195,7 @@ def verdict(motion: Tensor, score: Tensor) -> Registration:
     """Confidence and messages; frames that fail are left out by name."""
     confidence = score.clamp(0, 1)
     confidence[0] = 1.0
+    motion[0] = torch.eye(3, dtype=torch.float64)
     used = confidence >= FAILED
     messages = [
         f"frame {k} does not register (confidence {float(confidence[k]):.2f}): left out"

@@ -1,4 +1,4 @@
-"""A first guess of each frame's motion: correlation with the reference over all shifts and a few rotations."""
+"""First guesses of each frame's motion: correlation with the reference over all shifts, a few rotations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WHITEN = 0.7  # 0: plain correlation, 1: phase correlation
 
 
 def guesses(reference: Tensor, level: Level, model: str, keep: int = 4) -> Tensor:
-    """The `keep` best starts `(N, keep, 3, 3)` of every frame of `level` against a reference `(h, w)` on its grid."""
+    """The `keep` best starts `(N, keep, 3, 3)` of a level's frames against a reference `(h, w)`."""
     turns = rotation(torch.tensor(ANGLES[:1] if model == "shift" else ANGLES, dtype=torch.float64))
     surface = torch.stack([correlation(turned(reference, level, turn), level.flat) for turn in turns], 1)
     return peaks(surface, turns, level.factor, keep)
@@ -26,15 +26,16 @@ def turned(reference: Tensor, level: Level, turn: Tensor) -> Tensor:
     """The reference as a camera turned by `turn` `(3, 3)` sees it."""
     h, w = reference.shape
     points = transform(turn, level.points())
-    return sample(reference[None, None], points[None], level, "bilinear").reshape(h, w)
+    return sample(reference[None, None], points[None], level).reshape(h, w)
 
 
 def correlation(reference: Tensor, images: Tensor) -> Tensor:
-    """Partly whitened cross-correlation `(N, h, w)` of windowed images with the reference; lag zero at [0, 0].
+    """Partly whitened cross-correlation `(N, h, w)` of windowed images with the reference; lag zero at [0,
+    0].
 
-    A fixed pattern correlates with itself at lag zero, a residue of stripes along the axes; a scene is smooth there. So
-    these lags are replaced by their neighbours' mean *before* the whitening: [0, 0] is no trap. (Whitening: Knapp &
-    Carter 1976; phase correlation: Kuglin & Hines 1975.)
+    A fixed pattern correlates with itself at lag zero, a residue of stripes along the axes; a scene is smooth
+    there. So these lags are replaced by their neighbours' mean *before* the whitening: [0, 0] is no trap.
+    (Whitening: Knapp & Carter 1976; phase correlation: Kuglin & Hines 1975.)
     """
     h, w = images.shape[1:]
     window = torch.hann_window(h, periodic=False)[:, None] * torch.hann_window(w, periodic=False)

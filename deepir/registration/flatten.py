@@ -1,4 +1,4 @@
-"""What can be taken out of the frames before any motion is known: stuck pixels, stripes, gain (by the logarithm)."""
+"""What is taken out of the frames before any motion is known: gain, stripes, stuck pixels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ STUCK = 7.0  # robust standard deviations beyond which a pixel of the mean frame
 
 
 def flatten(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Frames `(N, H, W)` in float64 with gains made offsets, of unit spread, and weights `(H, W)`: zero where bad."""
+    """Frames `(N, H, W)`, float64, gains made offsets, unit spread; weights `(H, W)`, zero where bad."""
     good = frames.isfinite().all(0)
     if ignore is not None:
         good = good & ~ignore
@@ -25,9 +25,9 @@ def flatten(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
 def without_stripes(frames: Tensor, window: int) -> Tensor:
     """Frames less the column and row structure of their mean, as float32: `(N, H, W)`.
 
-    A stripe is the median along a line of what differs from the mean over `window` px across the lines. Narrow, it
-    leaves the broad part of the stripes; wide, it takes the scene's own profile with it, which plants a ghost that
-    stands still.
+    A stripe is the median along a line of what differs from the mean over `window` px across the lines.
+    Narrow, it leaves the broad part of the stripes; wide, it takes the scene's own profile with it, which
+    plants a ghost that stands still.
     """
     image = frames.mean(0).numpy()
     columns = np.median(image - scipy.ndimage.uniform_filter1d(image, window, axis=1, mode="nearest"), axis=0)
@@ -36,7 +36,7 @@ def without_stripes(frames: Tensor, window: int) -> Tensor:
 
 
 def logarithm(frames: Tensor) -> Tensor:
-    """The logarithm where nearly all samples are positive (floored at 5 % of the median), else the frames themselves."""
+    """The logarithm (floored at 5 % of the median), or the frames themselves if they are not positive."""
     middle = frames.median()
     if middle <= 0 or (frames <= 0).double().mean() > 0.05:
         return frames
@@ -44,7 +44,7 @@ def logarithm(frames: Tensor) -> Tensor:
 
 
 def stuck(mean: Tensor) -> Tensor:
-    """Pixels `(H, W)` of the mean frame that stand out of their 3 x 3 median beyond `STUCK` robust deviations."""
+    """Pixels `(H, W)` of the mean that differ from their 3 x 3 median by `STUCK` robust deviations."""
     image = mean.numpy().astype(np.float32)
     apart = np.abs(image - scipy.ndimage.median_filter(image, 3, mode="nearest"))
     scale = 1.4826 * float(np.median(apart))

@@ -10,7 +10,9 @@ PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
 
 def pixel_grid(height: int, width: int) -> Tensor:
     """Centred coordinates (x, y) of every pixel, in px: `(2, height * width)` float32."""
-    y, x = torch.meshgrid(torch.arange(height) - (height - 1) / 2, torch.arange(width) - (width - 1) / 2, indexing="ij")
+    y, x = torch.meshgrid(
+        torch.arange(height) - (height - 1) / 2, torch.arange(width) - (width - 1) / 2, indexing="ij"
+    )
     return torch.stack((x.flatten(), y.flatten()))
 
 
@@ -41,8 +43,9 @@ def rotation(angle: Tensor) -> Tensor:
 def generators(model: str, points: Tensor, size: float) -> tuple[Tensor, Tensor]:
     """Derivative of a moved point with respect to the model's parameters, at the identity.
 
-    `points` are `(..., M)`-shaped x and y stacked as `(..., 2, M)`; `size` (px) scales the parameters to pixels at the
-    frame's edge, which keeps the normal equations well conditioned. Returns dx and dy, each `(..., P, M)`.
+    `points` are `(..., M)`-shaped x and y stacked as `(..., 2, M)`; `size` (px) scales the parameters to
+    pixels at the frame's edge, which keeps the normal equations well conditioned. Returns dx and dy, each
+    `(..., P, M)`.
     """
     x, y = points[..., 0, :] / size, points[..., 1, :] / size
     one, zero = torch.ones_like(x), torch.zeros_like(x)

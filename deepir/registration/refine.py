@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.registration.motion import generators, increment, normalised, pixel_grid, transform
+from deepir.registration.motion import generators, increment, normalised, transform
 from deepir.registration.pyramid import Level, sample
 
 TUKEY = 4.0  # robust standard deviations beyond which a sample has no weight
@@ -16,10 +16,12 @@ OVERLAP = 0.15  # the least share of the frame that must see the reference
 def refine(
     frames: Tensor, references: Tensor, seen: Tensor, level: Level, motion: Tensor, model: str, steps: int
 ) -> tuple[Tensor, Tensor]:
-    """Motions `(B, 3, 3)` such that `frames[b](p) = gain_b references[b](T_b p) + level_b`, and correlations `(B,)`.
+    """Motions `(B, 3, 3)` such that `frames[b](p) = gain_b references[b](T_b p) + level_b`, and correlations
+    `(B,)`.
 
     frames: `(B, h, w)`; references, seen: `(B, h, w)`, the reference images and where they are known. Forward
-    compositional Gauss-Newton (Baker & Matthews 2004) with Tukey weights; gain and level of each frame are solved along.
+    compositional Gauss-Newton (Baker & Matthews 2004) with Tukey weights; gain and level of each frame are
+    solved along.
     """
     h, w = frames.shape[1:]
     stride = 2 if h * w > 100_000 else 1  # the frames are band-passed: every second pixel says it all
@@ -33,7 +35,9 @@ def refine(
         moved = transform(motion, points)
         s, gx, gy, known = sample(stack, moved, level).unbind(1)
         dx, dy = generators(model, moved, size)
-        jacobian = torch.cat((gx[:, None] * dx + gy[:, None] * dy, s[:, None], torch.ones_like(s)[:, None]), 1)
+        jacobian = torch.cat(
+            (gx[:, None] * dx + gy[:, None] * dy, s[:, None], torch.ones_like(s)[:, None]), 1
+        )
         delta = robust_step(jacobian, values, s, weight * (known > 0.95))[:, : dx.shape[1]]
         motion = normalised(increment(model, delta, size) @ motion)
         if float(delta.abs().max()) < SETTLED * level.factor:
@@ -49,7 +53,7 @@ def gradient(images: Tensor, factor: int) -> tuple[Tensor, Tensor]:
 
 
 def robust_step(jacobian: Tensor, values: Tensor, s: Tensor, mask: Tensor) -> Tensor:
-    """One Gauss-Newton step `(B, P + 2)` of `values = s + jacobian delta` under Tukey's biweight; zero where singular."""
+    """The step `(B, P + 2)` of `values = s + jacobian delta` under Tukey's biweight; zero where singular."""
     residual = values - s
     count = mask.sum(1, keepdim=True).clamp_min(1)
     residual = residual - (mask * residual).sum(1, keepdim=True) / count

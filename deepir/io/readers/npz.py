@@ -60,7 +60,7 @@ def _choose(
     pictures = [name for name, shape in shapes.items() if len(shape) in (2, 3)]
     if len(pictures) != 1:
         listing = ", ".join(f"{name} {shape}" for name, shape in sorted(shapes.items()))
-        raise DataError(f"{path}: which array is meant? Give its key. Arrays: {listing}")
+        raise DataError(f"{path}: which array is meant? Give its key (data.key). Arrays: {listing}")
     return pictures[0]
 
 

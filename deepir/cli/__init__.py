@@ -1,0 +1,101 @@
+"""The command line. Commands import what they need when they run, so that `deepir --help` is quick."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+import deepir
+from deepir.cli.check import check
+from deepir.cli.demo import demo
+from deepir.cli.listing import list_components
+from deepir.cli.resume import resume
+from deepir.cli.run import run
+from deepir.cli.simulate import simulate
+from deepir.errors import DeepIRError, SolverError
+
+app = typer.Typer(
+    help="Corrects bursts of thermal cameras: `deepir demo` shows it, `deepir run nuc data.path=burst.npz` does it.",
+    add_completion=False,
+    rich_markup_mode=None,
+)
+app.command()(run)
+app.command()(demo)
+app.command()(simulate)
+app.command()(resume)
+app.command("list")(list_components)
+app.command()(check)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"deepir {deepir.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; the exit status.
+
+    0: finished, or the iteration limit reached. 1: the solve failed, or something unforeseen. 2: the user can mend
+    it; nothing was written. 130, 143: interrupted, the state is saved.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = typer.main.get_command(app).main(given or ["--help"], prog_name="deepir", standalone_mode=False)
+        sys.stdout.flush()
+        return int(status or 0)
+    except BrokenPipeError:  # `deepir list | head`
+        sys.stdout = None  # type: ignore[assignment]
+        return 0
+    except Exception as error:
+        if hasattr(error, "format_message"):  # typer's own: an unknown command or option
+            return _say(_usage(error.format_message(), given), 2)
+        if isinstance(error, DeepIRError):
+            return _say(str(error), 1 if isinstance(error, SolverError) else 2)
+        return _unforeseen(error)
+
+
+def _say(message: str, status: int) -> int:
+    print(f"deepir: error: {' '.join(message.split())}", file=sys.stderr)
+    return status
+
+
+def _usage(message: str, given: Sequence[str]) -> str:
+    """A usage error with what was probably meant."""
+    message = message.rstrip(".")
+    if message.startswith("No such option: --") and given[0] in ("run", "check"):
+        name = message.partition("--")[2].split(" ")[0].split("=")[0]
+        return f"{message}; settings are key=value without dashes, for example {name}=..."
+    if message.startswith("No such command") and "Did you mean" not in message:
+        from deepir.config import shipped_names
+
+        if given[0] in shipped_names():
+            return f"{message}; did you mean `deepir run {given[0]}`?"
+        return f"{message}; there are {', '.join(typer.main.get_group(app).commands)}"
+    return message
+
+
+def _unforeseen(error: Exception) -> int:
+    if isinstance(error, MemoryError) or "not enough memory" in str(error) or "out of memory" in str(error):
+        return _say("not enough memory: use a part of the frame (data.crop) or fewer frames (data.frames)", 1)
+    if isinstance(error, OSError):
+        return _say(f"{error.filename or 'files'}: {error.strerror or error}", 1)
+    notes = getattr(error, "__notes__", [])
+    if not notes:
+        traceback.print_exception(error)
+    return _say(
+        f"unforeseen, please report it: {type(error).__name__}: {error}{''.join(f' ({each})' for each in notes)}", 1
+    )

@@ -1,0 +1,85 @@
+"""`deepir check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepir.cli.arguments import Plugins, Settings, load_plugins
+
+if TYPE_CHECKING:
+    from deepir.config import Config
+
+
+def check(
+    what: Annotated[
+        str, typer.Argument(metavar="FILE|CONFIG", help="A burst, or a configuration.", show_default=False)
+    ],
+    settings: Settings = None,
+    plugin: Plugins = None,
+) -> None:
+    """Say what a burst holds, or what a configuration would do; run nothing."""
+    load_plugins(plugin)
+    from deepir.config import shipped_names
+    from deepir.errors import ConfigError
+
+    if what in shipped_names() or Path(what).suffix in (".yaml", ".yml"):
+        _configuration(what, settings or [])
+    elif not settings and (Path(what).exists() or "*" in what or Path(what).suffix):
+        for line in _burst(what):
+            typer.echo(line)
+        typer.echo(f"to correct it: deepir run nuc data.path={what}")
+    elif settings and Path(what).exists():
+        raise ConfigError(f"{what}: settings go with a configuration: deepir check nuc data.path={what} ...")
+    else:
+        _configuration(what, settings or [])
+
+
+def _burst(path: str, **how: Any) -> list[str]:
+    from deepir.io import describe, read_frames
+
+    frames = read_frames(path, **how)
+    return [f"data: {frames.source}", *(f"  {line}" for line in describe(frames))]
+
+
+def _configuration(name: str, settings: list[str]) -> None:
+    from deepir.cli.run import output_folder
+    from deepir.config import load
+    from deepir.folder import Folder
+
+    config = load(name, settings)
+    folder = Folder(output_folder(config, name))
+    state = folder.state()
+    data = _data(config)
+    typer.echo(f"configuration: {name} is in order; problem {config.problem}, method {config.method}")
+    for stage, slots in config.physics.items():
+        typer.echo(f"  {stage}: {_short(slots) or 'as it is'}")
+    typer.echo(f"  scene: prior {config.prior}, {_short(config.scene)}")
+    for line in data:
+        typer.echo(line)
+    holds = "free" if state == "new" else f"holds another run ({state}); `deepir run` wants --overwrite"
+    typer.echo(f"output: {folder.path}, {holds}")
+
+
+def _data(config: Config) -> list[str]:
+    """Check the components against the data, or against frames of zeros where none are given; what the data are."""
+    import numpy as np
+
+    from deepir.burst import Burst
+    from deepir.runner import check_components, prepare
+
+    if config.data.path is not None:
+        prepare(config)
+        return _burst(config.data.path, key=config.data.key, select=config.data.frames)
+    frames = np.zeros((2, 64, 80), np.float32)
+    check_components(config, Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool)))
+    return ["data: none given (data.path=burst.npz)"]
+
+
+def _short(settings: Any) -> str:
+    """A mapping in one line."""
+    if isinstance(settings, dict):
+        return ", ".join(f"{key} {_short(value)}" if key != "type" else str(value) for key, value in settings.items())
+    return str(settings)

@@ -1,0 +1,25 @@
+"""`deepir list`."""
+
+from __future__ import annotations
+
+import typer
+
+from deepir.cli.arguments import Plugins, load_plugins
+
+
+def list_components(plugin: Plugins = None) -> None:
+    """List what configurations may name: methods, operators, fields, penalties, fidelities, priors, problems."""
+    load_plugins(plugin)
+    from deepir.config import SHIPPED, headline, priors, shipped_names
+    from deepir.registry import components, summary
+
+    groups = {
+        f"{kind}s".replace("ys", "ies"): {name: summary(each) for name, each in components(kind).items()}
+        for kind in ("method", "operator", "field", "penalty", "fidelity", "problem")
+    }
+    groups["priors (prior=NAME)"] = {name: headline(SHIPPED / "prior" / f"{name}.yaml") for name in priors()}
+    groups["configs (deepir run NAME)"] = {name: headline(SHIPPED / f"{name}.yaml") for name in shipped_names()}
+    for title, entries in groups.items():
+        typer.echo(f"{title}:")
+        for name, text in entries.items():
+            typer.echo(f"  {name:<16} {text}")

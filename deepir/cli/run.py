@@ -1,0 +1,63 @@
+"""`deepir run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins
+
+if TYPE_CHECKING:
+    from deepir.config import Config
+    from deepir.result import Result
+
+
+def run(
+    config: Annotated[str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)],
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    plugin: Plugins = None,
+) -> int:
+    """Correct a burst: deepir run nuc data.path=burst.npz [prior=tv ...].
+
+    Results go to output.dir (runs/NAME). `deepir list` shows what the settings may name.
+    """
+    plugins = load_plugins(plugin)
+    from deepir.config import load
+
+    checked = load(config, settings or ())
+    return run_stored(checked, output_folder(checked, config), overwrite=overwrite, plugins=plugins)
+
+
+def output_folder(config: Config, name: str) -> Path:
+    """`output.dir`, or runs/NAME of the configuration's name."""
+    if config.output.dir is not None:
+        return Path(config.output.dir).expanduser()
+    return Path("runs") / (Path(name).stem if Path(name).is_file() else name)
+
+
+def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[str]) -> int:
+    """Run into a folder with progress on stderr; the exit status."""
+    from deepir.cli.signals import Interrupted, Interruptible, farewell
+    from deepir.report.progress import on_stderr
+    from deepir.stored import run_into
+
+    try:
+        with Interruptible() as interruptible, on_stderr() as progress:
+            callbacks = [interruptible, progress]
+            result = run_into(config, folder, overwrite=overwrite, plugins=plugins, callbacks=callbacks)
+    except Interrupted as error:
+        return farewell(error, folder)
+    report(result, folder)
+    return 0
+
+
+def report(result: Result, folder: Path) -> None:
+    """Say what came out, and where it is."""
+    metrics = result.metrics
+    typer.echo(f"{metrics['stop_reason']} after {metrics['iterations']} iterations, {metrics['seconds']:.1f} s")
+    if "psnr_aligned" in metrics:
+        typer.echo(f"PSNR {metrics['psnr']:.2f} dB, {metrics['psnr_aligned']:.2f} dB with gain and level aligned")
+    typer.echo(f"results: {folder}/result.npz, {folder}/scene.tiff; pictures: {folder}/summary.png")

@@ -1,0 +1,67 @@
+"""Ctrl-C and SIGTERM: a run is stopped where it can be continued."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deepir.solve import Progress
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(BaseException):
+    """The user wants the run to stop; `status` is the exit status."""
+
+    def __init__(self, signum: int) -> None:
+        super().__init__(f"signal {signum}")
+        self.status = 128 + signum
+
+
+class Interruptible:
+    """A context in which a signal ends the solve after its iteration; a second one, or one before it, at once.
+
+    It is also the solve's callback: raised from there, the solver saves its state first.
+    """
+
+    def __init__(self) -> None:
+        self.solving, self.requested = False, 0
+        self.former: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruptible:
+        self.former = {signum: signal.signal(signum, self._handle) for signum in SIGNALS}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for signum, handler in self.former.items():
+            signal.signal(signum, handler)
+
+    def __call__(self, progress: Progress) -> None:
+        self.solving = True
+        if self.requested:
+            raise Interrupted(self.requested)
+
+    def _handle(self, signum: int, frame: FrameType | None) -> None:
+        if self.requested or not self.solving:
+            raise Interrupted(signum)
+        self.requested = signum
+        os.write(2, b"\ndeepir: stopping after this iteration; once more stops at once\n")
+
+
+def farewell(error: Interrupted, folder: Path) -> int:
+    """Say how to go on; the exit status."""
+    if (folder / "checkpoint.safetensors").exists():
+        what = f"interrupted; go on with: deepir resume {folder}"
+    elif (folder / "config.yaml").exists():
+        what = f"interrupted before the first checkpoint; start again with: deepir resume {folder}"
+    else:
+        what = "interrupted before anything was written"
+    print(f"deepir: {what}", file=sys.stderr)
+    return error.status

@@ -1,0 +1,35 @@
+"""Total variation that leaves small gradients smooth."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.penalties.penalty import Penalty, squared_gradient
+from deepir.penalties.tv import SCALE
+from deepir.registry import register
+
+
+@register("penalty", "huber_tv")
+class HuberTV(Penalty):
+    """Huber's function of `|∇x|`: quadratic up to `threshold`, in units of `1 / weight`, linear beyond.
+
+    Slopes are not turned into stairs as by TV. Werlberger et al. 2009, "Anisotropic Huber-L1 optical flow", eq. 4.
+    """
+
+    def __init__(self, *, weight: float | None = None, threshold: float = 1.0) -> None:
+        super().__init__(weight=weight)
+        if not 0 < threshold < float("inf"):
+            raise ValueError(f"threshold must be a positive number, not {threshold}")
+        self.threshold = threshold
+
+    def energy(self, value: Tensor) -> Tensor:
+        """`Σ |∇x|² / 2 d` where `|∇x| < d = threshold / weight`, and `Σ |∇x| - d / 2` elsewhere."""
+        d = self.threshold / self.weight.clamp(min=1e-12)
+        squared = squared_gradient(value)
+        linear = squared.clamp(min=d.square().to(squared)).sqrt() - d / 2
+        return torch.where(squared < d.square(), squared / (2 * d), linear).sum(dtype=torch.float64)
+
+    def natural(self, noise: float) -> float:
+        """One nat for a step of `SCALE` standard deviations."""
+        return 1 / (SCALE * noise)

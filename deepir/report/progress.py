@@ -1,0 +1,108 @@
+"""Where a run is: a bar in a terminal, now and then a line elsewhere."""
+
+from __future__ import annotations
+
+import logging
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deepir.solve import Progress
+
+log = logging.getLogger("deepir")
+
+
+class Lines:
+    """Says where the run is when a stage begins and ends, and every `every` seconds."""
+
+    def __init__(self, say: Callable[[str], None], every: float = 10.0) -> None:
+        self.say, self.every = say, every
+        self.start = self.said = time.monotonic()
+        self.first: float | None = None
+        self.last: Progress | None = None
+
+    def __call__(self, progress: Progress) -> None:
+        now = time.monotonic()
+        if self.first is None:
+            self.start, self.first = now, progress.done
+        if (last := self.last) is not None and last.stage != progress.stage:
+            self.say(f"{last.stage} ends at {last.iteration}/{last.iterations}: loss {last.loss:.6g}")
+        if last is None or last.stage != progress.stage or now - self.said > self.every:
+            self.said = now
+            self.say(self._line(progress, now))
+        self.last = progress
+
+    def _line(self, progress: Progress, now: float) -> str:
+        line = f"{progress.stage} {progress.iteration}/{progress.iterations}: loss {progress.loss:.6g}"
+        if math.isfinite(error := progress.held_out()):
+            line += f", held-out error {error:.4g}"
+        if self.first is not None and (gone := progress.done - self.first) > 0:
+            line += f", at most {math.ceil((now - self.start) / gone * (1 - progress.done))} s to go"
+        return line
+
+
+class Bar:
+    """A bar on stderr with stage, iteration, loss, held-out error and the time that is left at most."""
+
+    def __init__(self, every: float = 2.0) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as RichProgress
+
+        self.every, self.last, self.held_out = every, -math.inf, ""
+        self.bar = RichProgress(
+            TextColumn("{task.description:>12}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[what]}"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self.task = self.bar.add_task("registering", total=None, what="")
+
+    def __enter__(self) -> Bar:
+        self.bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.bar.stop()
+
+    def __call__(self, progress: Progress) -> None:
+        now = time.monotonic()
+        if now - self.last > self.every:
+            self.last, error = now, progress.held_out()
+            self.held_out = f"  held-out {error:.4g}" if math.isfinite(error) else ""
+        what = f"{progress.iteration}/{progress.iterations}  loss {progress.loss:.6g}{self.held_out}"
+        self.bar.update(
+            self.task, description=progress.stage, total=1.0, completed=progress.done, what=what
+        )
+
+
+class Warnings(logging.Handler):
+    """Puts the package's warnings on stderr, above the bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.levelno == logging.WARNING:
+            print(f"deepir: {record.getMessage()}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def on_stderr() -> Iterator[Callable[[Progress], None]]:
+    """A context that gives the callback that fits, a bar for a person and lines for a file, and shows warnings."""
+    handler = Warnings()
+    log.addHandler(handler)
+    try:
+        if sys.stderr.isatty():
+            with Bar() as bar:
+                yield bar
+        else:
+            yield Lines(lambda line: print(line, file=sys.stderr, flush=True))
+    finally:
+        log.removeHandler(handler)

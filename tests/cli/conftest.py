@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+
+from deepir.cli import main
+from deepir.simulate import Settings, simulate
+
+CAMERA = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0, motion="shift", dead_pixels=0.0)
+
+
+@pytest.fixture(scope="session")
+def simulation():
+    """A small burst with its truth."""
+    return simulate(None, CAMERA, seed=3)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, simulation):
+    """An empty working folder with `burst.npz` and `burst_truth.npz` in it."""
+    monkeypatch.chdir(tmp_path)
+    simulation.save(tmp_path / "burst.npz")
+    return tmp_path
+
+
+@pytest.fixture
+def deepir(folder, capfd):
+    """Run a command line in `folder`: (status, stdout, stderr)."""
+
+    def run(*arguments):
+        capfd.readouterr()
+        status = main([str(each) for each in arguments])
+        out, err = capfd.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.fixture
+def nuc(deepir):
+    """`deepir run nuc`, quickly: few iterations, one thread."""
+
+    def run(*arguments):
+        return deepir("run", "nuc", "threads=1", "solver.max_iterations=3", *arguments)
+
+    return run
+
+
+@pytest.fixture
+def save(folder):
+    """Save an array as `other.npz`; its name."""
+
+    def write(array, **more):
+        np.savez("other.npz", frames=array, **more)
+        return "other.npz"
+
+    return write

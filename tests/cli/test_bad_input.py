@@ -1,0 +1,239 @@
+"""Bad input: one clear line that says what is wrong and where, exit status 2, nothing written."""
+
+import io
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+RNG = np.random.default_rng(0)
+
+
+def damaged(name):
+    """A file's first part."""
+
+    def write(frames, folder):
+        whole = io.BytesIO()
+        if name.endswith(".tif"):
+            tifffile.imwrite(whole, frames, photometric="minisblack")
+        elif name.endswith(".png"):
+            Image.fromarray(frames[0]).save(whole, format="PNG")
+        else:
+            np.savez(whole, frames=frames)
+        (folder / name).write_bytes(whole.getvalue()[: len(whole.getvalue()) // 3])
+        return name
+
+    return write
+
+
+def stored(change):
+    """`bad.npz` with changed frames."""
+
+    def write(frames, folder):
+        np.savez(folder / "bad.npz", frames=change(frames))
+        return "bad.npz"
+
+    return write
+
+
+def one_frame_is(value):
+    return stored(lambda f: np.concatenate([f[:1], np.full_like(f[:1], value, float), f[2:]]))
+
+
+def pictures_of_two_sizes(frames, folder):
+    (folder / "pictures").mkdir()
+    Image.fromarray(frames[0]).save(folder / "pictures/a.png")
+    Image.fromarray(frames[1][:30]).save(folder / "pictures/b.png")
+    return "pictures"
+
+
+def two_arrays(frames, folder):
+    np.savez(folder / "bad.npz", a=frames, b=frames)
+    return "bad.npz"
+
+
+def text(frames, folder):
+    (folder / "bad.npz").write_text("hello")
+    return "bad.npz"
+
+
+DATA = {
+    "a missing file": (lambda f, d: "brust.npz", ["no such file", "did you mean 'burst.npz'"]),
+    "an empty folder": (lambda f, d: (d / "none").mkdir() or "none", ["no pictures"]),
+    "a truncated npz": (damaged("bad.npz"), ["bad.npz", "damaged or truncated"]),
+    "a truncated tiff": (damaged("bad.tif"), ["bad.tif", "truncated"]),
+    "a truncated png": (damaged("bad.png"), ["bad.png", "damaged or truncated"]),
+    "no picture at all": (text, ["not a format that deepir reads", ".tiff"]),
+    "pickled arrays": (stored(lambda f: np.array([{}, 1], object)), ["pickled", "never loaded"]),
+    "two arrays": (two_arrays, ["which array", "data.key", "a (3, 40, 48)"]),
+    "colour": (stored(lambda f: np.stack([f] * 3, -1)), ["shape (3, 40, 48, 3)", "(frames, height, width)"]),
+    "complex numbers": (stored(lambda f: f * 1j), ["complex"]),
+    "one frame": (stored(lambda f: f[:1]), ["1 frame(s)", "at least 2"]),
+    "tiny frames": (stored(lambda f: f[:, :8, :8]), ["8 x 8 px is too small"]),
+    "pictures of two sizes": (pictures_of_two_sizes, ["differ in size", "a.png is 40 x 48", "b.png is 30 x 48"]),
+    "nothing but NaN": (stored(lambda f: f * np.nan), ["frame 0 is 100% NaN", "data.frames"]),
+    "a frame of NaN": (one_frame_is(np.nan), ["frame 1 is 100% NaN"]),
+    "a constant frame": (one_frame_is(7.0), ["frame 1 is 7 everywhere"]),
+    "identical frames": (stored(lambda f: f[[0, 0, 0]]), ["do not move", "cannot be told apart", "3 to 10 px"]),
+    "a camera at rest": (
+        stored(lambda f: f[[0, 0, 0]] + RNG.normal(0, 3, f.shape)),
+        ["do not move", "cannot be told apart", "3 to 10 px"],
+    ),
+    "unrelated frames": (stored(lambda f: RNG.normal(8000, 300, f.shape)), ["only 1 of 3 frames register"]),
+}
+
+
+@pytest.mark.parametrize("what", DATA)
+def test_data(what, nuc, folder, simulation):
+    make, expected = DATA[what]
+    path = make(simulation.frames, folder)
+    refused(nuc(f"data.path={path}"), folder, *expected)
+
+
+def test_an_unreadable_file(nuc, folder):
+    refused(nuc("data.path=/dev/null"), folder, "not an ordinary file")
+
+
+SETTINGS = {
+    # keys and values
+    "sede=3": ["'sede=3'", "no option 'sede'", "did you mean 'seed'", "threads"],
+    "data.pth=x": ["no option 'data.pth'", "did you mean 'path'"],
+    "solver.max_iterations=abc": ["solver.max_iterations = 'abc'", "a whole number is needed"],
+    "solver.max_iterations=-1": ["greater than or equal to 0"],
+    "seed=1.5": ["seed = 1.5", "a whole number"],
+    "seed=": ["value is missing", "seed=null"],
+    "seed=[": ["not a YAML value"],
+    "seed": ["'seed'", "key=value"],
+    "burst.npz": ["key=value", "did you mean data.path=burst.npz?"],
+    "noise=loud": ["'auto' or a mapping with read, photons"],
+    "noise={red: 3}": ["no option 'noise.red'", "did you mean 'read'"],
+    "solver=fast": ["a mapping with max_iterations, plan"],
+    "solver.plan=[{name: a, steps: [{group: [scen]}]}]": ["no unknown 'scen'", "did you mean 'scene'"],
+    "solver.plan=[{name: a, steps: [{group: [scene], metod: adam}]}]": ["metod", "did you mean 'method'"],
+    # components
+    "method=averge": ["method: ", "did you mean 'average'", "joint"],
+    "problem=nuk": ["problem: ", "did you mean 'nuc'"],
+    "prior=tvv": ["prior: ", "did you mean 'tv'"],
+    "fidelity=gausian": ["fidelity: ", "did you mean 'gaussian'"],
+    "scene.type=os.system": ["scene: no field is called 'os.system'", "pixels"],
+    "scene.width=3": ["scene (field 'pixels'): no option 'width'"],
+    "scene.init=zero": ["scene.init = 'zero'"],
+    "scene.penalties=tv": ["scene.penalties = 'tv'", "scene.penalties.tv="],
+    "scene.penalties.tvv.weight=1": ["scene.penalties.tvv", "did you mean 'tv'"],
+    "scene.penalties.tv.wieght=1": ["scene.penalties.tv", "did you mean 'weight'"],
+    "scene.penalties.tv.weight=big": ["scene.penalties.tv", "weight = 'big': a number is needed"],
+    "physics.warp.motion=rigit": ["physics.warp.motion: ", "did you mean 'rigid'"],
+    "physics.warp.motion=null": ["physics.warp.motion: missing"],
+    "physics.sensor.gian=1": ["physics.sensor: no 'gian'", "did you mean 'gain'"],
+    "physics.sensor.gain=colum+row": ["physics.sensor.gain.colum", "did you mean 'column'"],
+    "physics.sensor.gain.pixel.sigm=1": ["physics.sensor.gain.pixel", "did you mean 'sigma'"],
+    "physics.sensor.gain=true": ["physics.sensor.gain = True", "'type'"],
+    "physics.sensor.gain.fixed=maybe": ["physics.sensor.gain.fixed = 'maybe'"],
+    "physics.sensor.gain.init=[1]": ["physics.sensor.gain.init = [1]"],
+    "physics.sensor.gain={type: constant, path: no.npy}": ["physics.sensor.gain: ", "no.npy: no such file"],
+    "physics.sensor=null": ["problem 'nuc'", "no unknown 'gain'"],
+    # stages
+    "physics.senser.gain=1": ["physics.senser: not a stage", "did you mean 'sensor'", "before"],
+    "physics.senser=null": ["no 'senser' to remove", "did you mean 'sensor'"],
+    "physics.foo.before=sensor": ["physics.foo: no operator", "blur"],
+    "physics.blur={before: senor}": ["physics.blur.before: no stage 'senor'", "did you mean 'sensor'"],
+    "physics.downsample={before: sensor, factor: two}": ["physics.downsample", "factor = 'two'"],
+    "physics.warp=shift": ["physics.warp = 'shift': a mapping is needed"],
+    # data
+    "data.crop=[0,100,0,10]": ["data.crop: ", "not inside the frame of 40 x 48 px"],
+    "data.crop=0,40,0,48": ["data.crop = '0,40,0,48': a list [...] of whole numbers"],
+    "data.crop=[0,40]": ["data.crop: [0, 40] must be four numbers"],
+    "data.frames=0:99": ["do not fit its 3 frames"],
+    "data.key=frame": ["no array 'frame'", "frames"],
+    "data.mask=none.npy": ["none.npy: no such file"],
+    "data.truth=none.npz": ["none.npz: no such file"],
+    # machine and folder
+    "device=gpu": ["device: 'gpu' cannot be used here", "there is cpu"],
+    "output.dir=burst.npz": ["output.dir: ", "is a file"],
+    "output.dir=burst.npz/a": ["output.dir: ", "cannot be written"],
+    "output.dir=/proc/none": ["output.dir: /proc/none cannot be written"],
+}
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_setting(setting, nuc, folder):
+    refused(nuc("data.path=burst.npz", setting), folder, *SETTINGS[setting])
+
+
+def test_a_device_that_is_absent(nuc, folder):
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU here")
+    refused(nuc("data.path=burst.npz", "device=cuda"), folder, "device: 'cuda' cannot be used here", "there is cpu")
+
+
+def test_a_mask_of_another_size(nuc, folder):
+    np.save("mask.npy", np.zeros((10, 12)))
+    refused(nuc("data.path=burst.npz", "data.mask=mask.npy"), folder, "the mask is 10 x 12 px", "40 x 48 px")
+
+
+def test_a_stage_that_was_removed_is_no_place_to_go(nuc, folder):
+    settings = ("data.path=burst.npz", "physics.sensor=null", "physics.blur.before=sensor")
+    refused(nuc(*settings), folder, "physics.blur.before: no stage 'sensor'", "warp")
+
+
+YAML = {
+    "physics: {warp: [\n": ["broken YAML", "line 2"],
+    "- a\n": ["a mapping of keys to values"],
+    "prior: tv\nprior: tv\n": ["key 'prior' twice"],
+    "prior: tv\n": ["physics is missing"],
+    "physics: {warp: {}}\nprio: tv\n": ["no option 'prio'", "did you mean 'prior'"],
+    "physics: !!python/name:os.system\n": ["broken YAML"],
+}
+
+
+@pytest.mark.parametrize("content", YAML)
+def test_a_broken_configuration(content, deepir, folder):
+    (folder / "my.yaml").write_text(content)
+    refused(deepir("run", "my.yaml", "data.path=burst.npz"), folder, "my.yaml", *YAML[content])
+
+
+COMMANDS = {
+    "rn nuc": ["No such command 'rn'", "Did you mean 'run'"],
+    "nuc": ["did you mean `deepir run nuc`"],
+    "run": ["Missing argument"],
+    "run nuk": ["no configuration 'nuk'", "did you mean 'nuc'"],
+    "run my.yaml": ["no configuration 'my.yaml'"],
+    "run burst.npz": ["not a configuration", "deepir run nuc data.path=burst.npz"],
+    "run nuc": ["data.path is missing"],
+    "run nuc --seed 3": ["No such option: --seed", "seed=..."],
+    "run nuc data.path=burst.npz --plugin nope": ["plugin 'nope' cannot be imported"],
+    "resume": ["Missing argument"],
+    "resume nope": ["nope: no run in this folder"],
+    "check brust.npz": ["no such file", "did you mean 'burst.npz'"],
+    "check nuc sede=3": ["did you mean 'seed'"],
+    "check burst.npz seed=3": ["settings go with a configuration"],
+    "simulate out.txt": ["out.txt", ".npz"],
+    "simulate none/out.npz": ["a folder that exists"],
+    "simulate burst.npz": ["burst.npz exists", "--overwrite"],
+    "simulate out.npz n_frame=3": ["simulate: no option 'n_frame'", "did you mean 'n_frames'"],
+    "simulate out.npz n_frames=many": ["n_frames = 'many': a whole number"],
+    "simulate out.npz motion=rigit": ["did you mean 'rigid'"],
+    "simulate out.npz --scene none.png": ["none.png: no such file"],
+    "--vresion": ["No such option: --vresion", "--version"],
+}
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_command(line, deepir, folder):
+    refused(deepir(*line.split()), folder, *COMMANDS[line])
+
+
+def refused(outcome, folder, *expected):
+    """Status 2, one line on stderr that says all that is expected, and no output."""
+    status, out, err = outcome
+    assert status == 2, err
+    assert err.startswith("deepir: error: ")
+    assert err.count("\n") == 1
+    for words in expected:
+        assert words in err
+    assert out == ""
+    assert not (folder / "runs").exists()
+    assert not [*folder.rglob("config.yaml"), *folder.rglob("*.log")]

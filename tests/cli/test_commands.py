@@ -1,0 +1,100 @@
+"""The other commands, and what the command line is like as a whole."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import deepir as package
+
+
+def test_help_is_quick_and_does_without_torch():
+    code = "import sys; from deepir.cli import main; main(['--help']); print({'torch', 'numpy'} & set(sys.modules))"
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert time.perf_counter() - start < 0.5
+    assert done.stdout.endswith("set()\n")
+    for command in ("run", "demo", "simulate", "resume", "list", "check"):
+        assert f"\n  {command} " in done.stdout
+
+
+def test_importing_deepir_does_not_import_torch():
+    code = "import sys, deepir; print('torch' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
+
+
+def test_version(deepir):
+    assert deepir("--version") == (0, f"deepir {package.__version__}\n", "")
+
+
+@pytest.mark.parametrize("command", ["run", "demo", "simulate", "resume", "list", "check"])
+def test_every_command_explains_itself(deepir, command):
+    status, out, _ = deepir(command, "--help")
+    assert status == 0
+    assert f"Usage: deepir {command}" in out
+
+
+def test_list_has_a_line_for_each_component(deepir):
+    status, out, _ = deepir("list")
+    assert status == 0
+    for line in ("  joint ", "  average ", "  warp ", "  rigid ", "  tv ", "  gaussian ", "  nuc "):
+        assert line in out
+    assert all(len(line.split(maxsplit=1)) == 2 for line in out.splitlines() if line.startswith("  "))
+
+
+def test_check_describes_a_burst(deepir, folder):
+    status, out, _ = deepir("check", "burst.npz")
+    assert status == 0
+    assert "3 frame(s) of 40 x 48 px" in out
+    assert "deepir run nuc data.path=burst.npz" in out
+
+
+def test_check_describes_a_configuration_and_writes_nothing(deepir, folder):
+    before = sorted(folder.rglob("*"))
+    status, out, _ = deepir("check", "nuc", "data.path=burst.npz", "physics.warp.motion=affine")
+    assert status == 0
+    for words in ("problem nuc", "motion affine", "prior tv", "3 frame(s)", "runs/nuc, free"):
+        assert words in out
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_check_of_a_configuration_needs_no_data(deepir):
+    status, out, _ = deepir("check", "nuc")
+    assert status == 0
+    assert "data: none given" in out
+
+
+def test_check_sees_a_former_run(deepir, nuc):
+    nuc("data.path=burst.npz")
+    assert "holds another run (finished)" in deepir("check", "nuc")[1]
+
+
+def test_simulate_writes_a_burst_and_its_truth(deepir, folder):
+    status, out, _ = deepir("simulate", "new.npz", "n_frames=4", "shape=[32,48]", "counts=true", "--seed", "2")
+    assert status == 0
+    assert "new_truth.npz" in out
+    stored = np.load("new.npz")
+    assert stored["frames"].shape == (4, 32, 48)
+    assert json.loads(str(stored["settings"]))["seed"] == 2
+    assert np.load("new_truth.npz")["scene"].shape == (32, 48)
+
+
+def test_simulate_takes_a_picture(deepir, folder):
+    Image.fromarray(np.add.outer(np.arange(90), np.arange(120)).astype(np.uint8)).save("scene.png")
+    status, _, err = deepir("simulate", "new.npz", "shape=[24,32]", "max_shift=2", "--scene", "scene.png")
+    assert status == 0, err
+
+
+def test_demo_prints_what_it_gains_and_runs_again(deepir, folder, monkeypatch):
+    monkeypatch.setattr(sys.modules["deepir.cli.demo"], "SIZE", (40, 48))
+    for _ in range(2):
+        status, out, err = deepir("demo")
+        assert status == 0, err
+        for words in ("one frame", "registered average", "deepir", "dB", "runs/demo/summary.png"):
+            assert words in out
+        assert Path("runs/demo/burst_truth.npz").exists()

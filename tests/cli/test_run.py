@@ -1,0 +1,183 @@
+"""`deepir run`: what a finished run leaves, and what it never touches."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+
+from deepir.folder import FILES
+
+ENDED = {"config.yaml", "run.json", "deepir.log", "result.npz", "scene.tiff", "scene_preview.png", "summary.png", "metrics.json"}
+PLUGIN = '''
+from deepir.priors.pixels import Pixels
+from deepir.registry import register
+
+@register("field", "my_pixels")
+class MyPixels(Pixels):
+    """Like pixels."""
+'''
+
+
+def held(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_a_finished_run_leaves_its_files_in_its_folder(nuc, folder):
+    status, out, _ = nuc("data.path=burst.npz", "data.truth=burst_truth.npz")
+    assert status == 0
+    assert held(folder / "runs/nuc") == ENDED
+    assert "runs/nuc/result.npz" in out
+    assert "PSNR" in out
+
+
+def test_the_result_holds_every_array_on_its_grid(nuc, folder):
+    nuc("data.path=burst.npz")
+    found = np.load("runs/nuc/result.npz")
+    shapes = {name: found[name].shape for name in found}
+    assert shapes == {
+        "scene": (40, 48), "gain": (40, 48), "offset": (40, 48), "motion": (3, 3, 3), "level": (3,),
+        "bad_pixels": (40, 48), "frames_used": (3,),
+    }  # fmt: skip
+    assert found["scene"].dtype == np.float32
+    assert found["bad_pixels"].dtype == found["frames_used"].dtype == bool
+    assert np.array_equal(tifffile.imread("runs/nuc/scene.tiff"), found["scene"])
+
+
+def test_metrics_are_json_without_nan(nuc, folder):
+    nuc("data.path=burst.npz", "data.truth=burst_truth.npz")
+    metrics = json.loads((folder / "runs/nuc/metrics.json").read_text(), parse_constant=pytest.fail)
+    wanted = "seconds iterations evaluations stop_reason peak_memory_mb noise_sigma held_out_rmse strengths"
+    assert {*wanted.split(), "psnr", "ssim", "psnr_aligned", "ssim_aligned"} <= set(metrics)
+    assert 0 < metrics["seconds"] < 60
+    assert 50 < metrics["peak_memory_mb"] < 5000
+
+
+def test_the_average_has_the_same_metrics(nuc, folder):
+    assert nuc("data.path=burst.npz", "method=average")[0] == 0
+    metrics = json.loads((folder / "runs/nuc/metrics.json").read_text())
+    assert metrics["held_out_rmse"] is None
+    assert metrics["strengths"] == {}
+
+
+def test_the_log_names_versions_input_and_stages(nuc, folder):
+    nuc("data.path=burst.npz")
+    log = (folder / "runs/nuc/deepir.log").read_text()
+    for words in ("torch", "sha256", "burst.npz", "scene 1/3", "finished"):
+        assert words in log
+
+
+def test_another_run_is_refused(nuc, folder):
+    nuc("data.path=burst.npz")
+    before = (folder / "runs/nuc/result.npz").read_bytes()
+    status, _, err = nuc("data.path=burst.npz", "seed=1")
+    assert status == 2
+    assert "holds another run (finished)" in err
+    assert "--overwrite" in err
+    assert (folder / "runs/nuc/result.npz").read_bytes() == before
+
+
+def test_overwrite_replaces_the_run_and_nothing_else(nuc, folder):
+    nuc("data.path=burst.npz", "seed=1")
+    (folder / "runs/nuc/notes.txt").write_text("mine")
+    assert nuc("data.path=burst.npz", "seed=2", "--overwrite")[0] == 0
+    assert held(folder / "runs/nuc") == ENDED | {"notes.txt"}
+    assert "seed: 2" in (folder / "runs/nuc/config.yaml").read_text()
+
+
+def test_overwriting_with_bad_data_keeps_the_former_run(nuc, folder, save, simulation):
+    nuc("data.path=burst.npz")
+    before = {path.name: path.read_bytes() for path in (folder / "runs/nuc").iterdir()}
+    still = save(simulation.frames[[0, 0, 0]])
+    assert nuc(f"data.path={still}", "--overwrite")[0] == 2
+    assert {path.name: path.read_bytes() for path in (folder / "runs/nuc").iterdir()} == before
+
+
+def test_files_that_no_run_wrote_are_safe_even_from_overwrite(nuc, folder):
+    (folder / "scene.tiff").write_text("mine")
+    status, _, err = nuc("data.path=burst.npz", "output.dir=.", "--overwrite")
+    assert status == 2
+    assert "scene.tiff, which no run of deepir wrote" in err
+    assert (folder / "scene.tiff").read_text() == "mine"
+
+
+def test_a_run_may_lie_beside_other_files(nuc, folder):
+    (folder / "mine").mkdir()
+    (folder / "mine/notes.txt").write_text("mine")
+    assert nuc("data.path=burst.npz", "output.dir=mine")[0] == 0
+    assert held(folder / "mine") == ENDED | {"notes.txt"}
+
+
+def test_a_run_does_not_replace_its_own_input(nuc, folder):
+    nuc("data.path=burst.npz")
+    status, _, err = nuc("data.path=runs/nuc/result.npz", "data.key=scene", "--overwrite")
+    assert status == 2
+    assert "would replace" in err
+
+
+def test_the_written_configuration_runs_again(nuc, deepir, folder):
+    nuc("data.path=burst.npz", "physics.sensor.offset=null", "scene.penalties.tv=null")
+    first = np.load("runs/nuc/result.npz")["scene"]
+    assert deepir("run", "runs/nuc/config.yaml", "output.dir=again", "scene.penalties.tv=null")[0] == 0
+    assert np.array_equal(np.load("again/result.npz")["scene"], first)
+
+
+def test_a_plugin_beside_the_user_is_found_and_resume_asks_for_it(nuc, deepir, folder, monkeypatch):
+    (folder / "mine.py").write_text(PLUGIN)
+    settings = ("data.path=burst.npz", "scene.type=my_pixels")
+    assert nuc(*settings, "--plugin", "mine")[0] == 0
+    assert "my_pixels" in deepir("list", "--plugin", "mine")[1]
+    (folder / "runs/nuc/metrics.json").unlink()
+    status, _, err = deepir("resume", "runs/nuc")
+    assert status == 2
+    assert "deepir resume runs/nuc --plugin mine" in err
+    assert deepir("resume", "runs/nuc", "--plugin", "mine")[0] == 0
+
+
+def test_a_plugin_that_fails_names_itself(nuc, folder):
+    (folder / "broken.py").write_text("1 / 0")
+    status, _, err = nuc("data.path=burst.npz", "--plugin", "broken")
+    assert (status, err) == (2, "deepir: error: plugin 'broken' cannot be imported: division by zero\n")
+
+
+def test_a_diverging_solve_ends_with_status_1_and_keeps_its_state(nuc, folder, monkeypatch):
+    monkeypatch.setattr("deepir.optimisers.lbfgs.LBFGS._at", lambda self, x: (float("nan"), x * float("nan")))
+    status, _, err = nuc("data.path=burst.npz")
+    assert status == 1
+    assert "deepir: error: the objective is not a number" in err
+    assert "checkpoint.safetensors" in held(folder / "runs/nuc")
+
+
+def test_something_unforeseen_is_one_line_and_a_traceback_in_the_log(nuc, folder, monkeypatch):
+    monkeypatch.setattr("deepir.joint.solve", lambda *a, **k: 1 / 0)
+    status, _, err = nuc("data.path=burst.npz")
+    assert status == 1
+    assert err.count("\n") == 1
+    assert "ZeroDivisionError" in err
+    assert "Traceback" in (folder / "runs/nuc/deepir.log").read_text()
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [(MemoryError(), "not enough memory"), (RuntimeError("DefaultCPUAllocator: not enough memory"), "data.crop")],
+)
+def test_too_little_memory_says_what_to_do(nuc, monkeypatch, error, words):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr("deepir.joint.solve", fail)
+    status, _, err = nuc("data.path=burst.npz")
+    assert status == 1
+    assert words in err
+
+
+def test_a_full_disk_is_one_line_and_the_state_stays(nuc, folder, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("deepir.io.write.np.savez_compressed", full)
+    status, _, err = nuc("data.path=burst.npz")
+    assert status == 2
+    assert "result.npz: cannot be written: No space left on device" in err
+    assert held(folder / "runs/nuc") <= set(FILES)
+    assert "config.yaml" in held(folder / "runs/nuc")

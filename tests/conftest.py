@@ -1,0 +1,66 @@
+"""Shared by all tests."""
+
+import pytest
+import torch
+
+
+@pytest.fixture(autouse=True)
+def seed():
+    """Every test draws the same numbers, whichever run before it."""
+    torch.manual_seed(0)
+
+
+@pytest.fixture
+def small_nuc():
+    """Makes a small burst with its problem: warp and sensor, gain and offset as parts, TV or ridge on the scene.
+
+    `make(...)` returns the problem, at the true motion and with the scene at one frame.
+    """
+    from deepir.operators import Sensor, Warp
+    from deepir.penalties.ridge import Ridge
+    from deepir.penalties.tv import TV
+    from deepir.priors.constant import Constant
+    from deepir.priors.motion import Shift
+    from deepir.priors.parts import Column, Pixel, Row, Sum
+    from deepir.priors.pixels import Pixels
+    from deepir.problem import Problem
+
+    def make(*, pedestal=50.0, quadratic=False, noise=0.1, n_frames=3, size=(10, 12), dtype=torch.float64):
+        canvas = (size[0] + 6, size[1] + 6)
+        chain = Sensor() @ Warp(size, canvas, (3, 3))
+        maps, motions = (1, 1, *size), (n_frames, 3, 3)
+
+        def parts(neutral, sigmas):
+            kinds = zip((Column, Row, Pixel), sigmas, strict=True)
+            return Sum(maps, neutral, {k.__name__.lower(): k(maps, sigma=s) for k, s in kinds})
+
+        fields = {
+            "scene": Pixels((1, 1, *canvas)),
+            "motion": Shift(motions, size=size),
+            "gain": parts(1.0, (0.02, 0.01, 0.02)),
+            "offset": parts(0.0, (0.5, 0.2, 0.3)),
+            "level": Constant((n_frames, 1, 1, 1)),
+        }
+        y, x = torch.meshgrid(*(torch.arange(side) / 3.0 for side in canvas), indexing="ij")
+        scene = pedestal + 5 * ((x.sin() + (1.3 * y).cos()) > 0.4) + x.cos() * y.sin()
+        motion = torch.eye(3).repeat(n_frames, 1, 1)
+        motion[1:, :2, 2] = 4 * torch.rand(n_frames - 1, 2) - 2
+        truth = {
+            "scene": scene[None, None],
+            "motion": motion,
+            "gain": 1 + 0.02 * torch.randn(maps) + 0.02 * torch.randn(1, 1, 1, size[1]),
+            "offset": 0.3 * torch.randn(maps) + 0.2 * torch.randn(1, 1, size[0], 1),
+        }
+        slots = {slot: truth.get(slot.rpartition(".")[2], torch.zeros(n_frames, 1, 1, 1)) for slot in chain.slots(
+            (1, 1, *canvas), n_frames)}  # fmt: skip
+        data = chain(truth["scene"], **slots)
+        data = data + noise * torch.randn_like(data)
+        penalty = Ridge(weight=0.04, center=pedestal) if quadratic else TV(weight=2.0)
+        precision = torch.full_like(data, 1 / 0.1**2)
+        problem = Problem(chain, fields, data, precision, penalties={"scene": {"prior": penalty}}).to(dtype)
+        fields["motion"].init_from(motion)
+        fields["scene"].init_from(scene[None, None] + 0.5 * torch.randn(1, 1, *canvas))
+        problem.truth = truth
+        return problem
+
+    return make

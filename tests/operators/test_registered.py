@@ -1,0 +1,245 @@
+"""Every registered operator is what it says it is, and what an independent reference says it should be."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage, signal
+from skimage.measure import block_reduce
+
+from deepir.operators import Blur, Downsample, Operator, Sensor, Warp
+from deepir.registry import components
+from deepir.testing import check_operator
+
+
+def warp(x, slots):
+    size, origin = (6, 7), (2, 3)  # of the example
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    points = np.stack((columns - 3.0, rows - 2.5, np.ones(size)), -1)
+    frames = []
+    for matrix in slots["motion"]:
+        px, py, pz = (points @ matrix.T).transpose(2, 0, 1)
+        at = (py / pz + 2.5 + origin[0], px / pz + 3.0 + origin[1])
+        frames.append([ndimage.map_coordinates(x[0, 0], at, order=1, mode="nearest")])
+    return np.array(frames)
+
+
+def blur(x, slots):
+    return np.stack([[signal.convolve2d(c, slots["psf"][0, 0], mode="valid") for c in frame] for frame in x])
+
+
+def downsample(x, slots):
+    return block_reduce(x, (1, 1, 3, 3), np.mean)
+
+
+def sensor(x, slots):
+    y = np.empty_like(x)
+    for index in np.ndindex(x.shape):
+        k, _, i, j = index
+        gain, offset = slots["gain"][0, 0, i, j], slots["offset"][0, 0, i, j]
+        y[index] = gain * x[index] + offset + slots["level"][k, 0, 0, 0]
+    return y
+
+
+def add(x, slots):
+    return np.stack([frame + slots["value"][0] for frame in x])
+
+
+REFERENCES = {"warp": warp, "blur": blur, "downsample": downsample, "sensor": sensor, "add": add}
+
+
+@pytest.mark.parametrize("name", components("operator"))
+def test_the_example_of_every_registered_operator_passes(name):
+    operator, x, slots = components("operator")[name].example()
+    check_operator(operator, x, slots, reference=REFERENCES.get(name))
+
+
+def test_the_references_belong_to_operators():
+    assert REFERENCES.keys() <= components("operator").keys()
+
+
+class Broken(Operator):
+    def forward(self, x, **slots):
+        return 2 * x
+
+
+class Shrinks(Broken):
+    def forward(self, x, **slots):
+        return x[..., 1:]
+
+
+class Casts(Broken):
+    def forward(self, x, **slots):
+        return x.double()
+
+
+class Remembers(Broken):
+    calls = 0
+
+    def forward(self, x, **slots):
+        self.calls += 1
+        return x * self.calls
+
+
+class Overwrites(Broken):
+    def forward(self, x, **slots):
+        return x.mul_(1 + 1e-3) / x * x.clone() if x.requires_grad else x.add_(1) - 1
+
+
+class Shifts(Broken):
+    def forward(self, x, **slots):
+        return x + 1
+
+
+class Squares(Broken):
+    linear = False
+
+    def forward(self, x, **slots):
+        return x.square()
+
+
+class WrongAdjoint(Broken):
+    def adjoint(self, y, x_shape, **slots):
+        return y
+
+
+class Smears(Broken):
+    def forward(self, x, **slots):
+        return x + x.roll(1, -1)
+
+
+class WrongGradient(Broken):
+    def forward(self, x, **slots):
+        return x + x.detach()
+
+    def adjoint(self, y, x_shape, **slots):
+        return 2 * y
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (Shrinks, "out_shape"),
+        (Casts, "float32 became"),
+        (Remembers, "state"),
+        (Overwrites, "state|in place"),
+        (Shifts, "linear = False"),
+        (Squares, "not linear in x"),
+        (WrongAdjoint, "<A x, y>"),
+        (Smears, "depends on an invalid"),
+        (WrongGradient, "wrong gradient"),
+    ],
+)
+def test_a_broken_operator_is_found_out(broken, message):
+    x = torch.rand(2, 1, 5, 6, dtype=torch.float64)
+    with pytest.raises(AssertionError, match=message):
+        check_operator(broken(), x, {})
+
+
+def test_a_forward_map_or_an_adjoint_unlike_the_reference_is_found_out():
+    x = torch.rand(1, 1, 3, 4, dtype=torch.float64)
+    with pytest.raises(AssertionError, match="forward map"):
+        check_operator(Broken(), x, {}, reference=lambda x, slots: 3 * x)
+
+
+def test_a_nonlinear_operator_may_say_so():
+    class Honest(Squares):
+        affine = False
+
+    check_operator(Honest(), torch.rand(2, 1, 5, 6, dtype=torch.float64), {}, reference=lambda x, slots: x**2)
+
+
+@pytest.mark.parametrize("n_scenes", [1, 3])
+@pytest.mark.parametrize("channels", [1, 2])
+def test_warp_takes_one_canvas_or_one_for_each_frame_and_several_channels(n_scenes, channels):
+    operator, _, slots = Warp.example()
+    x = torch.rand(n_scenes, channels, 11, 12, dtype=torch.float64)
+    y = operator(x, **slots)
+    assert y.shape == operator.out_shape(x.shape, 3) == (3, channels, 6, 7)
+    for k in range(3):
+        for c in range(channels):
+            each = operator(x[k if n_scenes > 1 else 0, c][None, None], motion=slots["motion"][k : k + 1])
+            assert torch.allclose(y[k, c], each[0, 0])
+
+
+def test_a_motion_given_as_points_is_the_same_as_the_homography():
+    from deepir.operators.warp import coords
+
+    operator, x, slots = Warp.example()
+    points = coords(slots["motion"], operator.size)
+    assert torch.allclose(operator(x, motion=points), operator(x, **slots))
+    assert torch.equal(operator.valid(torch.ones_like(x), motion=points), operator.valid(torch.ones_like(x), **slots))
+
+
+def test_a_motion_that_is_not_a_number_gives_numbers_and_gradients():
+    # torch's own grid_sample takes the process down with it.
+    operator, x, slots = Warp.example()
+    for bad in (float("nan"), float("inf"), -1e30):
+        for index in ((1, 0, 2), (1, 0, 0), (1, 2, 1)):
+            motion = slots["motion"].clone()
+            motion[index] = bad
+            motion.requires_grad_()
+            x = x.detach().requires_grad_()
+            y = operator(x, motion=motion)
+            assert y.isfinite().all()
+            assert all(g.isfinite().all() for g in torch.autograd.grad(y.sum(), (x, motion)))
+
+
+def test_a_scene_that_is_not_the_canvas_is_refused():
+    operator, x, slots = Warp.example()
+    with pytest.raises(ValueError, match="the canvas is"):
+        operator(x[..., 1:], **slots)
+
+
+def test_kornia_warps_the_same_way():
+    # Second opinion: kornia takes the inverse, in array indices. Its align_corners=False is right from 0.9 on.
+    from kornia.geometry.transform import warp_perspective
+
+    torch.manual_seed(0)
+    motion = torch.eye(3, dtype=torch.float64).repeat(4, 1, 1)
+    motion[:, :2] += 0.02 * torch.randn(4, 2, 3, dtype=torch.float64)
+    motion[:, :2, 2] *= 100
+    motion[:, 2, :2] = 1e-4 * torch.randn(4, 2, dtype=torch.float64)
+    operator = Warp((30, 41), (50, 60), (9, 8))
+    x = torch.rand(1, 1, 50, 60, dtype=torch.float64)
+    to_centre, to_canvas = torch.eye(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+    to_centre[:2, 2] = torch.tensor([-20, -14.5])
+    to_canvas[:2, 2] = torch.tensor([20 + 8, 14.5 + 9])
+    pushed = torch.linalg.inv(to_canvas @ motion @ to_centre)
+    inside = operator.valid(torch.ones_like(x), motion=motion) > 0
+    assert inside.double().mean() > 0.9
+    for align_corners in (False, True):
+        theirs = warp_perspective(x.expand(4, 1, 50, 60), pushed, (30, 41), align_corners=align_corners)
+        assert torch.allclose(operator(x, motion=motion)[inside], theirs[inside], atol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [1, 2, 5])
+def test_downsample_takes_any_integer_factor(factor):
+    x = torch.rand(1, 1, 20, 30, dtype=torch.float64)
+    wanted = block_reduce(x.numpy(), (1, 1, factor, factor), np.mean)
+    assert np.allclose(Downsample(factor=factor)(x), wanted)
+
+
+def test_downsample_refuses_sides_that_do_not_divide():
+    with pytest.raises(ValueError, match="21 x 30 is no multiple"):
+        Downsample(factor=2)(torch.rand(1, 1, 21, 30))
+    with pytest.raises(ValueError, match="at least 1"):
+        Downsample(factor=0)
+
+
+def test_blur_has_a_radius_and_takes_several_channels():
+    with pytest.raises(ValueError, match="at least 0"):
+        Blur(radius=-1)
+    x, psf = torch.rand(2, 3, 6, 7, dtype=torch.float64), torch.rand(1, 1, 3, 3, dtype=torch.float64)
+    assert np.allclose(Blur(radius=1)(x, psf=psf), blur(x.numpy(), {"psf": psf.numpy()}))
+
+
+def test_a_large_kernel_still_sees_one_invalid_pixel():
+    mask = torch.ones(1, 1, 151, 151)
+    mask[0, 0, 75, 75] = 0
+    assert Blur(radius=60).valid(mask, psf=torch.ones(1, 1, 121, 121)).sum() == 0
+
+
+def test_the_sensor_of_neutral_slots_changes_nothing():
+    x = torch.rand(3, 1, 4, 5)
+    shapes = Sensor().slots(x.shape, 3)
+    assert torch.equal(Sensor()(x, **{n: torch.full(s, Sensor.neutral[n]) for n, s in shapes.items()}), x)

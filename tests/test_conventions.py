@@ -1,0 +1,243 @@
+"""Each convention of docs/conventions.md, pinned."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepir.build import MARGIN, _canvas, build
+from deepir.burst import Burst
+from deepir.config import load
+from deepir.fidelity import Gaussian
+from deepir.operators import Add, Blur, Chain, Downsample, Sensor, Warp
+from deepir.penalties.tv import TV
+from deepir.priors.parts import Pixel
+from deepir.registry import components
+from deepir.result import Result, to_gauge
+
+few = settings(max_examples=25, deadline=None)
+
+
+def homography(*, angle=0.0, x=0.0, y=0.0):
+    cos, sin = math.cos(angle), math.sin(angle)
+    return torch.tensor([[cos, -sin, x], [sin, cos, y], [0, 0, 1]], dtype=torch.float64)
+
+
+def warped(scene, motion, size, origin):
+    operator = Warp(size, tuple(scene.shape), origin)
+    return operator(scene[None, None], motion=motion[None])[0, 0]
+
+
+def picture(height=21, width=24):
+    return torch.rand(height, width, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+
+
+# The model
+
+
+def test_the_model_is_gain_times_blurred_integrated_warped_scene_plus_stray_then_offset_and_level():
+    stages = {"warp": Warp((14, 16), (20, 22), (3, 3)), "blur": Blur(radius=1), "downsample": Downsample(factor=2)}
+    chain = Chain({**stages, "stray": Add(), "sensor": Sensor()})
+    shapes = chain.slots((1, 1, 20, 22), 2)
+    assert list(shapes) == ["warp.motion", "blur.psf", "stray.value", "sensor.gain", "sensor.offset", "sensor.level"]
+    assert shapes["stray.value"] == shapes["sensor.gain"] == shapes["sensor.offset"] == (1, 1, 6, 7)
+    assert shapes["sensor.level"] == (2, 1, 1, 1)
+    slots = {name: torch.rand(shape) for name, shape in shapes.items()}
+    slots["warp.motion"] = torch.eye(3).repeat(2, 1, 1)
+    x = torch.rand(1, 1, 20, 22)
+    z = stages["blur"](stages["warp"](x, motion=slots["warp.motion"]), psf=slots["blur.psf"])
+    z = stages["downsample"](z)
+    y = slots["sensor.gain"] * (z + slots["stray.value"]) + slots["sensor.offset"] + slots["sensor.level"]
+    assert torch.allclose(chain(x, **slots), y)
+
+
+# Geometry
+
+
+def test_pixel_centres_lie_at_integers_so_a_whole_pixel_shift_is_exact():
+    scene = picture()
+    for x, y in [(0, 0), (1, 0), (0, 2), (-3, 1)]:
+        frame = warped(scene, homography(x=x, y=y), (11, 12), (5, 6))
+        assert torch.allclose(frame, scene[5 + y : 16 + y, 6 + x : 18 + x], atol=1e-12, rtol=0)
+        in_float32 = warped(scene.float(), homography(x=x, y=y).float(), (11, 12), (5, 6))
+        assert torch.allclose(in_float32, scene[5 + y : 16 + y, 6 + x : 18 + x].float(), atol=1e-5, rtol=0)
+
+
+def test_half_way_between_two_centres_lies_their_mean():
+    scene = picture()
+    frame = warped(scene, homography(x=0.5), (11, 12), (5, 6))
+    assert torch.allclose(frame, (scene[5:16, 6:18] + scene[5:16, 7:19]) / 2)
+
+
+def test_warps_pull_so_plus_x_looks_right_and_plus_y_looks_down():
+    # frame(p) = scene(p + t): with t to the right, what the frame shows has moved to the left.
+    scene = torch.zeros(21, 24, dtype=torch.float64)
+    scene[10, 12] = 1
+    assert warped(scene, homography(x=2), (11, 12), (5, 6))[10 - 5, 12 - 6 - 2] == pytest.approx(1)
+    assert warped(scene, homography(y=2), (11, 12), (5, 6))[10 - 5 - 2, 12 - 6] == pytest.approx(1)
+
+
+def test_a_positive_angle_turns_plus_x_towards_plus_y():
+    # A quarter turn: a frame pixel right of the centre looks at the scene below the centre.
+    scene = torch.zeros(11, 11, dtype=torch.float64)
+    scene[5 + 3, 5] = 1
+    frame = warped(scene, homography(angle=math.pi / 2), (11, 11), (0, 0))
+    assert frame[5, 5 + 3] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("size", [(11, 12), (10, 13)])
+def test_the_origin_of_a_motion_is_the_frames_centre(size):
+    # Half a turn about the centre is a flip of both axes, for odd and even sides.
+    scene = picture()
+    frame = warped(scene, homography(angle=math.pi), size, (5, 6))
+    straight = warped(scene, homography(), size, (5, 6))
+    assert torch.allclose(frame, straight.flip(0, 1))
+
+
+def test_translations_are_px_of_the_scenes_grid_before_downsampling():
+    scene = torch.rand(1, 1, 24, 24, dtype=torch.float64)
+    warp, down = Warp((12, 12), (24, 24), (6, 6)), Downsample(factor=3)
+    moved = down(warp(scene, motion=homography(x=3)[None]))
+    still = down(warp(scene, motion=homography()[None]))
+    assert torch.allclose(moved[..., :-1], still[..., 1:])
+
+
+@pytest.mark.parametrize("name", ["shift", "rigid", "affine", "homography"])
+def test_frame_0_is_the_reference_always(name):
+    field = components("field")[name]((3, 3, 3), size=(60, 80))
+    with torch.no_grad():
+        field.values.normal_()
+    assert torch.equal(field()[0], torch.eye(3))
+    assert (field()[:, 2, 2] == 1).all()
+    # A burst whose frame 0 has another motion is the same burst, seen from frame 0.
+    given = torch.stack([homography(x=2, y=-1), homography(x=3, y=1), homography(x=2, y=0)])
+    field.init_from(given)
+    relative = torch.stack([homography(), homography(x=1, y=2), homography(x=0, y=1)])
+    assert torch.allclose(field().double(), relative, atol=1e-5)
+
+
+def test_downsampling_averages_blocks_aligned_on_pixel_edges():
+    fine = torch.arange(36.0).reshape(1, 1, 6, 6)
+    coarse = Downsample(factor=3)(fine)
+    assert coarse[0, 0, 0, 1] == fine[0, 0, 0:3, 3:6].mean()
+    assert coarse.shape == (1, 1, 2, 2)
+
+
+def test_blur_is_a_valid_true_convolution():
+    # A point comes out as the kernel itself, not its mirror image, and no boundary is made up.
+    psf = torch.rand(1, 1, 5, 5)
+    point = torch.zeros(1, 1, 9, 9)
+    point[0, 0, 4, 4] = 1
+    assert torch.allclose(Blur(radius=2)(point, psf=psf), psf)
+
+
+@few
+@given(
+    x=st.floats(-12, 12), y=st.floats(-12, 12), angle=st.floats(-0.1, 0.1),
+    size=st.tuples(st.integers(8, 40), st.integers(8, 40)),
+)  # fmt: skip
+def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_integer(x, y, angle, size):
+    motion = torch.stack([homography(), homography(x=x, y=y, angle=angle)])
+    (height, width), (y0, x0) = _canvas(motion, size, 1.0)
+    assert isinstance(y0, int)
+    assert isinstance(x0, int)
+    centre = torch.tensor([(size[1] - 1) / 2, (size[0] - 1) / 2], dtype=torch.float64)
+    corners = torch.tensor([[sx * centre[0], sy * centre[1], 1] for sx in (-1, 1) for sy in (-1, 1)])
+    seen = (motion @ corners.double().T)[:, :2].transpose(1, 2).reshape(-1, 2) + centre
+    room = torch.cat([seen.amin(0) + torch.tensor([x0, y0]), torch.tensor([width, height]) - 1 - seen.amax(0) - torch.tensor([x0, y0])])
+    assert MARGIN == 8
+    assert room.min() >= MARGIN - 1e-9
+    assert room.min() < MARGIN + 1
+    assert (room < MARGIN + 1).all()
+
+
+def test_the_canvas_holds_the_blurs_radius_too():
+    # The warp's own output is larger than the frame by the radius: footprints are those of what the blur reads.
+    size = Chain({"blur": Blur(radius=3)}).in_size((20, 30))
+    assert _canvas(None, size, 1.0) == ((20 + 6 + 16, 30 + 6 + 16), (8, 8))
+
+
+def test_validity_comes_from_geometry():
+    operator = Warp((10, 10), (12, 12), (1, 1))
+    for content in (torch.zeros(12, 12), torch.full((12, 12), 5.0)):
+        valid = operator.valid(torch.ones_like(content)[None, None], motion=homography(x=3)[None].float())
+        assert torch.equal(valid[0, 0].sum(0), torch.tensor([10.0] * 8 + [0.0] * 2))
+
+
+# Gauge and units
+
+
+@few
+@given(seed=st.integers(0, 1000), pedestal=st.sampled_from([0.0, 100.0, 8000.0]))
+def test_the_gauge_is_kept_and_does_not_change_the_prediction(seed, pedestal):
+    rng = np.random.default_rng(seed)
+    bad = rng.random((9, 11)) < 0.1
+    used = np.array([True, False, True])
+    result = Result(
+        scene=pedestal + 10 * rng.random((9, 11)),
+        gain=0.8 + 0.5 * rng.random((9, 11)),
+        offset=5 * rng.standard_normal((9, 11)) + 3,
+        motion=np.tile(np.eye(3), (3, 1, 1)),
+        level=rng.standard_normal(3),
+        bad_pixels=bad,
+        frames_used=used,
+    )
+
+    def prediction():
+        scene, gain, offset = (each.astype(float) for each in (result.scene, result.gain, result.offset))
+        return gain * scene + offset + result.level[used][:, None, None].astype(float)
+
+    before = prediction()
+    to_gauge(result)
+    assert np.allclose(prediction(), before, rtol=1e-6, atol=1e-4)
+    assert result.gain[~bad].mean(dtype=float) == pytest.approx(1, abs=1e-6)
+    assert result.offset[~bad].mean(dtype=float) == pytest.approx(0, abs=1e-5 * (1 + pedestal))
+    assert result.level[used].mean(dtype=float) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_point_spread_function_sums_to_one(tmp_path):
+    np.save(tmp_path / "psf.npy", np.random.default_rng(0).random((5, 5)) * 100)
+    kernel = components("field")["kernel"]((1, 1, 5, 5), path=str(tmp_path / "psf.npy"))
+    gaussian = components("field")["gaussian"]((1, 1, 5, 5), size=(60, 80), sigma=1.7)
+    assert float(kernel().sum()) == pytest.approx(1, abs=1e-6)
+    assert float(gaussian().detach().sum()) == pytest.approx(1, abs=1e-6)
+
+
+@few
+@given(a=st.floats(-100, 100), b=st.floats(0.1, 100))
+def test_scaled_data_are_undone_with_scene_gain_and_offset(a, b):
+    rng = np.random.default_rng(0)
+    gain, scene, offset = 1 + 0.1 * rng.random(50), rng.random(50), rng.random(50)
+    scaled = gain * scene + offset  # y' = (y - a) / b
+    assert np.allclose(gain * (b * scene + a) + (b * offset - a * (gain - 1)), b * scaled + a)
+
+
+def test_losses_are_in_nats():
+    r, step, value = 3.0, 4.0, 0.2
+    at_three = Gaussian()(torch.full((1, 1, 1, 1), r), torch.zeros(1, 1, 1, 1), torch.full((1, 1, 1, 1), 1 / 2.0**2))
+    assert float(at_three) == pytest.approx(r**2 / (2 * 2.0**2))
+    edge = torch.zeros(1, 1, 1, 2)
+    edge[..., 1] = step
+    assert float(TV(weight=1 / 0.5, rounding=1e-6)(edge)) == pytest.approx(step / 0.5, rel=1e-5)
+    part = Pixel((1, 1, 2, 2), sigma=0.1)
+    part.init_from(torch.full((1, 1, 2, 2), value))
+    assert float(part.penalty().detach()) == pytest.approx(4 * value**2 / (2 * 0.1**2))
+
+
+# Bad pixels
+
+
+def test_no_sample_of_a_bad_pixel_and_none_that_is_not_finite_is_used():
+    rng = np.random.default_rng(0)
+    frames = 100 + rng.random((2, 12, 14)).astype(np.float32)
+    frames[1, 3, 4] = np.nan
+    valid = np.isfinite(frames)
+    bad = np.zeros((12, 14), bool)
+    bad[5, 6] = True
+    config = load({"physics": {"sensor": {}}, "scene": {"type": "pixels"}})
+    problem, _ = build(config, Burst(np.where(valid, frames, 0), valid, bad))
+    unused = (problem.precision == 0).nonzero()[:, [0, 2, 3]].tolist()
+    assert unused == [[0, 5, 6], [1, 3, 4], [1, 5, 6]]

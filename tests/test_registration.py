@@ -1,0 +1,166 @@
+"""Registration finds the camera's motion and is not fooled by what stands still."""
+
+import functools
+
+import numpy as np
+import pytest
+import scipy.ndimage
+import skimage.data
+import torch
+
+from deepir.errors import DataError
+from deepir.registration import register
+
+SHAPE = (96, 120)
+ZOOM = 2.0  # picture pixels per detector pixel
+
+
+def move(angle=0.0, x=0.0, y=0.0, stretch=((1.0, 0.0), (0.0, 1.0))):
+    """A pull motion: rotation by `angle` degrees and shift, times a 2 x 2 stretch."""
+    c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    motion = np.eye(3)
+    motion[:2, :2] = np.array([[c, -s], [s, c]]) @ np.array(stretch)
+    motion[:2, 2] = x, y
+    return motion
+
+
+def apply(motion, points):
+    moved = motion[:2, :2] @ points + motion[:2, 2:]
+    return moved / (motion[2:, :2] @ points + 1)
+
+
+@functools.cache
+def spline(name):
+    return scipy.ndimage.spline_filter(getattr(skimage.data, name)() / 255.0, 3, mode="mirror")
+
+
+def view(name, motion, shape=SHAPE):
+    """What area-integrating pixels see of a public picture (3 x 3 points a pixel, cubic spline)."""
+    picture = spline(name)
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    points = np.stack([columns.ravel() - (shape[1] - 1) / 2, rows.ravel() - (shape[0] - 1) / 2])
+    total = 0
+    for dy in (-1 / 3, 0, 1 / 3):
+        for dx in (-1 / 3, 0, 1 / 3):
+            x, y = apply(motion, points + np.array([[dx], [dy]])) * ZOOM
+            centre = (np.array(picture.shape) - 1) / 2
+            total = total + scipy.ndimage.map_coordinates(
+                picture, [y + centre[0], x + centre[1]], prefilter=False
+            )
+    return np.clip(total.reshape(shape) / 9, 0.01, None)
+
+
+def burst(name, motions, gain=1.0, tau=1000.0, seed=0):
+    rng = np.random.default_rng(seed)
+    flux = gain * np.stack([view(name, motion) for motion in motions])
+    return torch.tensor(
+        flux + rng.normal(size=flux.shape) * np.sqrt(flux.clip(1e-3) / tau), dtype=torch.float32
+    )
+
+
+def errors(result, motions, shape=SHAPE):
+    """Mean distance (px) over the frame between found and true motion, of each frame but the first."""
+    x, y = np.meshgrid([-0.4 * shape[1], 0, 0.4 * shape[1]], [-0.4 * shape[0], 0, 0.4 * shape[0]])
+    points = np.stack([x.ravel(), y.ravel()])
+    pairs = zip(result.motion.numpy()[1:], motions[1:], strict=True)
+    return np.array([np.hypot(*(apply(found, points) - apply(true, points))).mean() for found, true in pairs])
+
+
+TURNED = [move(), move(6, 10, -7), move(-5, -8, 9), move(3, 4, 10), move(-2, -10, -3)]
+SHIFTED = [move(), move(x=4, y=-3), move(x=-6.4, y=2.7), move(x=1.5, y=7.2)]
+
+
+def test_a_whole_pixel_shift_is_found():
+    result = register(burst("camera", SHIFTED[:2]), model="shift")
+    assert errors(result, SHIFTED[:2]).max() < 0.05
+    assert result.motion.dtype == torch.float64
+
+
+def test_a_fraction_of_a_pixel_is_not_pulled_to_whole_pixels():
+    motions = [move(), move(x=5.25, y=-3.25), move(x=-4.75, y=6.3), move(x=2.2, y=-7.2)]
+    assert np.median(errors(register(burst("camera", motions, tau=1e5), model="shift"), motions)) < 0.02
+
+
+@pytest.mark.parametrize("name", ["camera", "coins"])
+def test_column_gain_does_not_bias_the_motion(name):
+    gain = np.random.default_rng(1).uniform(0.5, 1, (1, SHAPE[1]))
+    for motions in (SHIFTED, TURNED):
+        result = register(burst(name, motions, gain))
+        assert result.used.all()
+        assert np.median(errors(result, motions)) < 0.1
+
+
+@pytest.mark.parametrize("name", ["camera", "coins"])
+def test_pixel_gain_and_few_photons_do_not_bias_the_motion(name):
+    gain = 1 + 0.1 * np.random.default_rng(2).normal(size=SHAPE)
+    assert np.median(errors(register(burst(name, TURNED, gain, tau=200)), TURNED)) < 0.1
+
+
+def test_six_degrees_and_ten_pixels_are_found():
+    result = register(burst("coins", TURNED))
+    assert errors(result, TURNED).max() < 0.1
+    assert torch.equal(result.motion[0], torch.eye(3, dtype=torch.float64))
+
+
+def test_counts_on_a_pedestal_with_offsets_and_dead_pixels():
+    rng = np.random.default_rng(3)
+    h, w = SHAPE
+    frames = 8000 + 1500 * np.stack([view("camera", motion) for motion in TURNED])
+    frames *= 1 + rng.normal(0, 0.03, SHAPE) + rng.normal(0, 0.01, (1, w))
+    frames += rng.normal(0, 60, (1, w)) + rng.normal(0, 40, (h, 1)) + rng.normal(0, 5, frames.shape)
+    frames[:, rng.random(SHAPE) < 0.004] = 0
+    frames[:, rng.random(SHAPE) < 0.002] = 16383
+    result = register(torch.tensor(frames))
+    assert np.median(errors(result, TURNED)) < 0.15
+
+
+@pytest.mark.parametrize("model", ["affine", "homography"])
+def test_stretch_and_perspective_are_found(model):
+    motions = [move(), move(2, 5, -4, ((1.02, 0.01), (0, 0.98))), move(-2, -6, 3, ((0.99, 0), (0.015, 1.01)))]
+    if model == "homography":
+        motions[1][2, :2] = 2e-4, -1e-4
+    gain = np.random.default_rng(1).uniform(0.8, 1, (1, SHAPE[1]))
+    assert errors(register(burst("camera", motions, gain), model=model), motions).max() < 0.2
+
+
+def test_a_frame_of_another_scene_is_left_out_by_name():
+    frames = burst("camera", TURNED)
+    frames[3] = burst("coins", TURNED)[3]
+    result = register(frames)
+    assert result.used.tolist() == [True, True, True, False, True]
+    assert result.motion[3].isnan().all()
+    assert len(result.messages) == 1
+    assert result.messages[0].startswith("frame 3 does not register")
+    assert np.nanmax(errors(result, TURNED)) < 0.1
+
+
+def test_ignored_pixels_do_not_matter():
+    frames = burst("camera", TURNED[:3])
+    ignore = torch.zeros(SHAPE, dtype=torch.bool)
+    ignore[20:45, 30:70] = True
+    frames[:, ignore] = 5.0
+    garbage = frames.clone()
+    garbage[:, ignore] = torch.nan
+    result = register(frames, ignore=ignore)
+    assert errors(result, TURNED[:3]).max() < 0.1
+    assert torch.allclose(register(garbage, ignore=ignore).motion, result.motion, atol=1e-3)
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, torch.nan])
+def test_a_burst_without_texture_is_not_registered(value):
+    result = register(torch.full((3, 33, 40), value))
+    assert result.used.tolist() == [True, False, False]
+    assert (result.confidence[1:] < 0.3).all()
+
+
+def test_one_frame_is_its_own_reference():
+    assert register(torch.rand(1, 40, 50)).used.all()
+
+
+def test_wrong_arguments_are_named():
+    with pytest.raises(DataError, match="did you mean 'affine'"):
+        register(torch.zeros(2, 8, 8), model="afine")
+    with pytest.raises(DataError, match="frames"):
+        register(torch.zeros(2, 1, 8, 8))
+    with pytest.raises(DataError, match="bad-pixel mask"):
+        register(torch.zeros(2, 8, 8), ignore=torch.zeros(8, 9, dtype=torch.bool))
