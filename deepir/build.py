@@ -187,13 +187,13 @@ def _field(settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, 
     kind = str(settings["type"])
     context = {"shape": shape, "neutral": neutral, "size": size}
     if "+" not in kind:
-        field = make("field", kind, options, where, **context)
+        field = _fitting(kind, options, where, context)
     else:
         members = [name.strip() for name in kind.split("+")]
         if unknown := sorted(set(options) - set(members)):
             raise ConfigError(f"{where}: no option '{unknown[0]}'; {nearest(unknown[0], members)}")
         field = Sum(shape, neutral, {
-            name: make("field", name, options.get(name) or {}, f"{where}.{name}", **{**context, "neutral": 0.0})
+            name: _fitting(name, options.get(name) or {}, f"{where}.{name}", {**context, "neutral": 0.0})
             for name in members
         })  # fmt: skip
     if not isinstance(fixed := settings.get("fixed", False), bool):
@@ -203,12 +203,27 @@ def _field(settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, 
     return field
 
 
+@torch.no_grad()
+def _fitting(kind: str, options: Mapping[str, Any], where: str, context: Mapping[str, Any]) -> Field:
+    """A field whose value has the shape that its slot wants."""
+    field: Field = make("field", kind, options, where, **context)
+    try:
+        found: object = tuple(field().shape)
+    except RuntimeError as error:
+        found = str(error).splitlines()[0]
+    if found != context["shape"]:
+        raise ConfigError(f"{where}: the field '{kind}' does not fit: {context['shape']} is wanted, not {found}")
+    return field
+
+
 def _penalties(settings: Mapping[str, Any], where: str) -> dict[str, Penalty]:
     found, wanted = {}, settings.get("penalties") or {}
     if not isinstance(wanted, Mapping):
         raise ConfigError(f"{where}.penalties = {wanted!r}: a mapping is needed, for example {where}.penalties.tv=50")
     for name, given in wanted.items():
-        options = {"weight": given} if isinstance(given, int | float | str) else (given or {})
+        if given is None:  # what a preset has, left out
+            continue
+        options = {"weight": given} if isinstance(given, int | float | str) else given
         found[name] = make("penalty", name, options, f"{where}.penalties.{name}")
     return found
 

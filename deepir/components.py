@@ -23,8 +23,8 @@ WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
 def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context: Any) -> Any:
     """The component `name`, with its `options` checked against its signature.
 
-    `where` is the path in the configuration that errors name; `context` holds what the constructor may want of
-    the problem at hand (shape, size, ...).
+    `where` is the path in the configuration that errors name; `context` holds what the constructor may want
+    of the problem at hand (shape, size, ...).
 
     Raises:
         ConfigError: Unknown component, unknown option, wrong type or a value that the component refuses.
@@ -46,18 +46,20 @@ def options_schema(component: Any) -> type[BaseModel]:
     fields: dict[str, Any] = {
         name: (hints.get(name, Any), ... if p.default is p.empty else p.default)
         for name, p in inspect.signature(component).parameters.items()
-        if name not in CONTEXT and p.kind is p.KEYWORD_ONLY
+        if name not in CONTEXT and p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)
     }
     return create_model(component.__name__, __config__=ConfigDict(extra="forbid"), **fields)
 
 
 def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any]:
-    """The options with defaults filled in; `ConfigError` with the path, what is allowed and the nearest spelling.
+    """The options with defaults filled in; `ConfigError` says what is allowed, and the nearest spelling.
 
     `auto` stands for "not given".
     """
     if not isinstance(options, Mapping):
-        raise ConfigError(f"{where} = {options!r}: a mapping of options is needed ({', '.join(schema.model_fields)})")
+        raise ConfigError(
+            f"{where} = {options!r}: a mapping of options is needed ({', '.join(schema.model_fields)})"
+        )
     given = {key: value for key, value in options.items() if value != "auto"}
     try:
         checked = schema.model_validate(given)

@@ -6,93 +6,28 @@ import difflib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from deepir import overrides
 from deepir.components import explain
 from deepir.errors import ConfigError, nearest
+from deepir.schema import Config, Data
 from deepir.yaml import parse
+
+__all__ = ["Config", "Data", "dump", "find", "headline", "load", "priors", "read", "shipped_names"]
 
 PACKED = Path(__file__).parent / "configs"  # in the wheel
 SHIPPED = PACKED if PACKED.is_dir() else Path(__file__).parent.parent / "configs"  # in a checkout
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)  # a folder may be called 2021
-
-
-class Data(_Strict):
-    """Where the frames come from."""
-
-    path: str | None = None  # file, folder or glob
-    truth: str | None = None  # .npz with `scene`, or a picture: scores are added to metrics.json
-    mask: str | None = None  # picture or array of a frame's size; nonzero = ignore
-    crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
-    frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
-    key: str | None = None  # array in an .npz
-
-
-class Noise(_Strict):
-    """Noise of a sample: variance `read² + y / photons`."""
-
-    read: float = Field(ge=0)  # standard deviation, in the data's units
-    photons: float | None = Field(None, gt=0)  # photons for each unit of data; None: no photon noise
-
-
-class StepConfig(_Strict):
-    """A step of a stage, see `deepir.solve.Step`."""
-
-    group: list[str] = Field(min_length=1)
-    method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
-    lr: float = Field(1e-2, gt=0)
-    every: int = Field(1, ge=1)
-
-
-class StageConfig(_Strict):
-    """A stage of the plan, see `deepir.solve.Stage`."""
-
-    name: str
-    steps: list[StepConfig] = Field(min_length=1)
-    iterations: int = Field(100, ge=0)
-
-
-class Solver(_Strict):
-    """How long, and in which order."""
-
-    max_iterations: int | None = Field(None, ge=0)  # caps each stage
-    plan: list[StageConfig] | None = Field(None, min_length=1)  # None: the problem's own
-
-
-class Output(_Strict):
-    """Where results go."""
-
-    dir: str | None = None
-
-
-class Config(_Strict):
-    """A whole configuration; `physics`, `scene` and `fidelity` are checked against the components they name."""
-
-    problem: str = "generic"
-    method: str = "joint"
-    prior: str = "tv"
-    scene: dict[str, Any] = {}
-    physics: dict[str, dict[str, Any] | None]
-    fidelity: str | dict[str, Any] = "gaussian"
-    noise: Literal["auto"] | Noise = "auto"
-    data: Data = Data()
-    solver: Solver = Solver()
-    output: Output = Output()
-    seed: int = Field(0, ge=0, lt=2**63)
-    device: str = "cpu"
-    threads: int | None = Field(None, ge=1, le=1024)
-
-
 def load(
-    config: str | Path | Mapping[str, Any], changes: Sequence[str] = (), options: Mapping[str, Any] | None = None
+    config: str | Path | Mapping[str, Any],
+    changes: Sequence[str] = (),
+    options: Mapping[str, Any] | None = None,
 ) -> Config:
     """A configuration from a path, a shipped name (`nuc`) or a mapping.
 
@@ -105,10 +40,12 @@ def load(
         ConfigError: Unknown name, broken YAML, unknown key or wrong value; the message gives the key's path.
     """
     label = "configuration" if isinstance(config, Mapping) else str(config)
-    base = _merge(label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {}))
+    base = _merge(
+        label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {})
+    )
     pairs = overrides.split(changes, Config)
     prior = dict(pairs).get("prior") or base.get("prior") or Config.model_fields["prior"].default
-    whole = _merge(label, _read(_preset(str(prior))), base)
+    whole = _merge(label, _preset(str(prior)), base)
     for key, value in pairs:
         overrides.apply(whole, key, value)
     checked = _check(_merge(label, whole, resolve=True), label, changes)
@@ -134,11 +71,17 @@ def find(name: str | Path) -> Path:
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return path
     if path.exists():
-        use = f"resume {name}" if (path / "config.yaml").is_file() else f"run {shipped_names()[0]} data.path={name}"
+        use = (
+            f"resume {name}"
+            if (path / "config.yaml").is_file()
+            else f"run {shipped_names()[0]} data.path={name}"
+        )
         raise ConfigError(f"{name}: not a configuration (a .yaml file); did you mean `deepir {use}`?")
     here = [str(each) for each in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
     hint = _did_you_mean(str(name), [*shipped_names(), *here])
-    raise ConfigError(f"no configuration '{name}'; {hint}Give a .yaml file or one of: {', '.join(shipped_names())}")
+    raise ConfigError(
+        f"no configuration '{name}'; {hint}Give a .yaml file or one of: {', '.join(shipped_names())}"
+    )
 
 
 def shipped_names() -> list[str]:
@@ -168,7 +111,9 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ConfigError(f"{path}: broken YAML: {error}") from None
     if not isinstance(parsed, dict):
-        raise ConfigError(f"{path}: a configuration is a mapping of keys to values; `deepir list` shows examples")
+        raise ConfigError(
+            f"{path}: a configuration is a mapping of keys to values; `deepir list` shows examples"
+        )
     return parsed
 
 
@@ -185,14 +130,28 @@ def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) ->
         return Config.model_validate(whole)
     except ValidationError as error:
         path, problem = explain(error, Config)
-        own = next((f"'{each}'" for each in reversed(changes) if f"{path}.".startswith(f"{each.split('=')[0]}.")), label)
+        own = next(
+            (f"'{each}'" for each in reversed(changes) if f"{path}.".startswith(f"{each.split('=')[0]}.")),
+            label,
+        )
         raise ConfigError(f"{own}: {problem}") from None
 
 
-def _preset(name: str) -> Path:
-    if name not in priors():
-        raise ConfigError(f"prior: no prior is called '{name}'; {nearest(name, priors())}")
-    return SHIPPED / "prior" / f"{name}.yaml"
+def _preset(name: str) -> dict[str, Any]:
+    """What `prior: name` stands for: a shipped preset, one's own .yaml file, or a field without penalties."""
+    own = Path(name).expanduser()
+    if name in priors():
+        return _read(SHIPPED / "prior" / f"{name}.yaml")
+    if own.suffix in (".yaml", ".yml") and own.is_file():
+        return _read(own)
+
+    from deepir.registry import components  # not above: `deepir --help` does without torch
+
+    if name in components("field"):
+        return {"scene": {"type": name, "init": "average"}}
+    raise ConfigError(
+        f"prior: no prior is called '{name}'; {nearest(name, priors())}, a field's name or a .yaml file"
+    )
 
 
 def _order(config: Config, in_file: list[str], label: str) -> None:
@@ -204,8 +163,8 @@ def _order(config: Config, in_file: list[str], label: str) -> None:
         if target is None:
             if name not in in_file:
                 raise ConfigError(
-                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)}); {_did_you_mean(name, in_file)}A "
-                    "stage that is added must say where it goes, for example "
+                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)}); "
+                    f"{_did_you_mean(name, in_file)}A new stage must say where it goes, for example "
                     f"physics.{name}.before={in_file[-1] if in_file else 'STAGE'}"
                 )
             continue

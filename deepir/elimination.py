@@ -1,12 +1,15 @@
-"""Gain and offset in closed form, given the flux on the detector (variable projection, Golub and Pereyra 1973).
+"""Gain and offset in closed form, given the flux on the detector.
 
-With the flux `z_k` fixed, `y_k = gain * z_k + offset + level_k + noise` is linear in gain and offset, and their parts
-are Gaussian: the optimum solves one symmetric system, 2 x 2 (gain, offset) at each pixel. Pixel parts are eliminated
-from it exactly, then columns; what remains couples the rows, and is solved by conjugate gradients. It has to be
-*exact*: with an approximation the objective is no longer a function of the scene, and line searches fail.
+Variable projection (Golub and Pereyra 1973).
 
-By the envelope theorem the gradient of the eliminated objective in everything else is the partial gradient with gain
-and offset held.
+With the flux `z_k` fixed, `y_k = gain * z_k + offset + level_k + noise` is linear in gain and offset, and
+their parts are Gaussian: the optimum solves one symmetric system, 2 x 2 (gain, offset) at each pixel. Pixel
+parts are eliminated from it exactly, then columns; what remains couples the rows, and is solved by conjugate
+gradients. It has to be *exact*: with an approximation the objective is no longer a function of the scene, and
+line searches fail.
+
+By the envelope theorem the gradient of the eliminated objective in everything else is the partial gradient
+with gain and offset held.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from torch import Tensor
 from deepir.priors.parts import Part
 
 #: Relative residual at which conjugate gradients stop, and the most iterations they get.
-TOLERANCE, MAX_ITERATIONS = 1e-9, 200
+TOLERANCE, MAX_ITERATIONS = 1e-12, 200
 PIXEL, COLUMN, ROW = (), (-2,), (-1,)
 
 
@@ -52,10 +55,13 @@ def eliminate(
     _solve(columns, rows, pixels.system)
     pixels.finish(columns.spread() + rows.spread())
     solved: dict[tuple[int, ...], _Pixels | _Lines] = {PIXEL: pixels, COLUMN: columns, ROW: rows}
+    # Flux that is not a number spreads to a column: the trial went too far, and what was found before stays.
+    finite = bool(columns.white.isfinite().all())
     variances = []
     for i, mine in enumerate(parts):
         for along, part in mine.items():
-            part.white.copy_(solved[along].white[i].reshape(part.white.shape))
+            if finite:
+                part.white.copy_(solved[along].white[i].reshape(part.white.shape))
             variance = part.sigma.square() * solved[along].variance(i)
             variances.append(variance.reshape(part.white.shape))
     return variances
@@ -86,7 +92,7 @@ class _Symmetric:
 
 
 def _normal_equations(flux: Tensor, data: Tensor, precision: Tensor) -> tuple[_Symmetric, Tensor]:
-    """`A = Σ w [z² z; z 1]` and `s = Σ w y (z, 1)` at each pixel, in float64, frame by frame to spare copies."""
+    """`A = Σ w [z² z; z 1]` and `s = Σ w y (z, 1)` at each pixel, in float64; by frames, to spare copies."""
     aa, ab, bb, sa, sb = flux.new_zeros(5, *flux.shape[-2:], dtype=torch.float64)
     for frame in zip(flux, data, precision, strict=True):
         z, y, w = (each[0].double() for each in frame)
@@ -102,8 +108,8 @@ def _normal_equations(flux: Tensor, data: Tensor, precision: Tensor) -> tuple[_S
 class _Pixels:
     """The normal equations `A x = s` with the pixel parts, of prior variance `V`, eliminated.
 
-    What is left for the other parts is the system `(I + A V)^-1 A` with the right-hand side `(I + A V)^-1 s`; unlike
-    `(A + V^-1)^-1` both are finite where V or A is zero (no pixel part, a dead pixel).
+    What is left for the other parts is the system `(I + A V)^-1 A` with the right-hand side `(I + A V)^-1 s`;
+    unlike `(A + V^-1)^-1` both are finite where V or A is zero (no pixel part, a dead pixel).
     """
 
     white: Tensor
@@ -156,7 +162,7 @@ class _Lines:
 def _solve(columns: _Lines, rows: _Lines, system: _Symmetric) -> None:
     """Set the white values of columns and rows: `[C K'; K R] [c; r] = rhs`, the columns eliminated.
 
-    C and R are 2 x 2 blocks; K, dense, is never formed. A side without a part has sigma zero, so that K is too.
+    C and R are 2 x 2 blocks; K, dense, is never formed. Without a part, sigma is zero, and so is K.
     """
     transposed = system.transposed()
 
@@ -205,7 +211,9 @@ def _by_axis(parts: Sequence[Part]) -> dict[tuple[int, ...], Part]:
     return found
 
 
-def _sigmas(parts: Sequence[dict[tuple[int, ...], Part]], along: tuple[int, ...], device: torch.device) -> Tensor:
+def _sigmas(
+    parts: Sequence[dict[tuple[int, ...], Part]], along: tuple[int, ...], device: torch.device
+) -> Tensor:
     """Prior standard deviations of (gain, offset) along an axis, float64; zero where there is no part."""
     zero = torch.zeros((), dtype=torch.float64, device=device)
     return torch.stack([each[along].sigma.double() if along in each else zero for each in parts])

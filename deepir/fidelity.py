@@ -16,7 +16,7 @@ from deepir.registry import register
 class Fidelity(nn.Module):
     """`forward(prediction, data, precision)`, all (N, 1, h, w).
 
-    `precision` is 1 / variance of a sample, and zero where it does not count; such a sample may hold anything finite.
+    `precision` is 1 / variance of a sample, and zero where it does not count: it may hold anything finite.
     """
 
     #: Whether it is the sum of squares that a closed form needs.
@@ -49,7 +49,7 @@ class L1(Fidelity):
 
 @register("fidelity", "huber")
 class Huber(Fidelity):
-    """Gaussian up to `threshold` standard deviations, Laplacian beyond (Huber 1964): a sample may be an outlier."""
+    """Gaussian up to `threshold` standard deviations, Laplacian beyond (Huber 1964): for outliers."""
 
     def __init__(self, *, threshold: float = 1.345) -> None:
         super().__init__()
@@ -68,8 +68,8 @@ class Huber(Fidelity):
 class Poisson(Fidelity):
     """Photon noise: `Σ t (p - y - y log(p / y))`, half the Poisson deviance of `t y` photons.
 
-    `t`, the photons for each unit of data, is one number for the burst: the one with which photon noise, `y / t`,
-    explains the variances, `t = Σ y² / variance / Σ y`. A sample of no photons counts too.
+    `t`, the photons for each unit of data, is one number for the burst, with which photon noise explains the
+    variances: `t = Σ y² / variance / Σ y`. A sample of no photons counts too.
     """
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:

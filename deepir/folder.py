@@ -58,7 +58,9 @@ class Folder:
             ConfigError: It cannot be a run's folder: a file, or files of the same names that no run wrote.
         """
         if self.path.exists() and not self.path.is_dir():
-            raise ConfigError(f"output.dir: {self.path} is a file; give a folder, for example output.dir=runs/mine")
+            raise ConfigError(
+                f"output.dir: {self.path} is a file; give a folder, for example output.dir=runs/mine"
+            )
         try:
             held = [name for name in FILES if (self.path / name).exists()]
             ours = self.config.exists() and self.config.read_text(encoding="utf-8").startswith("# deepir")
@@ -74,7 +76,7 @@ class Folder:
         return "finished" if "metrics.json" in held else "interrupted"
 
     def check_free(self, *, overwrite: bool) -> None:
-        """Raise `ConfigError` if a new run may not be written here; `overwrite` allows it in place of a former run."""
+        """Raise `ConfigError` if a new run may not be written here; `overwrite`: a former run may go."""
         state = self.state()
         if state == "new" or overwrite:
             return
@@ -101,13 +103,16 @@ class Folder:
             with replace(self.config) as part:
                 part.write_text(HEADER + config, encoding="utf-8")
         except OSError as error:
-            raise ConfigError(f"output.dir: {self.path} cannot be written: {error.strerror or error}") from None
+            raise ConfigError(
+                f"output.dir: {self.path} cannot be written: {error.strerror or error}"
+            ) from None
         self.write_record(record)
         return made
 
     def keep(self) -> None:
         """The run works: drop the former one, and what a killed run left half-written."""
         self._remove(self._aside)
+        (self.path / "checkpoint.part").unlink(missing_ok=True)
         for path in self.path.iterdir():
             found = TEMPORARY.fullmatch(path.name)
             if found and found[1] + found[2] in FILES:
@@ -128,7 +133,7 @@ class Folder:
                 folder.rmdir()
 
     def record(self) -> dict[str, Any]:
-        """Versions, plugins, input hashes and time of the run; empty if it was killed before they were written."""
+        """Versions, plugins, input hashes and time of the run; empty if it was killed before."""
         try:
             found = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -146,22 +151,20 @@ class Folder:
         Raises:
             ConfigError: Another process is at work on this run.
         """
-        handler = logging.FileHandler(self.path / "deepir.log", encoding="utf-8")
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        try:
-            fcntl.flock(handler.stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            handler.close()
-            raise ConfigError(f"{self.path}: another process is at work on this run") from None
-        level = log.level
-        log.addHandler(handler)
-        log.setLevel(logging.INFO)
-        try:
-            yield
-        finally:
-            log.setLevel(level)
-            log.removeHandler(handler)
-            handler.close()
+        with (self.path / "deepir.log").open("a", encoding="utf-8") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise ConfigError(f"{self.path}: another process is at work on this run") from None
+            handler, level = logging.StreamHandler(stream), log.level
+            handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+            log.addHandler(handler)
+            log.setLevel(logging.INFO)
+            try:
+                yield
+            finally:
+                log.setLevel(level)
+                log.removeHandler(handler)
 
     @property
     def _aside(self) -> Path:

@@ -14,6 +14,7 @@ from deepir.build import Geometry, build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError, DataError, nearest
+from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.problems.definition import Definition
 from deepir.registration import register as register_frames
@@ -39,8 +40,9 @@ def joint(
     kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
     problem, geometry = build(config, kept, None if motion is None else motion[used])
     problem = problem.to(config.device)
-    definition.initialise(problem, config.seed)
     _given_noise(problem, config)
+    definition.initialise(problem, config.seed)
+    _demand_strengths(problem)
     stages = plan(problem, definition, config)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     return _result(problem, geometry, solution, burst, used, [*messages, *definition.messages])
@@ -99,6 +101,20 @@ def _given_noise(problem: Problem, config: Config) -> None:
         raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
     problem.precision.copy_((problem.precision > 0) / variance)
     problem.known_noise = True
+
+
+def _demand_strengths(problem: Problem) -> None:
+    """Raise `ConfigError` for a part whose sigma is neither given nor estimated: it would never leave zero."""
+    for slot, name in [("scene", "scene"), *problem.slots.items()]:
+        if slot.rpartition(".")[2] in ("gain", "offset"):
+            continue
+        for part in problem.fields[name].modules():
+            if isinstance(part, Part) and not part.given and not part.sigma > 0:
+                where = slot if slot == "scene" else f"physics.{slot}"
+                raise ConfigError(
+                    f"{where}: its part '{type(part).__name__.lower()}' needs a sigma, in the unknown's units; "
+                    "only those of gain and offset are found from the data"
+                )
 
 
 def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:

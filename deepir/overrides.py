@@ -1,7 +1,7 @@
 """`key=value` on the command line: what it changes in a configuration.
 
 - A value is YAML; where the schema has text (`data.path`), it is taken as it stands.
-- `key=null` removes the key: its default comes back, a stage goes, a slot becomes neutral, a penalty is left out.
+- `key=null` removes the key: its default comes back, a stage or penalty goes, a slot becomes neutral.
 - A name in place of a component changes its type only: `physics.warp.motion=affine` keeps `init: register`.
 """
 
@@ -27,7 +27,11 @@ def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]
     for pair in pairs:
         key, equals, text = (part.strip() for part in pair.partition("="))
         if not equals or not all(key.split(".")):
-            hint = f"did you mean data.path={pair}?" if Path(pair).exists() else "for example data.path=burst.npz"
+            hint = (
+                f"did you mean data.path={pair}?"
+                if Path(pair).exists()
+                else "for example data.path=burst.npz"
+            )
             raise ConfigError(f"'{pair}': a setting is key=value; {hint}")
         if not text:
             raise ConfigError(f"'{pair}': the value is missing ({key}=null takes the default)")
@@ -65,7 +69,7 @@ def _inner(node: Any, part: str, where: str, key: str) -> Any:
     step = _index(node, part, key)
     if isinstance(node, dict) and node.get(step) is None:
         node[step] = {}
-    elif isinstance(node[step], str) and where.split(".")[0] in OPEN:
+    elif isinstance(node[step], str) and where.partition(".")[0] in OPEN:
         node[step] = {"type": node[step]}
     if not isinstance(node[step], dict | list):
         raise ConfigError(f"{key}: {where} is {node[step]!r}, which has no keys")
@@ -83,7 +87,7 @@ def _index(node: Any, part: str, key: str) -> Any:
 def _remove(node: Any, last: Any, key: str) -> None:
     if isinstance(node, list) or last in node:
         del node[last]
-    elif key.split(".")[0] in OPEN:
+    elif key.partition(".")[0] in OPEN:
         raise ConfigError(f"{key}=null: there is no '{last}' to remove; {nearest(str(last), map(str, node))}")
     else:
         node[last] = None  # for the schema to judge

@@ -11,6 +11,7 @@ from deepir.elimination import eliminate
 from deepir.fidelity import Fidelity, Gaussian
 from deepir.operators import Chain, Sensor
 from deepir.operators.base import own
+from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
 
 Values = dict[str, Tensor]
@@ -24,7 +25,7 @@ class Problem(nn.Module):
         fields: One for each unknown: `scene`, and the unknowns that `slots` names.
         data: The frames, (N, C, h, w); samples whose precision is zero may hold anything finite.
         precision: 1 / noise variance of each sample, same shape; zero where a sample does not count.
-        slots: Slot of the operator -> unknown, `{"warp.motion": "motion"}`; None names an unknown after its slot.
+        slots: Slot -> unknown, `{"warp.motion": "motion"}`; None names an unknown after its slot.
         penalties: Unknown -> its penalties by name.
         fidelity: How prediction and data are compared; Gaussian unless given.
 
@@ -33,7 +34,7 @@ class Problem(nn.Module):
     """
 
     fields: Mapping[str, Field]
-    penalties: Mapping[str, Mapping[str, nn.Module]]
+    penalties: Mapping[str, Mapping[str, Penalty]]
     data: Tensor
     precision: Tensor
     held_out: Tensor
@@ -46,7 +47,7 @@ class Problem(nn.Module):
         precision: Tensor,
         *,
         slots: Mapping[str, str] | None = None,
-        penalties: Mapping[str, Mapping[str, nn.Module]] | None = None,
+        penalties: Mapping[str, Mapping[str, Penalty]] | None = None,
         fidelity: Fidelity | None = None,
     ) -> None:
         super().__init__()
@@ -81,10 +82,12 @@ class Problem(nn.Module):
         x, slots = values["scene"], self._slot_values(values)
         for name, stage in self.operator.named()[:-1]:
             x = stage(x, **own(slots, name))
-        return x
+        return x.expand(len(self.data), *x.shape[1:])
 
-    def losses(self, values: Values, eliminated: Collection[str] = (), *, use_held_out: bool = False) -> Values:
-        """Terms of the objective in nats, by name: `data`, `unknown.penalty`, and `unknown` for a field's own.
+    def losses(
+        self, values: Values, eliminated: Collection[str] = (), *, use_held_out: bool = False
+    ) -> Values:
+        """The objective's terms in nats, by name: `data`, `unknown.penalty`, and `unknown` for a field's own.
 
         Unknowns in `eliminated` are first set to their optimum in closed form, given the others; `values` is
         updated. Held-out samples count only if `use_held_out`.
@@ -107,7 +110,11 @@ class Problem(nn.Module):
 
     def free(self) -> list[str]:
         """The unknowns that can move: those with parameters that are not fixed."""
-        return [name for name, field in self.fields.items() if any(p.requires_grad for p in field.parameters())]
+        return [
+            name
+            for name, field in self.fields.items()
+            if any(p.requires_grad and p.numel() for p in field.parameters())
+        ]
 
     def closed_form(self) -> list[str]:
         """The unknowns that can be eliminated: Gaussian parts of the sensor that ends the operator."""
@@ -119,7 +126,7 @@ class Problem(nn.Module):
         return [each for each in free if self.fields[each].parts()]
 
     def valid(self, values: Values) -> Tensor:
-        """Samples that are computed from the scene's array alone, bool (N, C, h, w): geometry, not estimate."""
+        """Samples that are computed from the scene's array alone, bool (N, C, h, w): by geometry."""
         mask = torch.ones_like(values["scene"])
         return (self.operator.valid(mask, **self._slot_values(values)) > 0.5).expand_as(self.data)
 
@@ -133,19 +140,25 @@ class Problem(nn.Module):
         of_ones = self.operator(torch.ones_like(scene), **slots) - at_zero
         counts = (self.precision > 0).to(self.data)
         total, weight = (
-            self.operator.adjoint(counts * each, tuple(scene.shape), **slots)
+            # Without a warp, one prediction stands for all frames.
+            self.operator.adjoint((counts * each).sum_to_size(at_zero.shape), tuple(scene.shape), **slots)
             for each in (self.data - at_zero, of_ones)
         )
         return total / weight.clamp(min=1e-6), weight
 
     @torch.no_grad()
     def eliminate(
-        self, values: Values, group: Collection[str], *, flux: Tensor | None = None, precision: Tensor | None = None
+        self,
+        values: Values,
+        group: Collection[str],
+        *,
+        flux: Tensor | None = None,
+        precision: Tensor | None = None,
     ) -> dict[str, list[Tensor]]:
         """Set the unknowns of `group` to their optimum given the others; `values` is updated.
 
-        Returns the posterior variance of each part, by unknown, see `deepir.elimination.eliminate`. `flux` and
-        `precision` spare their computation where they are known.
+        Returns the posterior variance of each part, by unknown, see `deepir.elimination.eliminate`. `flux`
+        and `precision` spare their computation where they are known.
         """
         name, sensor = self.operator.named()[-1]
         flux = self.flux(values) if flux is None else flux

@@ -46,7 +46,7 @@ def run(
         frames: (N, h, w) in place of `data.path`.
         callbacks: Called with a `Progress` after each iteration.
         overwrite: Replace a former run in the output folder.
-        options: Top-level keys of the configuration, for example `prior="tv"`, `seed=1`, `data={"path": ...}`.
+        options: Top-level keys of the configuration: `prior="tv"`, `seed=1`, `data={"path": ...}`.
 
     Raises:
         DeepIRError: The configuration or the data are wrong; the message says what and where.
@@ -74,7 +74,7 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
 
 
 def check_components(config: Config, data: bursts.Burst) -> None:
-    """Build the problem for a camera at rest, so that what is wrong with a component shows before anything runs."""
+    """Build the problem for a camera at rest: what is wrong with a component shows before anything runs."""
     few = dataclasses.replace(data, frames=data.frames[:2], valid=data.valid[:2])
     still = torch.eye(3, dtype=torch.float64).repeat(len(few.frames), 1, 1)
     problem, _ = build(config, few, still)
@@ -95,7 +95,7 @@ def execute(
     finally:
         torch.set_num_threads(threads)
     seconds = time.perf_counter() - start
-    unknown = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
+    unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
     result.metrics = measured | unknown | result.metrics | _compared(result, data)
     result.metrics |= {

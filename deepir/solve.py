@@ -14,11 +14,10 @@ from torch import Tensor
 
 from deepir import checkpoint as store
 from deepir.errors import DataError, SolverError
-from deepir.optimisers import OPTIMISERS, Optimiser
+from deepir.optimisers import OPTIMISERS, Optimiser, free_parameters
 from deepir.problem import Problem, Values
 
-
-#: A solve has diverged whose objective is so many times what its stage began with (and a nat for each sample).
+#: A solve has diverged whose objective is so many times what its stage began with (or a nat a sample).
 RISE = 1e3
 
 
@@ -34,10 +33,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Stage:
-    """Steps that alternate until the objective rests, or `iterations` are reached. Unknowns in no step are fixed.
+    """Steps that alternate until the objective rests, or `iterations` are reached; what is in none is fixed.
 
-    `prepare` is called when the stage is entered, to set strengths from what the stages before it found: it may
-    change buffers of the problem, nothing else. `use_held_out`: fit the held-out samples too.
+    `prepare` is called when the stage is entered, to set strengths from what the stages before it found: it
+    may change buffers of the problem, nothing else. `use_held_out`: fit the held-out samples too.
     """
 
     name: str
@@ -95,47 +94,31 @@ def solve(
         problem: Its fields' parameters are changed in place.
         plan: Stages, run in order.
         callbacks: Called after each iteration. One that raises stops the solve; the state is saved first.
-        checkpoint: File for the state: read at the start if it is there, so that an interrupted solve goes on with
-            the same steps, and written every `every` seconds.
+        checkpoint: File for the state: read at the start if it is there, so that an interrupted solve goes on
+            with the same steps, and written every `every` seconds.
         every: Seconds between checkpoints.
 
     Raises:
-        SolverError: The objective is not a number, or far above where the stage began. The last good state is in
-            the problem, and saved.
+        SolverError: The objective is not a number, or far above where the stage began. The last good state is
+            in the problem, and saved.
     """
-    at, optimisers = _Position(), None
+    at, optimisers, saved, reason = _Position(), None, time.monotonic(), "converged"
+
+    def save(*, now: bool = False) -> None:
+        nonlocal saved
+        if checkpoint is not None and (now or time.monotonic() - saved > every):
+            _save(problem, optimisers or [], at, checkpoint)
+            saved = time.monotonic()
+
     if checkpoint is not None and checkpoint.exists():
         at, optimisers = _restore(problem, plan, checkpoint)
-    saved, reason = time.monotonic(), "converged"
     while at.stage < len(plan):
         stage = plan[at.stage]
         if optimisers is None:
             if stage.prepare is not None:
                 stage.prepare(problem)
             optimisers = _optimisers(problem, stage)
-        start = [parameter.detach().clone() for parameter in problem.parameters()]
-        reason = "converged"
-        while at.iteration < stage.iterations:
-            # Asked here and not below, so that a resumed solve asks it too.
-            if not optimisers or _rests(at, stage, problem):
-                break
-            loss = _iterate(problem, stage, optimisers, at)
-            report = _report(problem, plan, stage, at, loss)
-            try:
-                _check(problem, start, stage, at)
-                for callback in callbacks:
-                    callback(report)
-            except BaseException:
-                if checkpoint is not None:
-                    _save(problem, optimisers, at, checkpoint)
-                raise
-            if checkpoint is not None and time.monotonic() - saved > every:
-                _save(problem, optimisers, at, checkpoint)
-                saved = time.monotonic()
-            if all(o.done for o, _ in optimisers):
-                break
-        else:
-            reason = "iteration limit reached"
+        reason = _run(problem, plan, optimisers, at, callbacks, save)
         if any(step.method == "eliminate" for step in stage.steps):
             with torch.no_grad():
                 objective(problem, stage)(())  # they follow the others' last step
@@ -145,8 +128,37 @@ def solve(
     return Solution(values, reason, at.total, at.evaluations, at.history)
 
 
-def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: _Position) -> float:
-    """One step of each group; the loss after it."""
+def _run(
+    problem: Problem,
+    plan: Sequence[Stage],
+    optimisers: list[tuple[Optimiser, Step]],
+    at: _Position,
+    callbacks: Sequence[Callable[[Progress], None]],
+    save: Callable[..., None],
+) -> str:
+    """Iterate to the end of the stage; why it ended."""
+    stage = plan[at.stage]
+    start = [parameter.detach().clone() for parameter in problem.parameters()]
+    while at.iteration < stage.iterations:
+        # Asked here and not below, so that a resumed solve asks it too.
+        if not optimisers or _rests(at, stage, problem):
+            return "converged"
+        _iterate(problem, stage, optimisers, at)
+        try:
+            _check(problem, start, stage, at)
+            for callback in callbacks:
+                callback(_report(problem, plan, stage, at))
+        except BaseException:
+            save(now=True)
+            raise
+        save()
+        if all(o.done for o, _ in optimisers):
+            return "converged"
+    return "iteration limit reached"
+
+
+def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: _Position) -> None:
+    """One step of each group, and its row of the history."""
     alternate = len(optimisers) > 1
     loss = at.history[-1]["loss"] if at.iteration else math.nan
     for optimiser, step in optimisers:
@@ -159,7 +171,6 @@ def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, S
     if problem.held_out.any() and not stage.use_held_out and at.iteration % 10 == 0:
         row["held_out"] = held_out_error(problem)
     at.history.append(row)
-    return loss
 
 
 def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
@@ -176,7 +187,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
 
 @torch.no_grad()
 def held_out_error(problem: Problem) -> float:
-    """Root mean square error of the prediction at the held-out samples, in the data's units; NaN without any."""
+    """Root mean square error at the held-out samples, in the data's units; NaN without any."""
     held = problem.held_out & (problem.precision > 0)
     if not held.any():
         return math.nan
@@ -186,24 +197,30 @@ def held_out_error(problem: Problem) -> float:
 
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
     evaluate = objective(problem, stage)
-    moved = [step for step in stage.steps if step.method != "eliminate"]
-    made = [(OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step) for step in moved]
-    return [(optimiser, step) for optimiser, step in made if optimiser.parameters]
+    steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
+    return [(OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step) for step in steps]
 
 
 def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:
-    """Whether the last ten iterations of the stage gained next to nothing; Adam's steps may go up and down."""
+    """Whether the last ten iterations gained next to nothing; Adam's steps may go up and down."""
     if at.iteration <= 10:
         return False
     losses = [row["loss"] for row in at.history[-at.iteration :]]
     return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()
 
 
-def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position, loss: float) -> Progress:
+def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position) -> Progress:
+    loss = at.history[-1]["loss"]
     before = sum(each.iterations for each in plan[: at.stage])
     done = (before + at.iteration) / max(sum(each.iterations for each in plan), 1)
     return Progress(
-        stage.name, at.iteration, stage.iterations, done, loss, at.evaluations, lambda: held_out_error(problem)
+        stage.name,
+        at.iteration,
+        stage.iterations,
+        done,
+        loss,
+        at.evaluations,
+        lambda: held_out_error(problem),
     )
 
 
@@ -219,7 +236,7 @@ def _check(problem: Problem, start: Sequence[Tensor], stage: Stage, at: _Positio
     what = "is not a number" if not math.isfinite(last) else f"rose from {first:.3g} to {last:.3g}"
     raise SolverError(
         f"the objective {what} at iteration {at.iteration} of stage '{stage.name}': the solve diverged. "
-        "The last good state is kept. Check the data's range and the penalties' weights, or lower the step (lr)."
+        "The last good state is kept. Check the data's range, the penalties' weights, or lower the step (lr)."
     )
 
 
@@ -245,7 +262,9 @@ def _restore(
             prefix = f"optimiser{i}."
             optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
     except (KeyError, TypeError, RuntimeError) as error:
-        raise DataError(f"{path}: the state of another problem ({error}); delete it to start again") from error
+        raise DataError(
+            f"{path}: the state of another problem ({error}); delete it to start again"
+        ) from error
     return at, optimisers
 
 

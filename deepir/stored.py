@@ -39,7 +39,7 @@ def run_into(
     """Run a configuration into the folder `path`, which is made when all is checked.
 
     Raises:
-        DeepIRError: The configuration, the data or the folder are wrong: nothing is written, a former run is kept.
+        DeepIRError: Configuration, data or folder are wrong; nothing is written, a former run stays.
         SolverError: The solve failed; its state is in the folder.
     """
     folder = Folder(path.expanduser().absolute())
@@ -104,7 +104,7 @@ class _Work:
         log.info("deepir %(deepir)s, torch %(torch)s, python %(python)s", versions())
         log.info("input %s, %s, sha256 %s", data.source, data.frames.shape, data.sha256)
         try:
-            callbacks = [self._first, Lines(log.info), *self.callbacks]
+            callbacks: Callbacks = [self._first, Lines(log.info), *self.callbacks]
             result = execute(self.config, data, callbacks=callbacks, checkpoint=folder.checkpoint)
             self._first()
             for message in result.messages:
@@ -141,7 +141,9 @@ def _pinned(config: Config, folder: Folder) -> Config:
         if not isinstance(value, Mapping):
             return value
         return {
-            key: absolute(each) if key in ("path", "init") and isinstance(each, str) and Path(each).exists() else inside(each)
+            key: absolute(each)
+            if key in ("path", "init") and isinstance(each, str) and Path(each).exists()
+            else inside(each)
             for key, each in value.items()
         }
 
@@ -162,7 +164,9 @@ def _check_inputs(config: Config, folder: Folder) -> None:
     for key in ("path", "truth", "mask"):
         path = getattr(config.data, key)
         if path is not None and Path(path).parent == folder.path and Path(path).name in FILES:
-            raise ConfigError(f"data.{key}: {path} is a result that this run would replace; give another output.dir")
+            raise ConfigError(
+                f"data.{key}: {path} is a result that this run would replace; give another output.dir"
+            )
 
 
 def _hashes(paths: Data, data: Burst) -> dict[str, str]:

@@ -16,8 +16,12 @@ from deepir.priors.parts import Part
 from deepir.problem import Problem
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
+OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
 ROUNDS = 3  # of expectation-maximisation at each update
+#: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
+#: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
+MOST = 2.0
 #: Weak prior on the variance of a part: so much of its number of values, at so large a sigma.
 PSEUDO_SHARE, PSEUDO_GAIN, PSEUDO_OFFSET = 0.2, 0.02, 0.03
 
@@ -49,12 +53,16 @@ def update_noise(problem: Problem) -> None:
         if len(new) >= 20:
             rows.append((1.0, float(signal[bins == i].mean())))
             seen.append(float(MAD**2 * fitted.median() * new.median()))
+    if not rows:  # too few samples are held out to see any noise
+        return
     design, variance = np.array(rows), np.array(seen)
     unit = design.max(0).clip(min=1e-30)
     share, _ = nnls(design / unit / variance[:, None], np.ones(len(rows)))  # errors are in proportion to the variance
     read, photon = share / unit
     found = read + photon * prediction.clamp(min=0)
-    problem.precision.copy_(usable / found.clamp(min=0.1 * variance.min()))
+    found = found.clamp(min=0.1 * variance.min())
+    doubt = (prediction - problem.data).square() / (found * OUTLIER**2)
+    problem.precision.copy_(usable / (found * (1 + doubt)))
 
 
 def _bins(values: Tensor) -> Tensor:
@@ -74,18 +82,34 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
 
 @torch.no_grad()
 def start_parts(problem: Problem) -> None:
-    """First strengths of gain and offset: from the frames less their registered average, split evenly."""
-    prediction = problem.predict(problem.values())
+    """First strengths of gain and offset, split evenly, from the pattern: the frames less their registered average.
+
+    What is left of the frames then is badly registered, or moves by itself: such samples count less from the start.
+    """
+    rest = problem.data - problem.predict(problem.values())
     usable = problem.precision > 0
-    count = usable.sum(0, keepdim=True).clamp(min=1)
-    pattern = ((problem.data - prediction) * usable).sum(0, keepdim=True) / count
+    pattern = (rest * usable).sum(0, keepdim=True) / usable.sum(0, keepdim=True).clamp(min=1)
     level = float(problem.data[usable].mean().abs())
     for slot, unit in (("gain", level), ("offset", 1.0)):
-        for part in _parts(problem, slot):
-            if part.given:
-                continue
-            mine = pattern.mean(part.along, keepdim=True) if part.along else pattern - pattern.mean(-1, keepdim=True) - pattern.mean(-2, keepdim=True)
-            part.sigma.fill_(float(MAD * (mine - mine.median()).abs().median()) / 2**0.5 / unit)
+        for part in _all_parts(problem, slot):
+            if not part.given:
+                part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
+                part.most.copy_(MOST * part.sigma)
+    rest = rest - pattern
+    if (spread := _spread(rest[usable])) > 0:  # one frame leaves nothing
+        problem.precision.div_(1 + (rest / (OUTLIER * spread)).square())
+
+
+def _share(pattern: Tensor, part: Part) -> Tensor:
+    """The part's own share of a pattern: means along its axes, or what row and column means leave."""
+    if part.along:
+        return pattern.mean(part.along, keepdim=True)
+    return pattern - pattern.mean(-1, keepdim=True) - pattern.mean(-2, keepdim=True)
+
+
+def _spread(values: Tensor) -> float:
+    """Standard deviation of the bulk of the values."""
+    return float(MAD * (values - values.median()).abs().median())
 
 
 @torch.no_grad()
@@ -105,8 +129,14 @@ def update_parts(problem: Problem) -> None:
 
 
 def _maximised(part: Part, variance: Tensor, anchor: float) -> Tensor:
-    mean = (part.values.square() + variance).mean()
-    return ((mean + PSEUDO_SHARE * anchor**2) / (1 + PSEUDO_SHARE)).sqrt()
+    spread = (MAD * part.values.abs().median()) ** 2 + variance.median()  # the mean, but for outliers
+    return ((spread + PSEUDO_SHARE * anchor**2) / (1 + PSEUDO_SHARE)).sqrt().clamp(max=part.most)
+
+
+def _all_parts(problem: Problem, slot: str) -> list[Part]:
+    """Parts of what is bound to a slot of this name, whether they have a closed form or not."""
+    unknowns = [name for each, name in problem.slots.items() if each.rpartition(".")[2] == slot]
+    return [each for name in unknowns for each in problem.fields[name].modules() if isinstance(each, Part)]
 
 
 def _parts(problem: Problem, unknown: str) -> list[Part]:

@@ -1,7 +1,7 @@
 """Tests for operators, one's own among them.
 
-    operator, x, slots = MyOperator.example()
-    check_operator(operator, x, slots, reference=lambda x, slots: ...)
+operator, x, slots = MyOperator.example()
+check_operator(operator, x, slots, reference=lambda x, slots: ...)
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ def check_operator(
     *,
     reference: Callable[[Array, dict[str, Array]], Array] | None = None,
 ) -> None:
-    """Check all that the package relies on: shapes, types, devices, purity, linearity, adjoint, validity, gradients.
+    """Check all that the package relies on.
+
+    Shapes, types, devices, purity, linearity, adjoint, validity and gradients.
 
     Args:
         operator: The operator; `Operator.example` gives one with an input and slots.
@@ -58,10 +60,15 @@ def _check_shapes(name: str, operator: Operator, x: Tensor, slots: Slots, y: Ten
     shape, n_frames = tuple(x.shape), len(y)
     said = operator.out_shape(shape, n_frames)
     _require(tuple(said) == y.shape, f"{name}: out_shape says {tuple(said)}, the output is {tuple(y.shape)}")
-    wanted, given = operator.slots(shape, n_frames), {slot: tuple(value.shape) for slot, value in slots.items()}
+    wanted, given = (
+        operator.slots(shape, n_frames),
+        {slot: tuple(value.shape) for slot, value in slots.items()},
+    )
     _require(wanted == given, f"{name}: slots() says {wanted}, given are {given}")
     size = operator.in_size((y.shape[-2], y.shape[-1]))
-    _require(tuple(size) == x.shape[-2:], f"{name}: in_size says {tuple(size)}, the input is {tuple(x.shape)}")
+    _require(
+        tuple(size) == x.shape[-2:], f"{name}: in_size says {tuple(size)}, the input is {tuple(x.shape)}"
+    )
     _require(operator.neutral.keys() <= wanted.keys(), f"{name}: neutral names a slot that slots() does not")
 
 
@@ -78,7 +85,8 @@ def _check_types(name: str, operator: Operator, x: Tensor, slots: Slots) -> None
 def _check_purity(name: str, operator: Operator, x: Tensor, slots: Slots, y: Tensor) -> None:
     before = {"x": x.clone(), **{slot: value.clone() for slot, value in slots.items()}}
     operator(x + 1, **slots)
-    _require(torch.equal(operator(x, **slots), y), f"{name}: the same input gave another output; is there state?")
+    again = operator(x, **slots)
+    _require(torch.equal(again, y), f"{name}: the same input gave another output; is there state?")
     for key, value in {"x": x, **slots}.items():
         _require(torch.equal(before[key], value), f"{name}: {key} was changed in place")
 
@@ -103,7 +111,8 @@ def _check_validity(name: str, operator: Operator, x: Tensor, slots: Slots, y: T
     _require(bool(((valid == 0) | (valid == 1)).all()), f"{name}: valid() gives other numbers than 0 and 1")
     valid = valid.expand_as(y) > 0
     other = operator(x + (1 - mask), **slots)
-    _require_close(other[valid], y[valid], f"{name}: a sample that is valid depends on an invalid pixel", 2e-4)
+    message = f"{name}: a sample that is valid depends on an invalid pixel"
+    _require_close(other[valid], y[valid], message, tolerance=2e-4)
 
 
 def _check_adjoint(name: str, operator: Operator, x: Tensor, slots: Slots) -> None:

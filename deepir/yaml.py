@@ -1,4 +1,4 @@
-"""YAML as people mean it: `2:5` is a slice and no sexagesimal 125, `1e-3` a number, `no` a word (as in YAML 1.2)."""
+"""YAML as people mean it: `2:5` is no sexagesimal 125, `1e-3` a number, `no` a word (as in YAML 1.2)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 import yaml
 
 INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
-NUMBER = re.compile(r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$")
+NUMBER = re.compile(
+    r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"
+)
 TRUTH = re.compile(r"(true|True|TRUE|false|False|FALSE)$")
 CHANGED = ("int", "float", "bool", "timestamp")
 
@@ -42,7 +44,7 @@ def parse(text: str) -> Any:
     {'frames': '2:5', 'weight': 0.001, 'jitter': 'no'}
     """
     try:
-        return yaml.load(text, Loader=_Loader)  # noqa: S506 - a safe loader
+        return yaml.load(text, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""

@@ -10,11 +10,20 @@ def seed():
     torch.manual_seed(0)
 
 
+@pytest.fixture(scope="session")
+def burst():
+    """A simulated burst with its truth: three frames of 40 x 48 px in counts."""
+    from deepir.simulate import Settings, simulate
+
+    camera = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0, motion="shift", dead_pixels=0.0)
+    return simulate(None, camera, seed=3)
+
+
 @pytest.fixture
 def small_nuc():
-    """Makes a small burst with its problem: warp and sensor, gain and offset as parts, TV or ridge on the scene.
+    """Makes a small burst with its problem: warp and sensor, gain and offset as parts, TV or ridge.
 
-    `make(...)` returns the problem, at the true motion and with the scene at one frame.
+    `make(...)` returns the problem, at the true motion and with the scene near the true one.
     """
     from deepir.operators import Sensor, Warp
     from deepir.penalties.ridge import Ridge
@@ -51,11 +60,11 @@ def small_nuc():
             "gain": 1 + 0.02 * torch.randn(maps) + 0.02 * torch.randn(1, 1, 1, size[1]),
             "offset": 0.3 * torch.randn(maps) + 0.2 * torch.randn(1, 1, size[0], 1),
         }
-        slots = {slot: truth.get(slot.rpartition(".")[2], torch.zeros(n_frames, 1, 1, 1)) for slot in chain.slots(
-            (1, 1, *canvas), n_frames)}  # fmt: skip
-        data = chain(truth["scene"], **slots)
+        sensor = {"sensor.gain": truth["gain"], "sensor.offset": truth["offset"]}
+        still = {"sensor.level": torch.zeros(n_frames, 1, 1, 1)}
+        data = chain(truth["scene"], **{"warp.motion": motion}, **sensor, **still)
         data = data + noise * torch.randn_like(data)
-        penalty = Ridge(weight=0.04, center=pedestal) if quadratic else TV(weight=2.0)
+        penalty = Ridge(weight=4.0, center=pedestal) if quadratic else TV(weight=2.0)
         precision = torch.full_like(data, 1 / 0.1**2)
         problem = Problem(chain, fields, data, precision, penalties={"scene": {"prior": penalty}}).to(dtype)
         fields["motion"].init_from(motion)

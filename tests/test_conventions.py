@@ -39,10 +39,21 @@ def picture(height=21, width=24):
 
 
 def test_the_model_is_gain_times_blurred_integrated_warped_scene_plus_stray_then_offset_and_level():
-    stages = {"warp": Warp((14, 16), (20, 22), (3, 3)), "blur": Blur(radius=1), "downsample": Downsample(factor=2)}
+    stages = {
+        "warp": Warp((14, 16), (20, 22), (3, 3)),
+        "blur": Blur(radius=1),
+        "downsample": Downsample(factor=2),
+    }
     chain = Chain({**stages, "stray": Add(), "sensor": Sensor()})
     shapes = chain.slots((1, 1, 20, 22), 2)
-    assert list(shapes) == ["warp.motion", "blur.psf", "stray.value", "sensor.gain", "sensor.offset", "sensor.level"]
+    assert list(shapes) == [
+        "warp.motion",
+        "blur.psf",
+        "stray.value",
+        "sensor.gain",
+        "sensor.offset",
+        "sensor.level",
+    ]
     assert shapes["stray.value"] == shapes["sensor.gain"] == shapes["sensor.offset"] == (1, 1, 6, 7)
     assert shapes["sensor.level"] == (2, 1, 1, 1)
     slots = {name: torch.rand(shape) for name, shape in shapes.items()}
@@ -147,7 +158,12 @@ def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_
     centre = torch.tensor([(size[1] - 1) / 2, (size[0] - 1) / 2], dtype=torch.float64)
     corners = torch.tensor([[sx * centre[0], sy * centre[1], 1] for sx in (-1, 1) for sy in (-1, 1)])
     seen = (motion @ corners.double().T)[:, :2].transpose(1, 2).reshape(-1, 2) + centre
-    room = torch.cat([seen.amin(0) + torch.tensor([x0, y0]), torch.tensor([width, height]) - 1 - seen.amax(0) - torch.tensor([x0, y0])])
+    room = torch.cat(
+        [
+            seen.amin(0) + torch.tensor([x0, y0]),
+            torch.tensor([width, height]) - 1 - seen.amax(0) - torch.tensor([x0, y0]),
+        ]
+    )
     assert MARGIN == 8
     assert room.min() >= MARGIN - 1e-9
     assert room.min() < MARGIN + 1
@@ -155,7 +171,7 @@ def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_
 
 
 def test_the_canvas_holds_the_blurs_radius_too():
-    # The warp's own output is larger than the frame by the radius: footprints are those of what the blur reads.
+    # The warp's output is larger than the frame by the radius: footprints are those of what the blur reads.
     size = Chain({"blur": Blur(radius=3)}).in_size((20, 30))
     assert _canvas(None, size, 1.0) == ((20 + 6 + 16, 30 + 6 + 16), (8, 8))
 
@@ -217,7 +233,9 @@ def test_scaled_data_are_undone_with_scene_gain_and_offset(a, b):
 
 def test_losses_are_in_nats():
     r, step, value = 3.0, 4.0, 0.2
-    at_three = Gaussian()(torch.full((1, 1, 1, 1), r), torch.zeros(1, 1, 1, 1), torch.full((1, 1, 1, 1), 1 / 2.0**2))
+    at_three = Gaussian()(
+        torch.full((1, 1, 1, 1), r), torch.zeros(1, 1, 1, 1), torch.full((1, 1, 1, 1), 1 / 2.0**2)
+    )
     assert float(at_three) == pytest.approx(r**2 / (2 * 2.0**2))
     edge = torch.zeros(1, 1, 1, 2)
     edge[..., 1] = step

@@ -58,7 +58,7 @@ def test_a_sample_of_no_precision_does_not_count_whatever_it_holds(name):
 
 @each_fidelity
 def test_noise_of_the_given_variance_costs_about_what_it_should(name):
-    # Half a nat a sample for a Gaussian; sqrt(2 * 2 / pi) of a standard deviation for the mean absolute residual.
+    # Half a nat a sample for a Gaussian; a Laplacian costs sqrt(2) for each mean absolute residual.
     expected = {"gaussian": 0.5, "l1": math.sqrt(4 / math.pi), "huber": 0.5, "poisson": 0.5}
     truth = 100 + 50 * torch.rand(1, 1, 200, 200)
     data = torch.poisson(10 * truth) / 10 if name == "poisson" else truth + 3 * torch.randn_like(truth)
@@ -76,7 +76,9 @@ def test_gaussian_and_laplacian_are_scipys():
         (log(prediction) - log(data)).sum()
     )
     log = stats.laplace(loc=prediction, scale=sigma / 2**0.5).logpdf
-    assert float(FIDELITIES["l1"]()(prediction, data, precision)) == pytest.approx((log(prediction) - log(data)).sum())
+    assert float(FIDELITIES["l1"]()(prediction, data, precision)) == pytest.approx(
+        (log(prediction) - log(data)).sum()
+    )
 
 
 def test_huber_is_gaussian_within_its_threshold_and_grows_like_l1_beyond():

@@ -19,7 +19,7 @@ from deepir.cli.simulate import simulate
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(
-    help="Corrects bursts of thermal cameras: `deepir demo` shows it, `deepir run nuc data.path=burst.npz` does it.",
+    help="Corrects bursts of thermal cameras. Try `deepir demo`, then `deepir run nuc data.path=burst.npz`.",
     add_completion=False,
     rich_markup_mode=None,
 )
@@ -49,16 +49,18 @@ def _options(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status.
 
-    0: finished, or the iteration limit reached. 1: the solve failed, or something unforeseen. 2: the user can mend
-    it; nothing was written. 130, 143: interrupted, the state is saved.
+    0: finished, or the iteration limit reached. 1: the solve failed, or something unforeseen. 2: the user can
+    mend it; nothing was written. 130, 143: interrupted, the state is saved.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        status = typer.main.get_command(app).main(given or ["--help"], prog_name="deepir", standalone_mode=False)
+        status = typer.main.get_command(app).main(
+            given or ["--help"], prog_name="deepir", standalone_mode=False
+        )
         sys.stdout.flush()
         return int(status or 0)
     except BrokenPipeError:  # `deepir list | head`
-        sys.stdout = None  # type: ignore[assignment]
+        sys.stdout = None
         return 0
     except Exception as error:
         if hasattr(error, "format_message"):  # typer's own: an unknown command or option
@@ -93,9 +95,7 @@ def _unforeseen(error: Exception) -> int:
         return _say("not enough memory: use a part of the frame (data.crop) or fewer frames (data.frames)", 1)
     if isinstance(error, OSError):
         return _say(f"{error.filename or 'files'}: {error.strerror or error}", 1)
-    notes = getattr(error, "__notes__", [])
-    if not notes:
+    if not (notes := getattr(error, "__notes__", [])):  # raised where there is no log
         traceback.print_exception(error)
-    return _say(
-        f"unforeseen, please report it: {type(error).__name__}: {error}{''.join(f' ({each})' for each in notes)}", 1
-    )
+    what = f"{type(error).__name__}: {error}"
+    return _say(f"unforeseen, please report it: {what}{''.join(f' ({note})' for note in notes)}", 1)

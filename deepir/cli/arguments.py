@@ -11,11 +11,15 @@ import typer
 
 Settings = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[KEY=VALUE]...", help="Settings, for example data.path=burst.npz", show_default=False),
+    typer.Argument(
+        metavar="[KEY=VALUE]...", help="Settings, for example data.path=burst.npz", show_default=False
+    ),
 ]
 Plugins = Annotated[
     list[str] | None,
-    typer.Option("--plugin", metavar="MODULE", help="Python module that registers components; may be repeated."),
+    typer.Option(
+        "--plugin", metavar="MODULE", help="Python module that registers components; may be repeated."
+    ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 

@@ -64,7 +64,7 @@ def _configuration(name: str, settings: list[str]) -> None:
 
 
 def _data(config: Config) -> list[str]:
-    """Check the components against the data, or against frames of zeros where none are given; what the data are."""
+    """What the data are, in lines; the components are checked against them, or against zeros without any."""
     import numpy as np
 
     from deepir.burst import Burst
@@ -81,5 +81,7 @@ def _data(config: Config) -> list[str]:
 def _short(settings: Any) -> str:
     """A mapping in one line."""
     if isinstance(settings, dict):
-        return ", ".join(f"{key} {_short(value)}" if key != "type" else str(value) for key, value in settings.items())
+        return ", ".join(
+            f"{key} {_short(value)}" if key != "type" else str(value) for key, value in settings.items()
+        )
     return str(settings)

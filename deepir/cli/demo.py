@@ -11,7 +11,7 @@ SIZE = (256, 320)
 
 
 def demo() -> int:
-    """Correct a simulated burst: five frames of 256 x 320 px in counts; results and pictures in runs/demo/."""
+    """Correct a simulated burst of five frames in counts; results and pictures in runs/demo/."""
     from deepir.cli.run import run_stored
     from deepir.config import load
     from deepir.errors import DataError

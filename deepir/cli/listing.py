@@ -8,7 +8,7 @@ from deepir.cli.arguments import Plugins, load_plugins
 
 
 def list_components(plugin: Plugins = None) -> None:
-    """List what configurations may name: methods, operators, fields, penalties, fidelities, priors, problems."""
+    """List what configurations may name: methods, operators, fields, penalties, priors, problems ..."""
     load_plugins(plugin)
     from deepir.config import SHIPPED, headline, priors, shipped_names
     from deepir.registry import components, summary
@@ -18,7 +18,9 @@ def list_components(plugin: Plugins = None) -> None:
         for kind in ("method", "operator", "field", "penalty", "fidelity", "problem")
     }
     groups["priors (prior=NAME)"] = {name: headline(SHIPPED / "prior" / f"{name}.yaml") for name in priors()}
-    groups["configs (deepir run NAME)"] = {name: headline(SHIPPED / f"{name}.yaml") for name in shipped_names()}
+    groups["configs (deepir run NAME)"] = {
+        name: headline(SHIPPED / f"{name}.yaml") for name in shipped_names()
+    }
     for title, entries in groups.items():
         typer.echo(f"{title}:")
         for name, text in entries.items():

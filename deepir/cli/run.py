@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 def run(
-    config: Annotated[str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)],
+    config: Annotated[
+        str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)
+    ],
     settings: Settings = None,
     overwrite: Overwrite = False,
     plugin: Plugins = None,
@@ -46,8 +48,8 @@ def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[s
 
     try:
         with Interruptible() as interruptible, on_stderr() as progress:
-            callbacks = [interruptible, progress]
-            result = run_into(config, folder, overwrite=overwrite, plugins=plugins, callbacks=callbacks)
+            both = (interruptible, progress)
+            result = run_into(config, folder, overwrite=overwrite, plugins=plugins, callbacks=both)
     except Interrupted as error:
         return farewell(error, folder)
     report(result, folder)
@@ -57,7 +59,11 @@ def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[s
 def report(result: Result, folder: Path) -> None:
     """Say what came out, and where it is."""
     metrics = result.metrics
-    typer.echo(f"{metrics['stop_reason']} after {metrics['iterations']} iterations, {metrics['seconds']:.1f} s")
+    typer.echo(
+        f"{metrics['stop_reason']} after {metrics['iterations']} iterations, {metrics['seconds']:.1f} s"
+    )
     if "psnr_aligned" in metrics:
-        typer.echo(f"PSNR {metrics['psnr']:.2f} dB, {metrics['psnr_aligned']:.2f} dB with gain and level aligned")
+        typer.echo(
+            f"PSNR {metrics['psnr']:.2f} dB, {metrics['psnr_aligned']:.2f} dB with gain and level aligned"
+        )
     typer.echo(f"results: {folder}/result.npz, {folder}/scene.tiff; pictures: {folder}/summary.png")

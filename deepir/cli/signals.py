@@ -24,7 +24,7 @@ class Interrupted(BaseException):
 
 
 class Interruptible:
-    """A context in which a signal ends the solve after its iteration; a second one, or one before it, at once.
+    """A context in which a signal ends the solve after its iteration; a second one, or an early one, at once.
 
     It is also the solve's callback: raised from there, the solver saves its state first.
     """
@@ -44,6 +44,7 @@ class Interruptible:
             signal.signal(signum, handler)
 
     def __call__(self, progress: Progress) -> None:
+        """Raise `Interrupted` if a signal has come."""
         self.solving = True
         if self.requested:
             raise Interrupted(self.requested)

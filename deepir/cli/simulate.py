@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    out: Annotated[Path, typer.Argument(metavar="OUT.npz", help="The burst; its truth goes to OUT_truth.npz.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT.npz", help="The burst; its truth goes to OUT_truth.npz.")
+    ],
     settings: Annotated[
         list[str] | None,
         typer.Argument(metavar="[KEY=VALUE]...", help="Settings, for example n_frames=8 counts=true"),
@@ -25,7 +27,9 @@ def simulate(
         Path | None,
         typer.Option(metavar="PICTURE", help="A picture, finer than the detector; its range becomes 0 to 1."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of motion, pattern, noise, and the scene that is drawn.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of motion, pattern, noise, and the scene that is drawn.")
+    ] = 0,
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate a burst with known truth: deepir simulate burst.npz n_frames=8 shape=[240,320] counts=true."""
@@ -41,7 +45,9 @@ def simulate(
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
     picture = None if scene is None else _picture(scene)
     camera.simulate(picture, checked, seed=seed).save(out)
-    typer.echo(f"{out}: {checked.n_frames} frames of {checked.shape[0]} x {checked.shape[1]} px; truth: {truth}")
+    typer.echo(
+        f"{out}: {checked.n_frames} frames of {checked.shape[0]} x {checked.shape[1]} px; truth: {truth}"
+    )
 
 
 def parse_settings(pairs: list[str]) -> Settings:
@@ -60,7 +66,9 @@ def parse_settings(pairs: list[str]) -> Settings:
     known: typing.Any = {each.name: (hints[each.name], each.default) for each in fields(Settings)}
     schema = create_model("Settings", __config__=ConfigDict(extra="forbid"), **known)
     try:
-        found = schema.model_validate({key: value for key, value in split(pairs, schema) if value is not None})
+        found = schema.model_validate(
+            {key: value for key, value in split(pairs, schema) if value is not None}
+        )
     except ValidationError as error:
         raise ConfigError(f"simulate: {explain(error, schema)[1]}") from None
     return Settings(**{name: getattr(found, name) for name in known})

@@ -79,7 +79,7 @@ def _select(frames: Array, select: Select, source: str) -> Array:
         return frames
     count = len(frames)
     wrong = DataError(
-        f"{source}: frames {select!r} do not fit its {count} frames (numbered from 0). "
+        f"{source}: data.frames={select!r} does not fit its {count} frames (numbered from 0). "
         "Give a count (8), a slice ('2:10', '::2') or a list of frame numbers ([0, 3, 5])."
     )
     try:

@@ -14,11 +14,11 @@ Shape = tuple[int, ...]
 class Operator(nn.Module):
     """A map `x, **slots -> y` without hidden state; `deepir.testing.check_operator` tests one.
 
-    Slots are named extra tensors (`motion`, `gain`, `psf` ...), so an operator knows nothing of how an unknown is
-    represented.
+    Slots are named extra tensors (`motion`, `gain`, `psf` ...), so an operator knows nothing of how an
+    unknown is represented.
     """
 
-    #: Whether it is linear in `x`, all slots fixed, and whether it is so up to a constant (a sensor with an offset).
+    #: Whether it is linear in `x`, all slots fixed, and whether it is so up to a constant (an offset).
     linear: bool = True
     affine: bool = True
     #: The value of each slot that leaves the data as they are (1 for a gain, 0 for an offset).
@@ -41,7 +41,7 @@ class Operator(nn.Module):
         raise NotImplementedError
 
     def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
-        """The adjoint in `x` of the linear part, `(x_shape)`; of a nonlinear operator, of its derivative at zero."""
+        """The adjoint in `x`, `(x_shape)`, of the linear part; of the derivative at zero, if not affine."""
         x = torch.zeros(x_shape, dtype=y.dtype, device=y.device, requires_grad=True)
         with torch.enable_grad():
             (out,) = torch.autograd.grad(self.forward(x, **slots), x, y)
@@ -53,7 +53,7 @@ class Operator(nn.Module):
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """A small instance with an input and slots (float64): the test-suite collects it from the registry."""
+        """A small instance with input and slots (float64): the test-suite collects it from the registry."""
         raise NotImplementedError
 
     def __matmul__(self, other: Operator) -> Chain:

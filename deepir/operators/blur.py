@@ -14,8 +14,8 @@ from deepir.registry import register
 class Blur(Operator):
     """Valid convolution with the slot `psf`, (1, 1, 2 r + 1, 2 r + 1), sum one.
 
-    (N, C, h + 2 r, w + 2 r) -> (N, C, h, w): the input reaches over the output's edges, so that no boundary is
-    made up. It is a convolution (the kernel is flipped), as optics does it.
+    (N, C, h + 2 r, w + 2 r) -> (N, C, h, w): the input reaches over the output's edges, so that no boundary
+    is made up. It is a convolution (the kernel is flipped), as optics does it.
     """
 
     def __init__(self, *, radius: int = 3) -> None:

@@ -15,7 +15,7 @@ from deepir.registry import register
 class Sensor(Operator):
     """Gain, offset and drift of the level: `y_k = gain * x_k + offset + level_k`, (N, 1, h, w).
 
-    Saragadam et al. 2021, the equation that ends "Sensor modeling"; the level is the drift that it leaves out.
+    Saragadam et al. 2021, the equation that ends "Sensor modeling"; it leaves the drift out.
     """
 
     linear = False

@@ -19,18 +19,18 @@ class Warp(Operator):
 
     `x` is (1, C, Hc, Wc), one canvas for all frames, or (N, C, Hc, Wc); the output is (N, C, h, w). The slot
     `motion` is (N, 3, 3), pull homographies in px with the origin at the frame's centre, or (N, h, w, 2), the
-    point (x, y) that each pixel looks at, from the same origin. Outside the canvas the scene is its nearest edge
-    pixel; `valid` is zero there.
+    point (x, y) that each pixel looks at, from the same origin. Outside the canvas the scene is its nearest
+    edge pixel; `valid` is zero there.
     """
 
     place: Tensor
 
     def __init__(self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[int, int]) -> None:
-        """`size` = (h, w) of a frame, `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's pixel 0, 0."""
+        """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel."""
         super().__init__()
         self.size, self.canvas, self.origin = size, canvas, origin
         centre = [o + (side - 1) / 2 for o, side in zip(origin, size, strict=True)]
-        # From centred px to grid_sample's units with align_corners=False: index i of `side` is (2 i + 1) / side - 1.
+        # From centred px to grid_sample's units, align_corners=False: index i of s is (2 i + 1) / s - 1.
         (sy, ty), (sx, tx) = ((2 / s, (2 * c + 1) / s - 1) for c, s in zip(centre, canvas, strict=True))
         place = torch.tensor([[sx, 0, tx], [0, sy, ty], [0, 0, 1]], dtype=torch.float64)
         self.register_buffer("place", place, persistent=False)
@@ -66,8 +66,8 @@ class Warp(Operator):
     def _grid(self, motion: Tensor, dtype: torch.dtype) -> Tensor:
         """Where each pixel looks, (N, h, w, 2), in grid_sample's units; never NaN.
 
-        A NaN crashes grid_sample's backward pass on the CPU (torch 2.13); a line search can produce one, and must
-        see a bad loss instead.
+        A NaN crashes grid_sample's backward pass on the CPU (torch 2.13); a line search can produce one, and
+        must see a bad loss instead.
         """
         motion = motion.nan_to_num(nan=FAR).clamp(-FAR, FAR)
         if motion.ndim == 4:
@@ -95,7 +95,7 @@ class Warp(Operator):
 def coords(motion: Tensor, size: tuple[int, int]) -> Tensor:
     """The points `T_k p` of all pixel centres `p`, origin at the frame's centre; (N, 3, 3) -> (N, h, w, 2).
 
-    In memory the planes of x and y follow each other: three times as fast to make as pairs, and to differentiate.
+    In memory the planes of x and y follow each other: three times as fast as pairs, forth and back.
     """
     height, width = size
     y = torch.arange(height, dtype=motion.dtype, device=motion.device) - (height - 1) / 2

@@ -16,10 +16,10 @@ ARMIJO, CURVATURE, MAX_TRIALS = 1e-4, 0.9, 20
 
 
 class LBFGS(Optimiser):
-    """Two-loop recursion (Nocedal and Wright, algorithm 7.4) with the line search of Lewis and Overton (2013).
+    """Two-loop recursion (Nocedal and Wright, algorithm 7.4), line search of Lewis and Overton (2013).
 
-    Their bracketing for the weak Wolfe conditions needs no smoothness, and mostly takes its first trial. A trial
-    whose value or slope is not finite is one that went too far.
+    Their bracketing for the weak Wolfe conditions needs no smoothness, and mostly takes its first trial. A
+    trial whose value or slope is not finite is one that went too far.
     """
 
     def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
@@ -29,7 +29,7 @@ class LBFGS(Optimiser):
         self.pairs: list[tuple[Tensor, Tensor]] = []
 
     def step(self, *, fresh: bool) -> None:
-        """One quasi-Newton step. Without descent the memory is dropped; without any along the gradient, `done`."""
+        """One quasi-Newton step. Without descent the memory is dropped; `done` if the gradient has none."""
         if fresh or self.slope is None:
             self.value, self.slope = self._at(self.x)
         if not (math.isfinite(self.value) and self.slope.isfinite().all()):
@@ -41,7 +41,7 @@ class LBFGS(Optimiser):
             self.pairs.clear()
             direction = -self.slope
             descent = float(torch.dot(self.slope, direction))
-        found = self._search(direction, descent)
+        found = self._search(direction, descent) if descent < 0 else None
         if found is None:
             self.done = not self.pairs
             self.pairs.clear()

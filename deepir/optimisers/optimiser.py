@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from deepir.problem import Problem, Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
+
+
+def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter]:
+    """The parameters of the group's fields that can move."""
+    mine = [p for name in group for p in problem.fields[name].parameters()]
+    return [p for p in mine if p.requires_grad and p.numel()]
 
 
 class Optimiser:
@@ -17,12 +23,11 @@ class Optimiser:
 
     def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
-        mine = [p for name in group for p in problem.fields[name].parameters()]
-        self.parameters = [p for p in mine if p.requires_grad and p.numel()]
+        self.parameters = free_parameters(problem, group)
         self.value, self.done, self._count = float("nan"), False, 0
 
     def step(self, *, fresh: bool) -> None:
-        """One iteration; `fresh`: other unknowns have changed since the last. Sets `value`, and `done` at rest."""
+        """One iteration, sets `value`, and `done` at rest. `fresh`: others have changed since the last."""
         raise NotImplementedError
 
     def state(self) -> dict[str, Tensor]:

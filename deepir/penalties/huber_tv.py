@@ -14,7 +14,7 @@ from deepir.registry import register
 class HuberTV(Penalty):
     """Huber's function of `|∇x|`: quadratic up to `threshold`, in units of `1 / weight`, linear beyond.
 
-    Slopes are not turned into stairs as by TV. Werlberger et al. 2009, "Anisotropic Huber-L1 optical flow", eq. 4.
+    It makes no stairs of slopes, as TV does (Werlberger et al. 2009, "Anisotropic Huber-L1 optical flow").
     """
 
     def __init__(self, *, weight: float | None = None, threshold: float = 1.0) -> None:

@@ -11,7 +11,7 @@ from deepir.registry import register
 
 @register("penalty", "l1")
 class L1(Penalty):
-    """The distance from `center`, `Σ |x - center|`: a Laplacian prior of scale `1 / weight`."""
+    """The distance from `center`, `Σ |x - center|`: a Laplacian of scale `1 / weight`."""
 
     def __init__(self, *, weight: float | None = None, center: float = 0.0) -> None:
         super().__init__(weight=weight)

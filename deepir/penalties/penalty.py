@@ -9,8 +9,8 @@ from torch import Tensor, nn
 class Penalty(nn.Module):
     """A negative log-prior of a value, in nats: `weight * energy(value)`.
 
-    `weight` is in nats for each unit of the energy; `given` is what the configuration says of it, None for `auto`:
-    then a problem sets it, mostly to `natural`.
+    `weight` is in nats for each unit of the energy; `given` is what the configuration says of it, None for
+    `auto`: then a problem sets it, mostly to `natural`.
     """
 
     weight: Tensor
@@ -31,7 +31,7 @@ class Penalty(nn.Module):
         raise NotImplementedError
 
     def natural(self, noise: float) -> float:
-        """The weight that suits a value which has noise of this standard deviation, before it is penalised."""
+        """The weight that suits a value with noise of this standard deviation, before it is penalised."""
         return 1.0
 
 

@@ -11,7 +11,7 @@ from deepir.registry import register
 
 @register("penalty", "ridge")
 class Ridge(Penalty):
-    """Half the squared distance from `center`, `½ Σ (x - center)²`: a Gaussian prior of variance `1 / weight`."""
+    """Half the squared distance from `center`, `½ Σ (x - center)²`: a Gaussian of variance `1 / weight`."""
 
     def __init__(self, *, weight: float | None = None, center: float = 0.0) -> None:
         super().__init__(weight=weight)

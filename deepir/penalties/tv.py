@@ -8,8 +8,8 @@ from torch import Tensor
 from deepir.penalties.penalty import Penalty, squared_gradient
 from deepir.registry import register
 
-#: Typical step between neighbours, in standard deviations of the noise: the best on the truth was 1 to 3 on eight
-#: pictures with 3, 5 and 10 frames.
+#: Typical step between neighbours, in standard deviations of the noise: the best on the truth was 1 to 3 on
+#: eight pictures with 3, 5 and 10 frames.
 SCALE = 1.6
 
 

@@ -12,7 +12,7 @@ from deepir.registry import register
 
 @register("field", "constant")
 class Constant(Field):
-    """A given value that is never changed: a number, or an array from a file (a calibrated gain map, a PSF)."""
+    """A given value that is never changed: a number, or an array from a file (a calibrated gain map)."""
 
     values: Tensor
 

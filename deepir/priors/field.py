@@ -16,9 +16,10 @@ Shape = tuple[int, ...]
 class Field(nn.Module):
     """How an unknown is represented: `forward()` gives its value, a tensor of `shape`.
 
-    `neutral` is the value that leaves the data as they are (1 for a gain). Options that a configuration may set
-    are the keyword-only arguments of the constructor. Parameters are stored so that a change of one in each of
-    them is of the same order in the data: that is what lets one L-BFGS step move scene and motion together.
+    `neutral` is the value that leaves the data as they are (1 for a gain). Options that a configuration may
+    set are the keyword-only arguments of the constructor. Parameters are stored so that a change of one in
+    each of them is of the same order in the data: that is what lets one L-BFGS step move scene and motion
+    together.
     """
 
     def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
@@ -38,7 +39,7 @@ class Field(nn.Module):
         return None
 
     def parts(self) -> Sequence[Part]:
-        """Gaussian parts that add up to the field's deviation from neutral: what can be solved in closed form."""
+        """Gaussian parts that add up to the deviation from neutral: what can be solved in closed form."""
         return ()
 
     @classmethod

@@ -16,11 +16,13 @@ from deepir.registry import register
 class Gaussian(Field):
     """Isotropic Gaussian point-spread function (1, 1, 2 r + 1, 2 r + 1), sum one; `sigma` in px is free.
 
-    It is sampled at pixel centres, not integrated over pixels: that is `downsample`'s. Far below 0.4 px it is one
-    pixel. The blur's radius should be 3 sigma.
+    It is sampled at pixel centres, not integrated over pixels: that is `downsample`'s. Far below 0.4 px it is
+    one pixel. The blur's radius should be 3 sigma.
     """
 
-    def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], sigma: float = 1.0) -> None:
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], sigma: float = 1.0
+    ) -> None:
         super().__init__(shape, neutral)
         if not 0 < sigma < math.inf:
             raise ValueError(f"sigma must be a positive number of px, not {sigma}")

@@ -10,7 +10,7 @@ from deepir.registry import register
 
 @register("field", "kernel")
 class Kernel(Constant):
-    """A known point-spread function (1, 1, 2 r + 1, 2 r + 1) from a file, scaled to sum one; one pixel without."""
+    """A known point-spread function from a file, (2 r + 1, 2 r + 1), scaled to sum one; one pixel without."""
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, path: str | None = None) -> None:
         super().__init__(shape, neutral, path=path)

@@ -11,15 +11,16 @@ from torch import Tensor, nn
 from deepir.priors.field import Field, Shape
 from deepir.registry import register
 
-#: What a parameter that all pixels feel moves for a step of one, times the frame's side: see `Field`. The misfit's
-#: curvature in a shift is about HW times that in a pixel of the scene, weighted by the scene's squared gradient.
+#: What a parameter that all pixels feel moves for a step of one, times the frame's side: see `Field`. The
+#: misfit's curvature in a shift is about HW times that in a pixel of the scene, weighted by the scene's
+#: squared gradient.
 STEP = 10.0
 
 
 class Motion(Field):
     """Pull homographies (N, 3, 3); frame 0 is the identity, always.
 
-    Parameters are displacements in px at the frame's edge. `size` is the frame's (h, w), which sets that unit.
+    Parameters are displacements in px at the edge of the frame, whose (h, w) is `size`.
     """
 
     count: ClassVar[int]
@@ -38,7 +39,7 @@ class Motion(Field):
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take the parameters of `value` (N, 3, 3) over, relative to its frame 0; what the model lacks is dropped."""
+        """Take over `value` (N, 3, 3), relative to its frame 0; what the model lacks is dropped."""
         value = value.double()
         relative = torch.linalg.solve(value[:1], value[1:])
         self.values.copy_(self.parameters_of(relative / relative[:, 2:, 2:]) / self.step)

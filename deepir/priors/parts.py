@@ -16,14 +16,15 @@ from deepir.registry import register
 class Part(Field):
     """Independent Gaussian values with standard deviation `sigma`, constant along `along`.
 
-    `sigma` is in the unknown's units (a fraction for a gain, counts for an offset); without it, it is estimated
-    from the burst. The parameters are white, `value / sigma`, and float64 whatever the output is: see
-    `deepir.elimination`.
+    `sigma` is in the unknown's units (a fraction for a gain, counts for an offset); without it, it is
+    estimated from the burst. The parameters are white, `value / sigma`, and float64 whatever the output is:
+    see `deepir.elimination`.
     """
 
     along: ClassVar[tuple[int, ...]] = ()
     center: Tensor
     sigma: Tensor
+    most: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral)
@@ -34,6 +35,7 @@ class Part(Field):
         self.given = sigma is not None
         self.register_buffer("center", torch.tensor(float(neutral)))  # neutral, in the output's type
         self.register_buffer("sigma", torch.tensor(0.0 if sigma is None else sigma, dtype=torch.float64))
+        self.register_buffer("most", torch.tensor(math.inf, dtype=torch.float64))  # bound of an estimated sigma
 
     def forward(self) -> Tensor:
         """`neutral + values`."""
@@ -89,7 +91,7 @@ class Pixel(Part):
 
 
 class Sum(Field):
-    """The sum of several fields, written `column+row+pixel` in a configuration; options go by the part's name."""
+    """The sum of several fields, `column+row+pixel` in a configuration; options go by the part's name."""
 
     def __init__(self, shape: Shape, neutral: float, members: dict[str, Field]) -> None:
         super().__init__(shape, neutral)

@@ -44,14 +44,15 @@ class Generic(Definition):
     """Any operator and any unknowns: all are moved together; gain and offset in closed form where they have one."""
 
 
-def start_precision(problem: Problem) -> float:
-    """Set the precision of usable samples to 1 / variance of the noise that the frames show; returns its sigma."""
+def start_precision(problem: Problem) -> None:
+    """Set the precision of usable samples to 1 / variance of the noise that the frames show, if none is given."""
+    if problem.known_noise:
+        return
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     spread = float(problem.data[usable].std())
     sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
     problem.precision.copy_(usable / sigma**2)
-    return sigma
 
 
 @torch.no_grad()

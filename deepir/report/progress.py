@@ -27,6 +27,7 @@ class Lines:
         self.last: Progress | None = None
 
     def __call__(self, progress: Progress) -> None:
+        """Say it, if it is time."""
         now = time.monotonic()
         if self.first is None:
             self.start, self.first = now, progress.done
@@ -75,27 +76,27 @@ class Bar:
         self.bar.stop()
 
     def __call__(self, progress: Progress) -> None:
+        """Move the bar."""
         now = time.monotonic()
         if now - self.last > self.every:
             self.last, error = now, progress.held_out()
             self.held_out = f"  held-out {error:.4g}" if math.isfinite(error) else ""
         what = f"{progress.iteration}/{progress.iterations}  loss {progress.loss:.6g}{self.held_out}"
-        self.bar.update(
-            self.task, description=progress.stage, total=1.0, completed=progress.done, what=what
-        )
+        self.bar.update(self.task, description=progress.stage, total=1.0, completed=progress.done, what=what)
 
 
 class Warnings(logging.Handler):
     """Puts the package's warnings on stderr, above the bar."""
 
     def emit(self, record: logging.LogRecord) -> None:
+        """Print a warning; anything else is for the log."""
         if record.levelno == logging.WARNING:
             print(f"deepir: {record.getMessage()}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def on_stderr() -> Iterator[Callable[[Progress], None]]:
-    """A context that gives the callback that fits, a bar for a person and lines for a file, and shows warnings."""
+    """Give the callback that fits: a bar for a person, lines for a file; show warnings meanwhile."""
     handler = Warnings()
     log.addHandler(handler)
     try:

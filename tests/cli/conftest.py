@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 
 from deepir.cli import main
 from deepir.simulate import Settings, simulate
@@ -7,10 +8,31 @@ from deepir.simulate import Settings, simulate
 CAMERA = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0, motion="shift", dead_pixels=0.0)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def one_thread():
+    """Small frames are slower with more."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 @pytest.fixture(scope="session")
 def simulation():
     """A small burst with its truth."""
     return simulate(None, CAMERA, seed=3)
+
+
+@pytest.fixture(autouse=True)
+def no_summary(request, monkeypatch):
+    """The summary takes longer than a small run: it is drawn only for a test that asks for `summary`."""
+    if "summary" not in request.fixturenames:
+        monkeypatch.setattr("deepir.report.summary.write_summary", lambda path, *_: path.write_bytes(b""))
+
+
+@pytest.fixture
+def summary():
+    """Draw the summary."""
 
 
 @pytest.fixture

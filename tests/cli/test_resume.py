@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from deepir.cli.signals import Interrupted, Interruptible
+from deepir.runner import run
 
 RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=8")
 
 
-@pytest.fixture
-def scene(deepir, folder):
+@pytest.fixture(scope="module")
+def scene(simulation):
     """The scene of a run that is left alone."""
-    deepir(*RUN, "output.dir=alone")
-    return np.load("alone/result.npz")["scene"]
+    return run("nuc", "solver.max_iterations=8", frames=simulation.frames, threads=1).scene
 
 
 @pytest.fixture
@@ -39,8 +39,10 @@ def signalled(monkeypatch):
     return at
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-@pytest.mark.parametrize("iteration", [1, 5, 8, 13])
+@pytest.mark.parametrize(
+    ("number", "status", "iteration"),
+    [(signal.SIGINT, 130, 1), (signal.SIGTERM, 143, 5), (signal.SIGINT, 130, 8), (signal.SIGTERM, 143, 13)],
+)
 def test_after_a_signal(deepir, scene, signalled, number, status, iteration):
     with signalled(number, iteration):
         found, _, err = deepir(*RUN)

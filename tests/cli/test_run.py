@@ -5,10 +5,20 @@ import json
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from deepir.folder import FILES
 
-ENDED = {"config.yaml", "run.json", "deepir.log", "result.npz", "scene.tiff", "scene_preview.png", "summary.png", "metrics.json"}
+ENDED = {
+    "config.yaml",
+    "run.json",
+    "deepir.log",
+    "result.npz",
+    "scene.tiff",
+    "scene_preview.png",
+    "summary.png",
+    "metrics.json",
+}
 PLUGIN = '''
 from deepir.priors.pixels import Pixels
 from deepir.registry import register
@@ -23,10 +33,14 @@ def held(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def test_a_finished_run_leaves_its_files_in_its_folder(nuc, folder):
+def test_a_finished_run_leaves_its_files_in_its_folder(nuc, folder, summary):
     status, out, _ = nuc("data.path=burst.npz", "data.truth=burst_truth.npz")
     assert status == 0
     assert held(folder / "runs/nuc") == ENDED
+    with Image.open("runs/nuc/summary.png") as picture:
+        assert picture.width > 600
+    with Image.open("runs/nuc/scene_preview.png") as picture:
+        assert picture.size == (48, 40)
     assert "runs/nuc/result.npz" in out
     assert "PSNR" in out
 
@@ -63,7 +77,7 @@ def test_the_average_has_the_same_metrics(nuc, folder):
 def test_the_log_names_versions_input_and_stages(nuc, folder):
     nuc("data.path=burst.npz")
     log = (folder / "runs/nuc/deepir.log").read_text()
-    for words in ("torch", "sha256", "burst.npz", "scene 1/3", "finished"):
+    for words in ("torch", "sha256", "burst.npz", "1/3: loss", "finished"):
         assert words in log
 
 
@@ -159,7 +173,10 @@ def test_something_unforeseen_is_one_line_and_a_traceback_in_the_log(nuc, folder
 
 @pytest.mark.parametrize(
     ("error", "words"),
-    [(MemoryError(), "not enough memory"), (RuntimeError("DefaultCPUAllocator: not enough memory"), "data.crop")],
+    [
+        (MemoryError(), "not enough memory"),
+        (RuntimeError("DefaultCPUAllocator: not enough memory"), "data.crop"),
+    ],
 )
 def test_too_little_memory_says_what_to_do(nuc, monkeypatch, error, words):
     def fail(*_, **__):

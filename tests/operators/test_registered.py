@@ -167,7 +167,8 @@ def test_a_motion_given_as_points_is_the_same_as_the_homography():
     operator, x, slots = Warp.example()
     points = coords(slots["motion"], operator.size)
     assert torch.allclose(operator(x, motion=points), operator(x, **slots))
-    assert torch.equal(operator.valid(torch.ones_like(x), motion=points), operator.valid(torch.ones_like(x), **slots))
+    mask = torch.ones_like(x)
+    assert torch.equal(operator.valid(mask, motion=points), operator.valid(mask, **slots))
 
 
 def test_a_motion_that_is_not_a_number_gives_numbers_and_gradients():
@@ -191,7 +192,7 @@ def test_a_scene_that_is_not_the_canvas_is_refused():
 
 
 def test_kornia_warps_the_same_way():
-    # Second opinion: kornia takes the inverse, in array indices. Its align_corners=False is right from 0.9 on.
+    # Second opinion: kornia takes the inverse, in array indices; align_corners=False is right from 0.9 on.
     from kornia.geometry.transform import warp_perspective
 
     torch.manual_seed(0)

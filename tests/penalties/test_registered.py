@@ -54,10 +54,10 @@ def test_the_energy_is_the_references(name, weight):
 def test_the_weight_scales_the_energy_and_is_one_until_it_is_known(name):
     x = picture()
     penalty = PENALTIES[name]()
-    assert not penalty.given
+    assert penalty.given is None
     assert torch.equal(penalty(x), penalty.energy(x))
     penalty = PENALTIES[name](weight=3.0)
-    assert penalty.given
+    assert penalty.given == 3.0
     assert torch.allclose(penalty(x), 3 * penalty.energy(x))
     assert float(PENALTIES[name](weight=0.0)(x)) == 0
 
@@ -85,6 +85,18 @@ def test_it_is_a_scalar_and_finite_in_float32_with_gradients_even_where_the_scen
     assert slope.isfinite().all()
 
 
+@each_penalty
+def test_the_natural_weight_belongs_to_the_units(name):
+    # In other units, value and noise alike, the penalty with its natural weight is the same number of nats.
+    if name in OF_GRADIENTS:
+        costs = [
+            float(PENALTIES[name](weight=PENALTIES[name]().natural(0.1 * s))(s * picture()))
+            for s in (1.0, 1e3)
+        ]
+        assert costs[0] == pytest.approx(costs[1], rel=1e-5)
+    assert PENALTIES[name]().natural(0.1) > 0
+
+
 @pytest.mark.parametrize("name", OF_GRADIENTS)
 @settings(max_examples=20, deadline=None)
 @given(level=st.floats(-1e4, 1e4))
@@ -108,7 +120,9 @@ def test_penalties_of_values_are_zero_at_their_center(name):
 
 @pytest.mark.parametrize("name", REFERENCES)
 @settings(max_examples=30, deadline=None)
-@given(seeds=st.tuples(st.integers(0, 99), st.integers(100, 199)), t=st.floats(0, 1), scale=st.floats(0.01, 100))
+@given(
+    seeds=st.tuples(st.integers(0, 99), st.integers(100, 199)), t=st.floats(0, 1), scale=st.floats(0.01, 100)
+)
 def test_the_shipped_penalties_are_convex_and_not_negative(name, seeds, t, scale):
     penalty = PENALTIES[name](weight=1.5)
     a, b = (scale * picture(seed) for seed in seeds)

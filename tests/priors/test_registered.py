@@ -17,7 +17,7 @@ def nudge(field):
     """Some value that the field can represent."""
     with torch.no_grad():
         for parameter in field.parameters():
-            parameter += 0.3 * torch.randn_like(parameter)
+            parameter.add_(0.3 * torch.randn_like(parameter))
 
 
 def test_the_value_has_the_shape_and_is_float32(field):

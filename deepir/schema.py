@@ -1,0 +1,77 @@
+"""What a configuration may hold. What a component may be given, its constructor says: `deepir.components`."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)  # a folder may be called 2021
+
+
+class Data(_Strict):
+    """Where the frames come from."""
+
+    path: str | None = None  # file, folder or glob
+    truth: str | None = None  # .npz with `scene`, or a picture: scores are added to metrics.json
+    mask: str | None = None  # picture or array of a frame's size; nonzero = ignore
+    crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
+    frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
+    key: str | None = None  # array in an .npz
+
+
+class Noise(_Strict):
+    """Noise of a sample: variance `read² + y / photons`."""
+
+    read: float = Field(ge=0)  # standard deviation, in the data's units
+    photons: float | None = Field(None, gt=0)  # photons for each unit of data; None: no photon noise
+
+
+class StepConfig(_Strict):
+    """A step of a stage, see `deepir.solve.Step`."""
+
+    group: list[str] = Field(min_length=1)
+    method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
+    lr: float = Field(1e-2, gt=0)
+    every: int = Field(1, ge=1)
+
+
+class StageConfig(_Strict):
+    """A stage of the plan, see `deepir.solve.Stage`."""
+
+    name: str
+    steps: list[StepConfig] = Field(min_length=1)
+    iterations: int = Field(100, ge=0)
+
+
+class Solver(_Strict):
+    """How long, and in which order."""
+
+    max_iterations: int | None = Field(default=None, ge=0)  # caps each stage
+    plan: list[StageConfig] | None = Field(default=None, min_length=1)  # None: the problem's own
+
+
+class Output(_Strict):
+    """Where results go."""
+
+    dir: str | None = None
+
+
+class Config(_Strict):
+    """A whole configuration; `physics`, `scene` and `fidelity` are checked by the components they name."""
+
+    problem: str = "generic"
+    method: str = "joint"
+    prior: str = "tv"
+    scene: dict[str, Any] = {}
+    physics: dict[str, dict[str, Any] | None]
+    fidelity: str | dict[str, Any] = "gaussian"
+    noise: Literal["auto"] | Noise = "auto"
+    data: Data = Data()
+    solver: Solver = Field(default_factory=Solver)
+    output: Output = Output()
+    seed: int = Field(0, ge=0, lt=2**63)
+    device: str = "cpu"
+    threads: int | None = Field(None, ge=1, le=1024)

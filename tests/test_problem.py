@@ -1,0 +1,174 @@
+"""Unknowns bound to slots and data."""
+
+import pytest
+import torch
+
+from deepir.fidelity import Huber
+from deepir.operators import Blur, Chain, Sensor, Warp
+from deepir.penalties.ridge import Ridge
+from deepir.priors.constant import Constant
+from deepir.priors.parts import Column, Pixel, Sum
+from deepir.priors.pixels import Pixels
+from deepir.problem import Problem
+
+SHAPE = (1, 1, 6, 7)
+
+
+def sensor_problem(gain=None, offset=None, data=None, penalties=None, **more):
+    fields = {
+        "scene": Pixels(SHAPE),
+        "gain": gain or Pixel(SHAPE, 1.0, sigma=0.1),
+        "offset": offset or Pixel(SHAPE, 0.0, sigma=1.0),
+        "level": Constant((2, 1, 1, 1)),
+    }
+    data = torch.rand(2, 1, 6, 7) if data is None else data
+    return Problem(
+        Chain({"sensor": Sensor()}), fields, data, torch.ones_like(data), penalties=penalties, **more
+    )
+
+
+def test_the_terms_are_named_and_add_up(small_nuc):
+    problem = small_nuc()
+    terms = problem.losses(problem.values())
+    assert sorted(terms) == ["data", "gain", "offset", "scene.prior"]
+    values = problem.values()
+    residual = problem.predict(values) - problem.data
+    assert torch.allclose(terms["data"], (problem.precision * residual.square()).sum() / 2)
+    assert torch.equal(terms["scene.prior"], problem.penalties["scene"]["prior"](values["scene"]))
+    assert torch.equal(terms["gain"], problem.fields["gain"].penalty())
+
+
+def test_penalties_stack_on_any_unknown():
+    penalties = {
+        "gain": {"near": Ridge(weight=2.0, center=1.0), "far": Ridge(weight=3.0)},
+        "scene": {"r": Ridge()},
+    }
+    terms = sensor_problem(penalties=penalties).losses(sensor_problem().values())
+    assert {"gain.near", "gain.far", "scene.r"} <= terms.keys()
+    assert float(terms["gain.near"].detach()) == 0
+    assert float(terms["gain.far"].detach()) == pytest.approx(3 * 42 / 2)
+
+
+def test_a_field_is_evaluated_once_a_step(small_nuc, monkeypatch):
+    problem, calls = small_nuc(), []
+    forward = type(problem.fields["scene"]).forward
+    monkeypatch.setattr(Pixels, "forward", lambda field: calls.append(1) or forward(field))
+    problem.losses(problem.values(), ("gain", "offset"))
+    assert len(calls) == 1
+
+
+def test_only_what_is_free_carries_a_gradient(small_nuc):
+    values = small_nuc().values(["motion"])
+    assert values["motion"].requires_grad
+    assert not values["scene"].requires_grad
+
+
+def test_held_out_samples_have_no_influence(small_nuc):
+    problem = small_nuc()
+    problem.held_out[:, :, ::3, ::2] = True
+    everything = ("gain", "offset")
+
+    def outcome(**options):
+        terms = problem.losses(problem.values(), everything, **options)
+        return torch.stack([term.detach() for term in terms.values()]), problem.values()["gain"].detach()
+
+    before, gain = outcome()
+    problem.data[problem.held_out] += 100
+    after, same_gain = outcome()
+    assert torch.equal(before, after)
+    assert torch.equal(gain, same_gain)
+    assert not torch.equal(outcome(use_held_out=True)[0], after)
+
+
+def test_elimination_updates_the_values_and_lowers_the_objective(small_nuc):
+    problem = small_nuc()
+    values = problem.values()
+    before = sum(term.detach() for term in problem.losses(values).values())
+    after = sum(term.detach() for term in problem.losses(values, ("gain", "offset")).values())
+    assert after < before
+    assert torch.equal(values["gain"], problem.fields["gain"]())
+    assert torch.equal(values["offset"], problem.fields["offset"]())
+
+
+@pytest.mark.parametrize("group", [("gain",), ("offset",), ("gain", "offset")])
+def test_elimination_finds_where_the_gradient_is_zero(small_nuc, group):
+    # The unknown that is not in the group keeps a value of its own, and the level one, too.
+    problem = small_nuc()
+    for name in ("gain", "offset"):
+        problem.fields[name].init_from(problem.truth[name])
+    problem.fields["level"].values.copy_(torch.tensor([0.1, -0.2, 0.1]).reshape(3, 1, 1, 1))
+    problem.eliminate(problem.values(), group)
+    total = torch.stack(list(problem.losses(problem.values()).values())).sum()
+    for name in group:
+        for parameter in problem.fields[name].parameters():
+            (slope,) = torch.autograd.grad(total, parameter, retain_graph=True)
+            assert slope.abs().max() < 1e-6
+
+
+def test_what_can_be_eliminated():
+    assert sensor_problem().closed_form() == ["gain", "offset"]
+    assert sensor_problem(gain=Constant(SHAPE, 1.0)).closed_form() == ["offset"]
+    assert sensor_problem(gain=Pixels(SHAPE, 1.0)).closed_form() == ["offset"]
+    mixed = Sum(SHAPE, 1.0, {"column": Column(SHAPE, sigma=0.1), "pixels": Pixels(SHAPE)})
+    assert sensor_problem(gain=mixed).closed_form() == ["offset"]
+    assert sensor_problem(penalties={"gain": {"near": Ridge()}}).closed_form() == ["offset"]
+    assert sensor_problem(fidelity=Huber()).closed_form() == []
+    fixed = sensor_problem()
+    fixed.fields["gain"].requires_grad_(False)
+    assert fixed.closed_form() == ["offset"]
+    fields = {"scene": Pixels((1, 1, 8, 9)), "psf": Constant((1, 1, 3, 3), value=1 / 9)}
+    data = torch.rand(1, 1, 6, 7)
+    assert Problem(Chain({"blur": Blur(radius=1)}), fields, data, torch.ones_like(data)).closed_form() == []
+
+
+def test_what_is_free():
+    assert sensor_problem().free() == ["scene", "gain", "offset"]
+
+
+def test_a_slot_without_a_field_is_named():
+    fields = {"scene": Pixels(SHAPE), "gain": Constant(SHAPE, 1.0), "level": Constant((2, 1, 1, 1))}
+    with pytest.raises(ValueError, match=r"'sensor\.offset' has no field.*gain"):
+        Problem(Chain({"sensor": Sensor()}), fields, torch.rand(2, 1, 6, 7), torch.ones(2, 1, 6, 7))
+
+
+def test_two_slots_may_share_an_unknown():
+    chain = Chain({"first": Blur(radius=1), "second": Blur(radius=1)})
+    fields = {"scene": Pixels((1, 1, 10, 11)), "psf": Constant((1, 1, 3, 3), value=1 / 9)}
+    data = torch.rand(1, 1, 6, 7)
+    slots = {"first.psf": "psf", "second.psf": "psf"}
+    assert Problem(chain, fields, data, torch.ones_like(data), slots=slots).predict(
+        {"scene": torch.ones(1, 1, 10, 11), "psf": fields["psf"]()}
+    ) == pytest.approx(torch.ones(1, 1, 6, 7))
+
+
+def test_the_average_puts_shifted_frames_on_top_of_each_other():
+    # Whole-pixel shifts: the average is the scene itself where any frame saw it, whatever the sensor did.
+    scene = torch.rand(1, 1, 12, 14)
+    motion = torch.eye(3).repeat(3, 1, 1)
+    motion[1:, :2, 2] = torch.tensor([[2.0, -1.0], [-1.0, 2.0]])
+    gain, offset = 0.5 + torch.rand(SHAPE), torch.rand(SHAPE)
+    level = torch.tensor([0.1, -0.3, 0.2]).reshape(3, 1, 1, 1)
+    chain = Sensor() @ Warp((6, 7), (12, 14), (3, 3))
+    fields = {"scene": Pixels(scene.shape), "motion": Constant((3, 3, 3)), "gain": Constant(SHAPE, 1.0)}
+    fields |= {"offset": Constant(SHAPE), "level": Constant((3, 1, 1, 1))}
+    for name, value in {"motion": motion, "gain": gain, "offset": offset, "level": level}.items():
+        fields[name].values.copy_(value)
+    slots = {"warp.motion": motion, "sensor.gain": gain, "sensor.offset": offset, "sensor.level": level}
+    data = chain(scene, **slots)
+    data[1, 0, 2, 3] = 1e6  # a sample that does not count
+    precision = torch.ones_like(data)
+    precision[1, 0, 2, 3] = 0
+    problem = Problem(chain, fields, data, precision)
+    average, weight = problem.backproject(problem.values())
+    seen = weight > 0.1
+    assert seen[..., 3:9, 3:10].all()
+    assert torch.allclose(average[seen], scene[seen], atol=1e-4)
+    assert not seen.all()
+
+
+def test_validity_has_the_shape_of_the_data(small_nuc):
+    problem = small_nuc()
+    valid = problem.valid(problem.values())
+    assert valid.shape == problem.data.shape
+    assert valid.dtype == torch.bool
+    assert valid.all()
