@@ -36,7 +36,9 @@ NO_OFFSET = {"offset_pixel": 0.0, "offset_column": 0.0, "offset_row": 0.0}
 REGIMES: dict[str, tuple[str | int, dict[str, object]]] = {
     "columns 10 %": ("coins", UNIT | NO_OFFSET | {"gain_column": 0.1, "gain_pixel": 0.02}),
     "columns 30 %": ("rocket", UNIT | NO_OFFSET | {"gain_column": 0.3, "gain_pixel": 0.02}),
-    "columns U(.5, 1)": (20, UNIT | NO_OFFSET | {"gain_distribution": "uniform", "gain_column": 0.5, "gain_pixel": 0.0}),
+    "columns U(.5, 1)": (
+        20, UNIT | NO_OFFSET | {"gain_distribution": "uniform", "gain_column": 0.5, "gain_pixel": 0.0},
+    ),
     "pixels 5 %": ("brick", UNIT | {"gain_pixel": 0.05, "gain_column": 0.02, "max_shift": 6.0}),
     "pixels 10 %": (21, UNIT | NO_OFFSET | {"gain_pixel": 0.1}),
     "rows 5 %": (22, UNIT | {"gain_row": 0.05, "offset_row": 0.05}),
@@ -82,7 +84,8 @@ def report(seeds: tuple[int, ...]) -> Iterator[str]:
             middle = {key: float(np.median([row[key] for row in rows])) for key in rows[0]}
             yield f"| {name} | {n} | " + " | ".join(f"{value:.1f}" for value in middle.values()) + " |"
     means = ", ".join(f"n = {n}: {np.mean(values):.2f}" for n, values in gaps.items())
-    yield f"\nMean gap to the oracle: **{np.mean(sum(gaps.values(), [])):.2f} dB** ({means}).\n"
+    mean = np.mean([gap for values in gaps.values() for gap in values])
+    yield f"\nMean gap to the oracle: **{mean:.2f} dB** ({means}).\n"
     yield "| burst | seconds | evaluations | peak memory, MB |\n|---|---|---|---|"
     for shape in ((160, 192), (512, 640)):
         yield speed(shape)
@@ -92,7 +95,14 @@ def simulation(picture: str | int, camera: dict[str, object], n: int, seed: int)
     """A burst of 160 x 192 px."""
     scene = None if isinstance(picture, str) else procedural(picture, (430, 500))
     if isinstance(picture, str):
-        scene = np.asarray(getattr(skimage.data, picture)()[0] if picture.startswith("stereo") else getattr(skimage.data, picture)()) / 255
+        scene = (
+            np.asarray(
+                getattr(skimage.data, picture)()[0]
+                if picture.startswith("stereo")
+                else getattr(skimage.data, picture)()
+            )
+            / 255
+        )
         scene = rgb2gray(scene) if scene.ndim == 3 else scene
     return simulate(scene, Settings(n_frames=n, **(CLEAN | camera)), seed=seed)  # type: ignore[arg-type]
 
@@ -137,7 +147,9 @@ def oracle(sim: Simulation) -> float:
     variance = truth.read_noise**2 + (1 / 12 if sim.settings.counts else 0)
     if truth.photons_per_unit:
         variance = variance + np.clip(frames, 0.25 / truth.photons_per_unit, None) / truth.photons_per_unit
-    variance = torch.from_numpy(np.broadcast_to(np.asarray(variance, np.float32), frames.shape).copy())[:, None]
+    variance = torch.from_numpy(np.broadcast_to(np.asarray(variance, np.float32), frames.shape).copy())[
+        :, None
+    ]
     problem.precision.copy_((problem.precision > 0) / variance)
     start_scene(problem)
     penalty = problem.penalties["scene"]["tv"]

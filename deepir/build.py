@@ -117,8 +117,11 @@ def _operator(
         allowed = [slot.rpartition(".")[2] for slot in shapes if slot.startswith(f"{name}.")]
         for key in own:
             if key not in allowed:
-                options_of = options_schema(type(chain.stages[name])).model_fields
-                raise ConfigError(f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}")
+                component: Any = type(chain.stages[name])
+                options_of = options_schema(component).model_fields
+                raise ConfigError(
+                    f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}"
+                )
     return chain, slots, _geometry(chain, size, out)
 
 
@@ -146,7 +149,9 @@ def _canvas(
     centre = points.new_tensor([(size[1] - 1) / 2, (size[0] - 1) / 2])
     low, high = (points + centre).amin((0, 1, 2)), (points + centre).amax((0, 1, 2))
     x0, y0 = (MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
-    x1, y1 = (MARGIN + math.ceil(max(float(v), side - 1)) for v, side in zip(high, reversed(size), strict=True))
+    x1, y1 = (
+        MARGIN + math.ceil(max(float(v), side - 1)) for v, side in zip(high, reversed(size), strict=True)
+    )
     return (y0 + y1 + 1, x0 + x1 + 1), (y0, x0)
 
 
@@ -182,7 +187,9 @@ def _slot_settings(given: Any, neutral: float | None, where: str) -> dict[str, A
     return dict(given)
 
 
-def _field(settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, size: Any, where: str) -> Field:
+def _field(
+    settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, size: Any, where: str
+) -> Field:
     options = {k: v for k, v in settings.items() if k not in SLOT_KEYS}
     kind = str(settings["type"])
     context = {"shape": shape, "neutral": neutral, "size": size}
@@ -212,14 +219,18 @@ def _fitting(kind: str, options: Mapping[str, Any], where: str, context: Mapping
     except RuntimeError as error:
         found = str(error).splitlines()[0]
     if found != context["shape"]:
-        raise ConfigError(f"{where}: the field '{kind}' does not fit: {context['shape']} is wanted, not {found}")
+        raise ConfigError(
+            f"{where}: the field '{kind}' does not fit: {context['shape']} is wanted, not {found}"
+        )
     return field
 
 
 def _penalties(settings: Mapping[str, Any], where: str) -> dict[str, Penalty]:
     found, wanted = {}, settings.get("penalties") or {}
     if not isinstance(wanted, Mapping):
-        raise ConfigError(f"{where}.penalties = {wanted!r}: a mapping is needed, for example {where}.penalties.tv=50")
+        raise ConfigError(
+            f"{where}.penalties = {wanted!r}: a mapping is needed, for example {where}.penalties.tv=50"
+        )
     for name, given in wanted.items():
         if given is None:  # what a preset has, left out
             continue
@@ -245,8 +256,10 @@ def _start(
         try:
             field.init_from(torch.from_numpy(value))
         except RuntimeError as error:
-            raise ConfigError(f"{where}.init: {init} has shape {value.shape}, {field.shape} is wanted") from error
+            raise ConfigError(
+                f"{where}.init: {init} has shape {value.shape}, {field.shape} is wanted"
+            ) from error
     elif init is not None:
-        raise ConfigError(f"{where}.init = {init!r}: a number, 'register' (a motion), or an array's file is needed")
-
-
+        raise ConfigError(
+            f"{where}.init = {init!r}: a number, 'register' (a motion), or an array's file is needed"
+        )

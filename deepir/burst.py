@@ -64,5 +64,7 @@ def _as_frames(frames: Array) -> Array:
     if array.ndim == 2:
         array = array[None]
     if array.ndim != 3 or array.dtype.kind not in "uif":
-        raise DataError(f"frames: (N, h, w) real numbers are needed, not {array.dtype} of shape {array.shape}")
+        raise DataError(
+            f"frames: (N, h, w) real numbers are needed, not {array.dtype} of shape {array.shape}"
+        )
     return array.astype(np.float32)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ def save(path: Path, tensors: dict[str, Tensor], position: dict[str, Any]) -> No
     contiguous = {name: tensor.detach().contiguous().cpu().clone() for name, tensor in tensors.items()}
     try:
         save_file(contiguous, part, metadata={"position": json.dumps(position)})
-        os.replace(part, path)
+        part.replace(path)
     except (SafetensorError, OSError) as error:
         raise DataError(f"{path}: the state cannot be written: {error}") from error
 

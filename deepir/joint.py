@@ -130,7 +130,10 @@ def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage
         ]
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
-    return [dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap)) for s in stages]
+    return [
+        dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap))
+        for s in stages
+    ]
 
 
 def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
@@ -148,18 +151,23 @@ def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
 
 @torch.no_grad()
 def _result(
-    problem: Problem, geometry: Geometry, solution: Solution, burst: Burst, used: np.ndarray, messages: list[str]
+    problem: Problem,
+    geometry: Geometry,
+    solution: Solution,
+    burst: Burst,
+    used: np.ndarray,
+    messages: list[str],
 ) -> Result:
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
     y0, y1, x0, x1 = geometry.window
     result = neutral(values["scene"][0, 0, y0:y1, x0:x1], len(used), burst.size, burst.bad_pixels)
     for slot, name in problem.slots.items():
-        value, slot = values[name], slot.rpartition(".")[2]
-        if slot in ("gain", "offset"):
-            setattr(result, slot, value[0, 0].astype(np.float64))
-        elif slot == "level":
+        value, kind = values[name], slot.rpartition(".")[2]
+        if kind in ("gain", "offset"):
+            setattr(result, kind, value[0, 0].astype(np.float64))
+        elif kind == "level":
             result.level[used] = value.ravel()
-        elif slot == "motion":
+        elif kind == "motion":
             result.motion[used] = value
             result.motion[~used] = np.nan
         else:

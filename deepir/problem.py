@@ -84,15 +84,19 @@ class Problem(nn.Module):
             x = stage(x, **own(slots, name))
         return x.expand(len(self.data), *x.shape[1:])
 
+    def fitted(self) -> Tensor:
+        """The precision, zero at held-out samples."""
+        return self.precision * ~self.held_out
+
     def losses(
-        self, values: Values, eliminated: Collection[str] = (), *, use_held_out: bool = False
+        self, values: Values, eliminated: Collection[str] = (), *, precision: Tensor | None = None
     ) -> Values:
         """The objective's terms in nats, by name: `data`, `unknown.penalty`, and `unknown` for a field's own.
 
         Unknowns in `eliminated` are first set to their optimum in closed form, given the others; `values` is
-        updated. Held-out samples count only if `use_held_out`.
+        updated. `precision` stands in for that of the samples that are fitted.
         """
-        precision = self.precision if use_held_out else self.precision * ~self.held_out
+        precision = self.fitted() if precision is None else precision
         if eliminated:
             flux = self.flux(values)
             self.eliminate(values, eliminated, flux=flux.detach(), precision=precision)
@@ -162,7 +166,7 @@ class Problem(nn.Module):
         """
         name, sensor = self.operator.named()[-1]
         flux = self.flux(values) if flux is None else flux
-        precision = self.precision * ~self.held_out if precision is None else precision
+        precision = self.fitted() if precision is None else precision
         known = values | {each: torch.full_like(values[each], self.fields[each].neutral) for each in group}
         rest = self.data - sensor(flux, **own(self._slot_values(known), name))
         unknowns = [self.slots[f"{name}.{slot}"] for slot in ("gain", "offset")]

@@ -67,7 +67,7 @@ def load_plugin(module: str) -> None:
     """Import a module that registers components; `ConfigError` if it cannot be imported."""
     try:
         importlib.import_module(module)
-    except Exception as error:  # noqa: BLE001 - a plugin may raise anything
+    except Exception as error:  # a plugin may raise anything
         raise ConfigError(f"plugin {module!r} cannot be imported: {error}") from error
 
 
@@ -88,7 +88,7 @@ def _load_plugins() -> None:
     for entry in importlib.metadata.entry_points(group="deepir.plugins"):
         try:
             entry.load()
-        except Exception as error:  # noqa: BLE001 - a broken plugin must name itself, whatever it raises
+        except Exception as error:  # a broken plugin must name itself, whatever it raises
             raise ConfigError(f"plugin {entry.name!r} ({entry.value}) does not load: {error}") from error
 
 

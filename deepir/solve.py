@@ -176,10 +176,11 @@ def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, S
 def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
     """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
+    precision = problem.precision if stage.use_held_out else problem.fitted()
 
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
         values = problem.values(free)
-        terms = problem.losses(values, eliminated, use_held_out=stage.use_held_out)
+        terms = problem.losses(values, eliminated, precision=precision)
         return torch.stack([term.double() for term in terms.values()]).sum(), values
 
     return evaluate

@@ -57,7 +57,9 @@ def update_noise(problem: Problem) -> None:
         return
     design, variance = np.array(rows), np.array(seen)
     unit = design.max(0).clip(min=1e-30)
-    share, _ = nnls(design / unit / variance[:, None], np.ones(len(rows)))  # errors are in proportion to the variance
+    share, _ = nnls(
+        design / unit / variance[:, None], np.ones(len(rows))
+    )  # errors are in proportion to the variance
     read, photon = share / unit
     found = read + photon * prediction.clamp(min=0)
     found = found.clamp(min=0.1 * variance.min())

@@ -42,7 +42,7 @@ class NUC(Definition):
             Stage("sensor 1", sensor, 30),
             Stage("sensor 2", sensor, 30, prepare=_update),
             Stage("sensor 3", sensor, 40, prepare=_update),
-            Stage("scene", scene, 60, prepare=weigh_scene, use_held_out=True),
+            Stage("scene", scene, 40, prepare=weigh_scene, use_held_out=True),
         ]
 
 

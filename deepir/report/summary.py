@@ -42,7 +42,9 @@ def _picture(axes: Any, image: Array, title: str, palette: str, centre: float | 
     if centre is not None:
         reach = max(high - centre, centre - low, 1e-6)
         low, high = centre - reach, centre + reach
-    shown = axes.imshow(image, cmap=palette, vmin=low, vmax=high if high > low else low + 1, interpolation="nearest")
+    shown = axes.imshow(
+        image, cmap=palette, vmin=low, vmax=high if high > low else low + 1, interpolation="nearest"
+    )
     axes.set_title(title, fontsize=10)
     axes.set_axis_off()
     axes.figure.colorbar(shown, ax=axes, fraction=0.046 * image.shape[0] / image.shape[1] * 1.2, pad=0.02)
