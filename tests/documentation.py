@@ -23,7 +23,7 @@ def files(page):
 
 def rows(page, heading):
     """The rows of the first table under a heading: lists of cells, the header left out."""
-    section = page.read_text(encoding="utf-8").split(f"\n{heading}\n", 1)[1]
+    section = f"\n{page.read_text(encoding='utf-8')}".split(f"\n{heading}\n", 1)[1]
     table = re.search(r"(?:^\|.*\|$\n?)+", section, re.MULTILINE)[0]
     cells = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in table.splitlines()]
     return cells[2:]

@@ -172,3 +172,15 @@ def test_validity_has_the_shape_of_the_data(small_nuc):
     assert valid.shape == problem.data.shape
     assert valid.dtype == torch.bool
     assert valid.all()
+
+
+def test_frames_of_a_camera_at_rest_share_one_prediction():
+    # Without a warp the operator gives one frame; the average and the closed form still see all.
+    problem = sensor_problem()
+    problem.data[1] += 2
+    average, weight = problem.backproject(problem.values())
+    assert torch.allclose(average, problem.data.mean(0, keepdim=True))
+    assert torch.equal(weight, torch.full_like(weight, 2))
+    values = problem.values()
+    before = sum(term.detach() for term in problem.losses(values).values())
+    assert sum(term.detach() for term in problem.losses(values, ("gain", "offset")).values()) < before

@@ -17,7 +17,9 @@ def list_components(plugin: Plugins = None) -> None:
         f"{kind}s".replace("ys", "ies"): {name: summary(each) for name, each in components(kind).items()}
         for kind in ("method", "operator", "field", "penalty", "fidelity", "problem")
     }
-    groups["priors (prior=NAME)"] = {name: headline(SHIPPED / "prior" / f"{name}.yaml") for name in priors()}
+    groups["priors (prior=NAME; a field or a .yaml file too)"] = {
+        name: headline(SHIPPED / "prior" / f"{name}.yaml") for name in priors()
+    }
     groups["configs (deepir run NAME)"] = {
         name: headline(SHIPPED / f"{name}.yaml") for name in shipped_names()
     }

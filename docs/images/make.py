@@ -19,7 +19,7 @@ def main() -> None:
     average = deepir.run("nuc", frames=frames, method="average")
     low, high = np.percentile(result["scene"], [0.5, 99.5])
     height, width = result["scene"].shape
-    figure = Figure(figsize=(12, 3.0 * height / width + 0.3), dpi=80)
+    figure = Figure(figsize=(12, 3.0 * height / width + 0.3), dpi=100)
     canvas = FigureCanvasAgg(figure)
     figure.subplots_adjust(0, 0, 1, 1 - 0.3 / figure.get_figheight(), wspace=0.02)
     panels = (
