@@ -27,7 +27,7 @@ lint: setup  ## ruff and mypy
 	$(BIN)/mypy
 
 bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
-	$(BIN)/python benchmarks/nuc.py
+	$(BIN)/python benchmarks/nuc.py --output docs/bench-nuc.md
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache

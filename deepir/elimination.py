@@ -91,18 +91,27 @@ class _Symmetric:
         return _Symmetric(self.aa.T, self.ab.T, self.bb.T)
 
 
-def _normal_equations(flux: Tensor, data: Tensor, precision: Tensor) -> tuple[_Symmetric, Tensor]:
-    """`A = Σ w [z² z; z 1]` and `s = Σ w y (z, 1)` at each pixel, in float64; by frames, to spare copies."""
-    aa, ab, bb, sa, sb = flux.new_zeros(5, *flux.shape[-2:], dtype=torch.float64)
-    for frame in zip(flux, data, precision, strict=True):
-        z, y, w = (each[0].double() for each in frame)
-        wz = w * z
-        aa.addcmul_(wz, z)
-        ab += wz
+def _normal_equations(flux: Tensor, data: Tensor, precision: Tensor) -> tuple[_Symmetric, Tensor, Tensor]:
+    """`A = Σ w [z² z; z 1]`, its determinant, and `s = Σ w y (z, 1)` at each pixel, in float64.
+
+    Summed as `d = z - m`, m the first frame's flux: without the pedestal the sums keep their digits in the flux's
+    own type, and the determinant, which is the same for d, does not cancel.
+    """
+    m = flux[0, 0]
+    aa, ab, bb, sa, sb = flux.new_zeros(5, *m.shape)
+    for z, y, w in zip(flux[:, 0], data[:, 0], precision[:, 0], strict=True):
+        d = z - m
+        wd = w * d
+        aa.addcmul_(wd, d)
+        ab += wd
         bb += w
-        sa.addcmul_(wz, y)
+        sa.addcmul_(wd, y)
         sb.addcmul_(w, y)
-    return _Symmetric(aa, ab, bb), torch.stack((sa, sb))
+    m, aa, ab, bb, sa, sb = (each.double() for each in (m, aa, ab, bb, sa, sb))
+    determinant = torch.addcmul(aa * bb, ab, ab, value=-1)
+    shifted = torch.addcmul(ab, m, bb)
+    whole = _Symmetric(aa.addcmul_(m, ab + shifted), shifted, bb)
+    return whole, determinant, torch.stack((sa.addcmul_(m, sb), sb))
 
 
 class _Pixels:
@@ -114,11 +123,10 @@ class _Pixels:
 
     white: Tensor
 
-    def __init__(self, a: _Symmetric, s: Tensor, sigma: Tensor) -> None:
+    def __init__(self, a: _Symmetric, determinant: Tensor, s: Tensor, sigma: Tensor) -> None:
         self.sigma = sigma
         u, v = sigma.square().tolist()
         minus_ab = -a.ab
-        determinant = torch.addcmul(a.aa * a.bb, a.ab, minus_ab)
         aa, bb = torch.add(a.aa, determinant, alpha=v), torch.add(a.bb, determinant, alpha=u)
         scale = torch.add(1 + u * a.aa, bb, alpha=v).reciprocal_()
         self.system = _Symmetric(aa.mul_(scale), a.ab * scale, bb.mul_(scale))

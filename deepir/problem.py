@@ -164,12 +164,19 @@ class Problem(nn.Module):
         Returns the posterior variance of each part, by unknown, see `deepir.elimination.eliminate`. `flux`
         and `precision` spare their computation where they are known.
         """
-        name, sensor = self.operator.named()[-1]
         flux = self.flux(values) if flux is None else flux
         precision = self.fitted() if precision is None else precision
-        known = values | {each: torch.full_like(values[each], self.fields[each].neutral) for each in group}
-        rest = self.data - sensor(flux, **own(self._slot_values(known), name))
-        unknowns = [self.slots[f"{name}.{slot}"] for slot in ("gain", "offset")]
+        unknowns = [
+            self.slots[f"{self.operator.named()[-1][0]}.{slot}"] for slot in ("gain", "offset", "level")
+        ]
+        gain, offset, level = (None if each in group else values[each] for each in unknowns)
+        rest = self.data - (flux if gain is None else gain * flux)
+        for known in (offset, level):
+            if (
+                known is not None and known.any()
+            ):  # mostly the level is zero, and a pass over the frames is spared
+                rest -= known
+        unknowns = unknowns[:2]
         parts = [self.fields[each].parts() if each in group else () for each in unknowns]
         variances = iter(eliminate(flux, rest, precision, *parts))
         values.update({each: self.fields[each]() for each in group})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -53,9 +52,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: finished, or the iteration limit reached. 1: the solve failed, or something unforeseen. 2: the user can
     mend it; nothing was written. 130, 143: interrupted, the state is saved.
     """
-    # Threads that wait by spinning make a solve many times slower as soon as another program wants a core; torch reads
-    # this when it is first imported.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         status = typer.main.get_command(app).main(

@@ -28,7 +28,7 @@ class Sensor(Operator):
 
     def forward(self, x: Tensor, *, gain: Tensor, offset: Tensor, level: Tensor) -> Tensor:  # type: ignore[override]
         """Apply the sensor to the flux on each pixel."""
-        return gain * x + offset + level
+        return torch.addcmul(offset, gain, x) + level
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:

@@ -33,16 +33,16 @@ class NUC(Definition):
         weigh_scene(problem, WEAK)
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """Three rounds for the sensor, then the scene on all samples."""
+        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        sensor = (Step(free, "lbfgs"), *((Step(closed, "eliminate"),) if closed else ()))
-        scene = (Step(("scene",), "lbfgs"),)
+        still = tuple(name for name in free if name != "motion")
+        eliminate = (Step(closed, "eliminate"),) if closed else ()
         return [
-            Stage("sensor 1", sensor, 30),
-            Stage("sensor 2", sensor, 30, prepare=_update),
-            Stage("sensor 3", sensor, 40, prepare=_update),
-            Stage("scene", scene, 40, prepare=weigh_scene, use_held_out=True),
+            Stage("sensor 1", (Step(still), *eliminate), 25),
+            Stage("sensor 2", (Step(still), *eliminate), 25, prepare=_update),
+            Stage("sensor 3", (Step(free), *eliminate), 30, prepare=_update),
+            Stage("scene", (Step(("scene",)),), 35, prepare=weigh_scene, use_held_out=True),
         ]
 
 
