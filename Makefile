@@ -29,7 +29,10 @@ lint: setup  ## ruff and mypy
 bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
 	$(BIN)/python benchmarks/nuc.py --output docs/bench-nuc.md
 
+bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
+	$(BIN)/python benchmarks/real.py
+
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint bench-nuc clean
+.PHONY: help setup demo test test-all lint bench-nuc bench-real clean

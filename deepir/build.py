@@ -21,6 +21,7 @@ from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
 from deepir.priors.parts import Sum
 from deepir.problem import Problem
+from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup
 
 MARGIN = 8  # px that the canvas reaches beyond the registered footprints
@@ -58,11 +59,17 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         stage, _, own = slot.rpartition(".")
         neutral = operator.stages[stage].neutral.get(own)  # type: ignore[union-attr, operator]
         where = f"physics.{slot}"
+        if own in ("gain", "offset") and shape[-2:] != burst.size:
+            raise ConfigError(
+                f"{where}: it belongs to the detector, {burst.size[0]} x {burst.size[1]} px; "
+                f"stages that change the size go before '{stage}'"
+            )
         settings = _slot_settings(slots[stage].get(own), neutral, where)
         size = getattr(operator.stages[stage], "size", burst.size)
         fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, where)
         penalties[names[slot]] = _penalties(settings, where)
         _start(fields[names[slot]], settings, motion, geometry, where)
+        _demand_sense(own, fields[names[slot]], where)
     settings = _slot_settings(config.scene, None, "scene")
     fields["scene"] = _field(settings, scene_shape, 0.0, scene_shape[-2:], "scene")
     penalties["scene"] = _penalties(settings, "scene")
@@ -215,13 +222,12 @@ def _fitting(kind: str, options: Mapping[str, Any], where: str, context: Mapping
     """A field whose value has the shape that its slot wants."""
     field: Field = make("field", kind, options, where, **context)
     try:
-        found: object = tuple(field().shape)
-    except RuntimeError as error:
-        found = str(error).splitlines()[0]
+        found = tuple(field().shape)
+    except RuntimeError:  # it cannot even be expanded to the shape
+        found = None
     if found != context["shape"]:
-        raise ConfigError(
-            f"{where}: the field '{kind}' does not fit: {context['shape']} is wanted, not {found}"
-        )
+        made = f", not {found}" if found else ""
+        raise ConfigError(f"{where}: the field '{kind}' does not fit: {context['shape']} is wanted{made}")
     return field
 
 
@@ -239,11 +245,22 @@ def _penalties(settings: Mapping[str, Any], where: str) -> dict[str, Penalty]:
     return found
 
 
+@torch.no_grad()
+def _demand_sense(slot: str, field: Field, where: str) -> None:
+    """Raise `ConfigError` for a start that docs/conventions.md rules out."""
+    value = field()
+    if slot == "gain" and not value.mean() > 0:
+        raise ConfigError(f"{where}: a gain has a positive mean, not {float(value.mean()):g}")
+    matrices = slot == "motion" and value.shape[1:] == (3, 3)
+    if matrices and not torch.allclose(value[0], torch.eye(3).to(value), atol=1e-4):
+        raise ConfigError(f"{where}: the first frame's motion is the identity, not {value[0].tolist()}")
+
+
 def _start(
     field: Field, settings: Mapping[str, Any], motion: Tensor | None, geometry: Geometry, where: str
 ) -> None:
     """Put a slot's field at its `init`: a number, an array's file, or the registered motion."""
-    init = settings.get("init")
+    init = settings.get("init", "register" if settings["type"] in PARAMETERS else None)
     if init == "register":
         if motion is not None:
             field.init_from(scaled(motion, geometry.ratio))

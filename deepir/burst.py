@@ -10,6 +10,8 @@ import numpy as np
 from deepir.config import Data
 from deepir.errors import DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
+from deepir.io.frames import select_frames, to_float32
+from deepir.io.frames import stack as stacked
 
 Array = np.ndarray[Any, Any]
 
@@ -42,7 +44,8 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1) -> Burst:
         DataError: Whatever is wrong with the files or the frames, and where.
     """
     if frames is not None:
-        stack, source, digest = _as_frames(frames), "frames", ""
+        source, digest = "frames", ""
+        stack = to_float32(select_frames(stacked(np.asanyarray(frames), source), data.frames, source))
     elif data.path is not None:
         read = read_frames(data.path, key=data.key, select=data.frames)
         stack, source, digest = read.frames, read.source, read.sha256
@@ -57,14 +60,3 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1) -> Burst:
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
     return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth)
-
-
-def _as_frames(frames: Array) -> Array:
-    array = np.asarray(frames)
-    if array.ndim == 2:
-        array = array[None]
-    if array.ndim != 3 or array.dtype.kind not in "uif":
-        raise DataError(
-            f"frames: (N, h, w) real numbers are needed, not {array.dtype} of shape {array.shape}"
-        )
-    return array.astype(np.float32)

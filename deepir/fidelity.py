@@ -37,7 +37,8 @@ class Gaussian(Fidelity):
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """Half the sum of squared, weighted residuals."""
-        return _HalfSquares.apply(prediction, data, precision)  # type: ignore[no-any-return, no-untyped-call]
+        nats: Tensor = _HalfSquares.apply(prediction, data, precision)
+        return nats
 
 
 class _HalfSquares(torch.autograd.Function):

@@ -16,14 +16,17 @@ from deepir.config import Config
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.priors.parts import Part
 from deepir.problem import Problem
-from deepir.problems.definition import Definition
+from deepir.problems.definition import Definition, drift_message
 from deepir.registration import register as register_frames
+from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 from deepir.solve import Progress, Solution, Stage, Step, held_out_error, solve
 
 #: Motion, in px at the frame's edge, below which a burst counts as still.
-STILL = 0.3
+STILL = 0.5
+#: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
+LITTLE = 3.0
 
 
 @register("method", "joint")
@@ -45,7 +48,10 @@ def joint(
     _demand_strengths(problem)
     stages = plan(problem, definition, config)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
-    return _result(problem, geometry, solution, burst, used, [*messages, *definition.messages])
+    messages += definition.messages
+    if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
+        messages += drift_message(problem)
+    return _result(problem, geometry, solution, burst, used, messages)
 
 
 def registered(
@@ -68,29 +74,40 @@ def registered(
             f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
             f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
         )
+    messages = list(found.messages)
     if definition.motion:
-        _demand_motion(found.motion[torch.from_numpy(used)], burst)
-    return found.motion, used, list(found.messages)
+        messages += _demand_motion(found.motion[torch.from_numpy(used)], burst)
+    return found.motion, used, messages
 
 
 def _motion_model(config: Config) -> str | None:
-    """The type of the first motion field that wants to be registered."""
+    """The type of the first motion that starts where the frames are registered: each does, unless it says otherwise."""
     for stage in config.physics.values():
         slot = (stage or {}).get("motion")
-        if isinstance(slot, dict) and slot.get("init") == "register":
-            return str(slot.get("type"))
+        settings = slot if isinstance(slot, dict) else {"type": slot}
+        kind = settings.get("type")
+        if settings.get("init", "register" if kind in PARAMETERS else None) == "register":
+            return str(kind)
     return None
 
 
-def _demand_motion(motion: Tensor, burst: Burst) -> None:
+def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
+    """A message for each axis along which the burst moves little; `DataError` if it stands still."""
     height, width = burst.size
     corner = torch.tensor([width / 2, height / 2, 1.0], dtype=motion.dtype)
-    moved = ((motion @ corner)[:, :2] - corner[:2]).abs().amax()
+    at = (motion @ corner)[:, :2]
+    moved = (at - corner[:2]).abs().amax()
     if moved < STILL:
         raise DataError(
             f"{burst.source}: the frames do not move (at most {float(moved):.2f} px), so the scene and the sensor's "
             "fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y"
         )
+    return [
+        f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
+        "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
+        for axis, lines, span in zip("xy", ("columns", "rows"), at.amax(0) - at.amin(0), strict=True)
+        if span < LITTLE
+    ]
 
 
 def _given_noise(problem: Problem, config: Config) -> None:

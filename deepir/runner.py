@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import platform
 import resource
 import sys
@@ -75,10 +74,15 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
 
 def check_components(config: Config, data: bursts.Burst) -> None:
     """Build the problem for a camera at rest: what is wrong with a component shows before anything runs."""
-    few = dataclasses.replace(data, frames=data.frames[:2], valid=data.valid[:2])
-    still = torch.eye(3, dtype=torch.float64).repeat(len(few.frames), 1, 1)
-    problem, _ = build(config, few, still)
-    plan(problem, lookup("problem", config.problem, "problem")(), config)
+    still = torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
+    problem, _ = build(config, data, still)
+    definition = lookup("problem", config.problem, "problem")()
+    for name in definition.operators:
+        if not any(isinstance(stage, lookup("operator", name)) for _, stage in problem.operator.named()):
+            raise ConfigError(
+                f"physics: problem '{config.problem}' needs a stage '{name}'; or take problem=generic"
+            )
+    plan(problem, definition, config)
 
 
 def execute(

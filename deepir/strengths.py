@@ -21,7 +21,7 @@ BINS = 10  # of the signal, in which the noise is measured
 ROUNDS = 3  # of expectation-maximisation at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
 #: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
-MOST = 2.0
+MOST = 1.5
 #: Weak prior on the variance of a part: so much of its number of values, at so large a sigma.
 PSEUDO_SHARE, PSEUDO_GAIN, PSEUDO_OFFSET = 0.2, 0.02, 0.03
 
@@ -47,19 +47,20 @@ def update_noise(problem: Problem) -> None:
     usable = problem.precision > 0
     residual, signal = (prediction - problem.data)[usable].abs(), prediction[usable].clamp(min=0)
     held, bins = problem.held_out[usable], _bins(signal)
+    # Data that are rounded more coarsely than they are noisy may leave no residual at all.
+    rounding = (torch.finfo(problem.data.dtype).eps * float(signal.max())) ** 2
     rows, seen = [], []
     for i in range(BINS):
         fitted, new = residual[(bins == i) & ~held], residual[(bins == i) & held]
         if len(new) >= 20:
             rows.append((1.0, float(signal[bins == i].mean())))
-            seen.append(float(MAD**2 * fitted.median() * new.median()))
+            seen.append(float(MAD**2 * fitted.median() * new.median()) + rounding)
     if not rows:  # too few samples are held out to see any noise
         return
     design, variance = np.array(rows), np.array(seen)
     unit = design.max(0).clip(min=1e-30)
-    share, _ = nnls(
-        design / unit / variance[:, None], np.ones(len(rows))
-    )  # errors are in proportion to the variance
+    relative = design / unit / variance[:, None]  # errors are in proportion to the variance
+    share, _ = nnls(relative, np.ones(len(rows)))
     read, photon = share / unit
     found = read + photon * prediction.clamp(min=0)
     found = found.clamp(min=0.1 * variance.min())
@@ -98,15 +99,19 @@ def start_parts(problem: Problem) -> None:
                 part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
     rest = rest - pattern
-    if (spread := _spread(rest[usable])) > 0:  # one frame leaves nothing
+    if not problem.known_noise and (spread := _spread(rest[usable])) > 0:  # one frame leaves nothing
         problem.precision.div_(1 + (rest / (OUTLIER * spread)).square())
 
 
 def _share(pattern: Tensor, part: Part) -> Tensor:
-    """The part's own share of a pattern: means along its axes, or what row and column means leave."""
-    if part.along:
-        return pattern.mean(part.along, keepdim=True)
-    return pattern - pattern.mean(-1, keepdim=True) - pattern.mean(-2, keepdim=True)
+    """The part's own share of a pattern: differences of neighbours, of the same variance.
+
+    A part's values are independent, what the scene leaves in the pattern is mostly smooth.
+    """
+    own = pattern.mean(part.along, keepdim=True) if part.along else pattern
+    for axis in {-2, -1} - set(part.along):
+        own = own.diff(dim=axis) / 2**0.5
+    return own
 
 
 def _spread(values: Tensor) -> float:
@@ -116,7 +121,9 @@ def _spread(values: Tensor) -> float:
 
 @torch.no_grad()
 def update_parts(problem: Problem) -> None:
-    """Expectation-maximisation of the parts' variances, the scene held: `mean(value² + posterior variance)`."""
+    """Expectation-maximisation of the parts' variances, `mean(value² + posterior variance)`, the scene held."""
+    if not problem.closed_form():
+        return
     values = problem.values()
     flux = problem.flux(values)
     usable = problem.precision > 0

@@ -87,3 +87,101 @@ def test_frames_of_another_shape_are_an_error(wrong):
 def test_a_misspelt_option_is_an_error(frames):
     with pytest.raises(ConfigError, match="did you mean 'prior'"):
         deepir.run("nuc", frames=frames, piror="tv")
+
+
+def test_frames_from_memory_are_selected_too(frames):
+    result = deepir.run("nuc", "data.frames=[0, 2]", frames=frames, **QUICK)
+    assert len(result.frames_used) == 2
+    with pytest.raises(DataError, match="does not fit its 3 frames"):
+        deepir.run("nuc", "data.frames=7", frames=frames, **QUICK)
+
+
+@pytest.mark.parametrize("stage", ["warp", "sensor"])
+def test_nuc_demands_what_it_estimates(frames, stage):
+    with pytest.raises(ConfigError, match=f"needs a stage '{stage}'; or take problem=generic"):
+        deepir.run("nuc", f"physics.{stage}=null", frames=frames, **QUICK)
+
+
+def test_the_sensor_has_the_size_of_the_frames(frames):
+    physics = {"blur": {"psf": "gaussian"}}  # after the sensor, which would then be larger
+    with pytest.raises(ConfigError, match="stages that change the size go before 'sensor'"):
+        deepir.run("nuc", frames=frames, physics=physics, **QUICK)
+
+
+def test_a_field_that_cannot_be_the_scene_is_refused_in_plain_words(frames):
+    with pytest.raises(ConfigError, match=r"'gaussian' does not fit: \(1, 1, \d+, \d+\) is wanted$"):
+        deepir.run("nuc", frames=frames, prior="gaussian", **QUICK)
+
+
+def camera(**more):
+    settings = {"n_frames": 4, "shape": (48, 56), "counts": True, "max_shift": 6.0, "motion": "shift"}
+    return simulate(None, Settings(**settings | more), seed=1)
+
+
+def test_a_burst_that_moves_along_one_axis_only_is_warned_of():
+    messages = deepir.run("nuc", frames=camera(jitter="x").frames, **QUICK).messages
+    assert [each.partition(":")[0] for each in messages] == ["the frames move by only 0.0 px along y"]
+
+
+def test_a_drift_of_the_level_is_warned_of_and_found():
+    sim = camera(level_drift=0.05)
+    ignored = deepir.run("nuc", frames=sim.frames, threads=1)
+    assert any("physics.sensor.level=pixels" in each for each in ignored.messages)
+    found = deepir.run("nuc", "physics.sensor.level=pixels", frames=sim.frames, threads=1)
+    assert found.messages == []
+    assert np.abs(found.level - sim.truth.level).max() < 0.1 * np.ptp(sim.truth.level)
+
+
+def test_a_steady_level_is_not_warned_of():
+    assert deepir.run("nuc", frames=camera().frames, threads=1).messages == []
+
+
+def test_data_rounded_more_coarsely_than_they_are_noisy_are_solved():
+    # In float32 a range of one around 1e6 has steps of 0.06.
+    frames = camera(counts=False).frames.astype(float) + 1e6
+    assert np.isfinite(deepir.run("nuc", frames=frames, **QUICK).scene).all()
+
+
+def test_masked_samples_of_frames_from_memory_are_left_out(frames):
+    masked = np.ma.masked_greater(frames, np.percentile(frames, 99))
+    spoilt = np.ma.array(np.where(masked.mask, 0, frames), mask=masked.mask)
+    one, other = (deepir.run("nuc", frames=each, **QUICK).scene for each in (masked, spoilt))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_a_motion_is_registered_unless_it_says_otherwise(frames):
+    physics = {"warp": {"motion": "shift"}, "sensor": {"gain": "pixel", "offset": "pixel"}}
+    config = {"problem": "nuc", "physics": physics, **QUICK}
+    named = deepir.run(config, frames=frames)
+    said = deepir.run(config, "physics.warp.motion={type: shift, init: register}", frames=frames)
+    np.testing.assert_array_equal(named.motion, said.motion)
+
+
+def test_a_motion_starts_where_a_file_says(frames, tmp_path):
+    motion = np.tile(np.eye(3), (3, 1, 1))
+    motion[1:, :2, 2] = [[1.5, -2.0], [0.5, 3.0]]
+    np.save(tmp_path / "motion.npy", motion)
+    start = f"physics.warp.motion={{type: shift, init: {tmp_path / 'motion.npy'}, fixed: true}}"
+    result = deepir.run("nuc", start, frames=frames, **QUICK)
+    np.testing.assert_allclose(result.motion, motion, atol=1e-6)
+
+
+def test_a_known_motion_is_taken_as_it_is(frames, tmp_path):
+    motion = np.tile(np.eye(3), (3, 1, 1))
+    motion[1:, :2, 2] = [[1.5, -2.0], [0.5, 3.0]]
+    np.save(tmp_path / "motion.npy", motion)
+    known = f"physics.warp.motion={{type: constant, path: {tmp_path / 'motion.npy'}}}"
+    result = deepir.run("nuc", known, frames=frames, **QUICK)
+    np.testing.assert_array_equal(result.motion, motion)
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("physics.sensor.gain=0", "a gain has a positive mean"),
+        ("physics.warp.motion=3", "the first frame's motion is the identity"),
+    ],
+)
+def test_a_known_value_that_makes_no_sense_is_an_error(frames, setting, says):
+    with pytest.raises(ConfigError, match=says):
+        deepir.run("nuc", setting, frames=frames, **QUICK)

@@ -44,7 +44,7 @@ def read_frames(path: str | os.PathLike[str], *, key: str | None = None, select:
     with readers.guarded(file):
         digest = _sha256(file)
     source = f"{file}[{key}]" if key else str(file)
-    return Frames(to_float32(_select(stored, select, source)), source, stored.dtype.name, digest)
+    return Frames(to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest)
 
 
 def stack(array: Array, source: str) -> Array:
@@ -74,7 +74,8 @@ def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
         return np.ma.filled(array.astype(np.float32), np.nan)
 
 
-def _select(frames: Array, select: Select, source: str) -> Array:
+def select_frames(frames: Array, select: Select, source: str) -> Array:
+    """The frames that `select` names, see `read_frames`; `DataError` where it does not fit them."""
     if select is None:
         return frames
     count = len(frames)

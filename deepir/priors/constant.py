@@ -23,11 +23,13 @@ class Constant(Field):
         if value is not None and path is not None:
             raise ConfigError("give either 'value' or 'path', not both")
         given = torch.tensor(float(neutral if value is None else value)) if path is None else _read(path)
+        if given.ndim == 3 and len(self.shape) == 4:  # one channel
+            given = given[:, None]
         try:
             self.register_buffer("values", given.expand(self.shape).clone())
         except RuntimeError:
             raise ConfigError(
-                f"{path}: its shape {tuple(given.shape)} does not fit, {self.shape[-2:]} is wanted"
+                f"{path}: its shape {tuple(given.shape)} does not fit, {self.shape} is wanted"
             ) from None
 
     def forward(self) -> Tensor:
@@ -41,4 +43,4 @@ class Constant(Field):
 def _read(path: str) -> Tensor:
     from deepir.io import read_frames  # not above: it is slow to import
 
-    return torch.from_numpy(read_frames(path).frames)[:, None]
+    return torch.from_numpy(read_frames(path).frames)

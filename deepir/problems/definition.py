@@ -15,6 +15,11 @@ from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import start_parts, weigh_scene
 
+LEVEL_TURNS = 4
+#: Residual of a frame's level, in standard deviations of a sample's noise, above which it drifts. With all modelled it
+#: is at most 0.1.
+DRIFT = 0.25
+
 
 class Definition:
     """How a problem is initialised, planned and reported; `frames` is the least number that it needs."""
@@ -23,6 +28,8 @@ class Definition:
     messages: tuple[str, ...] | list[str] = ()
     #: Whether it cannot work without motion between the frames.
     motion: ClassVar[bool] = False
+    #: Operators that the physics must have.
+    operators: ClassVar[tuple[str, ...]] = ()
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Set starts and strengths from the data."""
@@ -57,10 +64,41 @@ def start_precision(problem: Problem) -> None:
 
 @torch.no_grad()
 def start_scene(problem: Problem) -> None:
-    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
-    values = problem.values()
-    average, weight = problem.backproject(values)
-    problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
+
+    A free level starts at what the frames are above that average: by turns, for the average follows the levels.
+    """
+    free = [name for name in _levels(problem) if name in problem.free()]
+    for turn in range(LEVEL_TURNS if free else 1):
+        for name in free if turn else ():
+            problem.fields[name].init_from(problem.values()[name] + level_residual(problem))
+        average, weight = problem.backproject(problem.values())
+        problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
+
+
+@torch.no_grad()
+def level_residual(problem: Problem) -> Tensor:
+    """How far each frame as a whole is above its prediction, (N, 1, 1, 1): the median over its usable samples."""
+    rest = (problem.data - problem.predict(problem.values())).where(problem.precision > 0, torch.nan)
+    return rest.flatten(1).nanmedian(1).values.nan_to_num()[:, None, None, None]
+
+
+def drift_message(problem: Problem) -> list[str]:
+    """Say so if the frames' levels drift and the problem does not know it."""
+    if all(name in problem.free() for name in _levels(problem)):
+        return []
+    level = level_residual(problem)
+    drift = float((level - level.mean()).abs().max())
+    noise = float(problem.precision[problem.precision > 0].rsqrt().median())
+    if drift < DRIFT * noise:
+        return []
+    return [
+        f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with physics.sensor.level=pixels"
+    ]
+
+
+def _levels(problem: Problem) -> list[str]:
+    return [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "level"]
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:

@@ -9,20 +9,21 @@ from deepir.solve import Stage, Step
 from deepir.strengths import hold_out, start_parts, update_noise, update_parts, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
-WEAK = 0.02
+WEAK = 0.05
 
 
 @register("problem", "nuc")
 class NUC(Definition):
     """Scene, gain, offset and motion from a jittered burst.
 
-    First the sensor, under a scene prior so weak that it only fills holes: with total variation at its proper scale
+    First the sensor, under a weak prior on the scene: with total variation at its proper scale
     the joint optimum is biased, for it pays to shrink the scene's contrast into the gain. Then the scene, with the
     sensor fixed. Strengths are estimated between the rounds.
     """
 
     frames = 2
     motion = True
+    operators = ("warp", "sensor")
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""

@@ -94,7 +94,7 @@ def test_a_known_map_comes_from_a_file_or_a_number(tmp_path):
 
 def test_a_map_of_another_size_is_refused_with_both_sizes(tmp_path):
     np.save(tmp_path / "gain.npy", np.ones((5, 7)))
-    with pytest.raises(ConfigError, match=r"gain\.npy.*\(6, 7\) is wanted"):
+    with pytest.raises(ConfigError, match=r"gain\.npy.*\(1, 1, 6, 7\) is wanted"):
         Constant((1, 1, 6, 7), 1.0, path=str(tmp_path / "gain.npy"))
     with pytest.raises(ConfigError, match="either"):
         Constant((1, 1, 6, 7), 1.0, path="a.npy", value=1.0)
