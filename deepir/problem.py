@@ -65,10 +65,12 @@ class Problem(nn.Module):
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
 
-    def values(self, free: Collection[str] | None = None) -> Values:
-        """The value of each unknown; those not in `free` carry no gradient (None: all are free)."""
+    def values(self, free: Collection[str] | None = None, without: Collection[str] = ()) -> Values:
+        """The value of each unknown but those in `without`; those not in `free` carry no gradient (None: all do)."""
         found = {}
         for name, field in self.fields.items():
+            if name in without:
+                continue
             with torch.set_grad_enabled(torch.is_grad_enabled() and (free is None or name in free)):
                 found[name] = field()
         return found
@@ -93,8 +95,8 @@ class Problem(nn.Module):
     ) -> Values:
         """The objective's terms in nats, by name: `data`, `unknown.penalty`, and `unknown` for a field's own.
 
-        Unknowns in `eliminated` are first set to their optimum in closed form, given the others; `values` is
-        updated. `precision` stands in for that of the samples that are fitted.
+        Unknowns in `eliminated` are first set to their optimum in closed form, given the others; `values`, which
+        may lack them, is updated. `precision` stands in for that of the samples that are fitted.
         """
         precision = self.fitted() if precision is None else precision
         if eliminated:
@@ -183,4 +185,4 @@ class Problem(nn.Module):
         return {each: [next(variances) for _ in mine] for each, mine in zip(unknowns, parts, strict=True)}
 
     def _slot_values(self, values: Values) -> Values:
-        return {slot: values[unknown] for slot, unknown in self.slots.items()}
+        return {slot: values[unknown] for slot, unknown in self.slots.items() if unknown in values}

@@ -179,7 +179,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     precision = problem.precision if stage.use_held_out else problem.fitted()
 
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
-        values = problem.values(free)
+        values = problem.values(free, without=eliminated)
         terms = problem.losses(values, eliminated, precision=precision)
         return torch.stack([term.double() for term in terms.values()]).sum(), values
 
