@@ -21,7 +21,7 @@ from deepir.registration import register as register_frames
 from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
-from deepir.solve import Progress, Solution, Stage, Step, held_out_error, solve
+from deepir.solve import Progress, Solution, Stage, Step, solve
 
 #: Motion, in px at the frame's edge, below which a burst counts as still.
 STILL = 0.5
@@ -197,7 +197,7 @@ def _result(
         "evaluations": solution.evaluations,
         "stop_reason": solution.reason,
         "noise_sigma": float(problem.precision[good].rsqrt().median()),
-        "held_out_rmse": held_out_error(problem),
+        "held_out_rmse": solution.held_out,
         "strengths": strengths(problem),
     }
     return result

@@ -174,9 +174,7 @@ class Problem(nn.Module):
         gain, offset, level = (None if each in group else values[each] for each in unknowns)
         rest = self.data - (flux if gain is None else gain * flux)
         for known in (offset, level):
-            if (
-                known is not None and known.any()
-            ):  # mostly the level is zero, and a pass over the frames is spared
+            if known is not None and known.any():  # a level is mostly zero: spares a pass over the frames
                 rest -= known
         unknowns = unknowns[:2]
         parts = [self.fields[each].parts() if each in group else () for each in unknowns]

@@ -70,6 +70,11 @@ class Solution:
     evaluations: int
     history: list[dict[str, Any]] = field(default_factory=list)
 
+    @property
+    def held_out(self) -> float:
+        """Error at the held-out samples when they were last held out; NaN if none were."""
+        return next((row["held_out"] for row in reversed(self.history) if "held_out" in row), math.nan)
+
 
 @dataclass
 class _Position:
@@ -122,6 +127,8 @@ def solve(
         if any(step.method == "eliminate" for step in stage.steps):
             with torch.no_grad():
                 objective(problem, stage)(())  # they follow the others' last step
+        if at.iteration and not stage.use_held_out and problem.held_out.any():
+            at.history[-1]["held_out"] = held_out_error(problem)
         at.stage, at.iteration, optimisers = at.stage + 1, 0, None
     with torch.no_grad():
         values = problem.values()
@@ -221,7 +228,7 @@ def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position
         done,
         loss,
         at.evaluations,
-        lambda: held_out_error(problem),
+        lambda: math.nan if stage.use_held_out else held_out_error(problem),
     )
 
 

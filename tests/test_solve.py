@@ -192,7 +192,9 @@ def test_held_out_samples_are_watched_but_not_fitted(small_nuc):
     values = problem.values()
     error = (problem.predict(values) - problem.data)[problem.held_out].square().mean().sqrt()
     assert held_out_error(problem) == pytest.approx(float(error.detach()))
+    assert solution.held_out == watched[-1]
     everything = solve(problem, plan(iterations=20, use_held_out=True))
+    assert math.isnan(everything.held_out)
     assert not any("held_out" in row for row in everything.history)
     assert held_out_error(problem) < watched[-1]
 

@@ -15,7 +15,7 @@ from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import start_parts, weigh_scene
 
-LEVEL_TURNS = 4
+LEVEL_TURNS = 4  # of scene and level, for the start of a free level
 #: Residual of a frame's level, in standard deviations of a sample's noise, above which it drifts. With all modelled it
 #: is at most 0.1.
 DRIFT = 0.25
