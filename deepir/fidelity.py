@@ -46,15 +46,35 @@ class _HalfSquares(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
-        residual = prediction - data
-        weighted = precision * residual
+        compute = _half_squares_on_cpu if prediction.device.type == "cpu" else _half_squares
+        weighted, nats = compute(prediction, data, precision)
         ctx.save_for_backward(weighted)
-        return (residual.mul_(weighted)).sum(dtype=torch.float64) / 2
+        return nats
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, None, None]:
         (weighted,) = ctx.saved_tensors
         return gradient.to(weighted) * weighted, None, None
+
+
+def _half_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
+    """`w r` and `½ Σ w r²`."""
+    residual = prediction - data
+    weighted = precision * residual
+    return weighted, residual.mul_(weighted).sum(dtype=torch.float64) / 2
+
+
+def _half_squares_on_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
+    """The same in one pass."""
+    from deepir.loops import spread
+    from deepir.loops.half_squares import half_squares
+
+    prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
+    weighted = torch.empty_like(prediction)
+    nats = torch.empty(prediction.shape[:-1], dtype=torch.float64).flatten()
+    rows = (each.flatten(0, -2) for each in (prediction, data, precision, weighted))
+    spread(half_squares, len(nats), *rows, nats)
+    return weighted, nats.sum()
 
 
 @register("fidelity", "l1")

@@ -177,7 +177,8 @@ def _result(
 ) -> Result:
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
     y0, y1, x0, x1 = geometry.window
-    result = neutral(values["scene"][0, 0, y0:y1, x0:x1], len(used), burst.size, burst.bad_pixels)
+    scene = problem.operator.image(solution.values["scene"]).cpu().numpy()
+    result = neutral(scene[0, 0, y0:y1, x0:x1], len(used), burst.size, burst.bad_pixels)
     for slot, name in problem.slots.items():
         value, kind = values[name], slot.rpartition(".")[2]
         if kind in ("gain", "offset"):

@@ -25,7 +25,30 @@ def procedural(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray
     """
     canvas = Canvas(seed, shape)
     KINDS[seed % len(KINDS)](canvas)
-    image = canvas.image + 0.005 * canvas.rough
+    return _stretched(canvas.image + 0.005 * canvas.rough)
+
+
+def sky(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray:
+    """Draw a sky: smooth but for faint clouds, a few birds, and a strip of land with a mast at the bottom.
+
+    Little in it tells the motion, and nothing but smooth gradients tells the pattern: the hard case of a camera
+    that looks up. Arguments and result are those of `procedural`; land and mast span the upper half of the range.
+    """
+    c = Canvas(seed, shape)
+    c.sky(0.05, c.vary(0.35, 0.45), 0.88, 0.015)
+    for _ in range(4):
+        x, y, span = c.vary(0.1, 0.9) * c.aspect, c.vary(0.25, 0.75), c.vary(0.01, 0.025)
+        for side in (-1, 1):
+            c.rod((x, y), (x + side * span, y - c.vary(0.1, 0.5) * span), 0.18 * span, 0.6, taper=0.4)
+    horizon = c.vary(0.85, 0.88)
+    mast = c.aspect * c.vary(0.2, 0.8)
+    c.rod((mast, 0.95), (mast, horizon - c.vary(0.15, 0.25)), 0.008, 0.8, taper=0.5, limb=0.1)
+    _tree(c, c.aspect * c.vary(0.1, 0.9), horizon + 0.03, 0.12, 0.6)
+    c.ground(horizon, 0.7, hills=0.008, warmer=0.3, rough=0.03)
+    return _stretched(c.image)
+
+
+def _stretched(image: np.ndarray) -> np.ndarray:
     low, high = image.min(), image.max()
     return (image - low) / (high - low)
 

@@ -78,7 +78,7 @@ def _bins(values: Tensor) -> Tensor:
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
     """Set the weights of the scene's penalties: `factor` times what is given, or what suits the noise."""
     precision = problem.precision.sum(0)  # the frames' information adds up
-    noise = float(precision[precision > 0].median().rsqrt())
+    noise = problem.operator.noise_gain * float(precision[precision > 0].median().rsqrt())
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         penalty.weight.fill_(factor * (penalty.natural(noise) if penalty.given is None else penalty.given))
 

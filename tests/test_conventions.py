@@ -7,6 +7,8 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
+from scipy.interpolate import BSpline
 
 from deepir.build import MARGIN, _canvas, build
 from deepir.burst import Burst
@@ -27,8 +29,10 @@ def homography(*, angle=0.0, x=0.0, y=0.0):
 
 
 def warped(scene, motion, size, origin):
+    """A frame of the scene that looks like `scene` at rest."""
     operator = Warp(size, tuple(scene.shape), origin)
-    return operator(scene[None, None], motion=motion[None])[0, 0]
+    coefficients = torch.from_numpy(ndimage.spline_filter(scene.double().numpy(), 3, mode="mirror")).to(scene)
+    return operator(coefficients[None, None], motion=motion[None])[0, 0]
 
 
 def picture(height=21, width=24):
@@ -77,10 +81,24 @@ def test_pixel_centres_lie_at_integers_so_a_whole_pixel_shift_is_exact():
         assert torch.allclose(in_float32, scene[5 + y : 16 + y, 6 + x : 18 + x].float(), atol=1e-5, rtol=0)
 
 
-def test_half_way_between_two_centres_lies_their_mean():
-    scene = picture()
-    frame = warped(scene, homography(x=0.5), (11, 12), (5, 6))
-    assert torch.allclose(frame, (scene[5:16, 6:18] + scene[5:16, 7:19]) / 2)
+def test_a_scene_is_a_quadratic_spline_integrated_over_the_area_of_a_pixel():
+    coefficients, shift = picture(), 0.3
+    operator = Warp((11, 12), (21, 24), (5, 6))
+    frame = operator(coefficients[None, None], motion=homography(x=shift)[None])[0, 0]
+    # The middle row in y, where it is at rest; in x by fine sums of the quadratic spline over each pixel.
+    fine = np.linspace(-0.5, 0.5, 2001)[:-1] + 0.5 / 2000
+    rows = ((coefficients[4:15] + 4 * coefficients[5:16] + coefficients[6:17]) / 6).numpy()
+    at = np.arange(6, 18)[:, None] + shift + fine
+    spline = BSpline.basis_element([-1.5, -0.5, 0.5, 1.5], extrapolate=False)
+    weights = np.nan_to_num(spline(at[..., None] - np.arange(24))).mean(1)
+    assert frame.numpy() == pytest.approx(rows @ weights.T, abs=1e-5)
+
+
+def test_the_image_of_a_scene_is_what_a_frame_at_rest_shows():
+    coefficients = picture()[None, None]
+    operator = Warp((11, 12), (21, 24), (5, 6))
+    at_rest = operator(coefficients, motion=homography()[None])
+    assert torch.allclose(at_rest, operator.image(coefficients)[..., 5:16, 6:18])
 
 
 def test_warps_pull_so_plus_x_looks_right_and_plus_y_looks_down():
@@ -177,10 +195,10 @@ def test_the_canvas_holds_the_blurs_radius_too():
 
 
 def test_validity_comes_from_geometry():
-    operator = Warp((10, 10), (12, 12), (1, 1))
-    for content in (torch.zeros(12, 12), torch.full((12, 12), 5.0)):
+    operator = Warp((10, 10), (14, 12), (2, 1))
+    for content in (torch.zeros(14, 12), torch.full((14, 12), 5.0)):
         valid = operator.valid(torch.ones_like(content)[None, None], motion=homography(x=3)[None].float())
-        assert torch.equal(valid[0, 0].sum(0), torch.tensor([10.0] * 8 + [0.0] * 2))
+        assert torch.equal(valid[0, 0].sum(0), torch.tensor([10.0] * 7 + [0.0] * 3))
 
 
 # Gauge and units

@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 
 from deepir.elimination import COLUMN, PIXEL, ROW, eliminate
 from deepir.priors.parts import Column, Part, Pixel, Row
+from deepir.priors.shading import Shading
 
 SHAPE = (1, 1, 5, 6)
-KINDS = {"column": Column, "row": Row, "pixel": Pixel}
-SIGMAS = {"column": 0.02, "row": 0.01, "pixel": 0.03}
+KINDS = {"column": Column, "row": Row, "pixel": Pixel, "shading": Shading}
+SIGMAS = {"column": 0.02, "row": 0.01, "pixel": 0.03, "shading": 0.02}
 subsets = st.sets(st.sampled_from(sorted(KINDS)))
 
 
@@ -32,6 +33,8 @@ def burst(pedestal=50.0, n_frames=3, dead=0.0, seed=0):
 def spread(part):
     """Matrix from a part's values to the map."""
     units = torch.eye(part.white.numel(), dtype=torch.float64).reshape(-1, *part.white.shape)
+    if isinstance(part, Shading):
+        return part.spread(units).flatten(1).T.numpy()
     return torch.stack([unit.expand(SHAPE).reshape(-1) for unit in units], 1).numpy()
 
 
@@ -50,7 +53,7 @@ def dense(z, y, w, gain, offset):
 
 @settings(max_examples=100, deadline=None)
 @given(
-    gain=subsets, offset=subsets, zero=st.sampled_from([(), ("column",), ("pixel",), ("row", "pixel")]),
+    gain=subsets, offset=subsets, zero=st.sampled_from([(), ("column",), ("pixel",), ("row", "pixel"), ("shading",)]),
     pedestal=st.sampled_from([0.0, 50.0, 8000.0]), dead=st.sampled_from([0.0, 0.3]),
     n_frames=st.integers(1, 4), seed=st.integers(0, 99),
 )  # fmt: skip
@@ -90,6 +93,20 @@ def test_the_variances_of_columns_alone_are_those_of_the_dense_inverse():
     white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, 6)
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
         assert variance.numpy().ravel() == pytest.approx(wanted * float(part.sigma) ** 2, rel=1e-6)
+
+
+def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_dense_inverse():
+    names = ["pixel", "column", "shading"]
+    gains, offsets = make_parts(names, 1.0), make_parts(names, 50.0)
+    z, y, w = burst()
+    found = eliminate(z, y, w, gains, offsets)
+    a, _ = dense(z, y, w, gains, offsets)
+    white = np.split(
+        np.diag(np.linalg.inv(a.T @ a)), np.cumsum([p.white.numel() for p in [*gains, *offsets]])[:-1]
+    )
+    for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
+        if isinstance(part, Shading):
+            assert variance.numpy() == pytest.approx(wanted * float(part.sigma) ** 2, rel=1e-6)
 
 
 def test_variances_come_in_the_order_of_the_parts_and_lie_between_nothing_and_the_prior():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.scenes import KINDS, procedural
+from deepir.scenes import KINDS, procedural, sky
 
 SHAPE = (256, 320)
 SEEDS = range(2 * len(KINDS))
@@ -61,3 +61,18 @@ def test_the_layout_scales_with_the_height():
 def test_any_shape_is_drawn(shape):
     for seed in range(len(KINDS)):
         assert np.isfinite(procedural(seed, shape)).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sky_is_smooth_but_for_a_strip_at_the_bottom(seed):
+    picture = sky(seed, SHAPE)
+    assert picture.min() == 0
+    assert picture.max() == 1
+    slope = ndimage.gaussian_gradient_magnitude(picture, 0.7)
+    assert np.mean(slope[: int(0.8 * SHAPE[0])] < 0.01) > 0.9
+    assert picture[-10:].mean() > picture[:200].max(initial=0, where=picture[:200] < 0.4) + 0.2
+    upper = picture[:150].mean(1)
+    assert (np.diff(ndimage.uniform_filter(upper, 30)[15:-15]) > 0).mean() > 0.9  # warmer towards the horizon
+    assert slope[int(0.6 * SHAPE[0]) :].max() > 0.1  # land, and a mast
+    np.testing.assert_array_equal(picture, sky(seed, SHAPE))
+    assert not np.array_equal(picture, sky(seed + 4, SHAPE))

@@ -268,6 +268,10 @@ def test_a_scene_is_a_picture_between_zero_and_one(scene):
         ({"scale": 1.0}, "1.2"),
         ({"motion": "shift", "max_rotation": 3.0}, "does not rotate"),
         ({"dead_pixels": 0.9}, "dead_pixels"),
+        ({"dead_pixels": 0.2, "stuck_pixels": 0.2, "noisy_pixels": 0.2}, "noisy_pixels = 0.6 together"),
+        ({"gain_shading": 1.5}, "gain_shading = 1.5"),
+        ({"walker": 2.0}, "walker = 2.0"),
+        ({"n_frames": 4, "failed_frame": 4}, "failed_frame = 4.*numbered 1 to 3"),
     ],
 )
 def test_wrong_settings_are_named(changes, message):

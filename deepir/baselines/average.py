@@ -6,7 +6,9 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
+from scipy import ndimage
 
 from deepir.build import build
 from deepir.burst import Burst
@@ -16,6 +18,24 @@ from deepir.problems.definition import filled
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral
 from deepir.solve import Progress
+
+
+def pulled_back(frames: np.ndarray, valid: np.ndarray, motion: np.ndarray) -> torch.Tensor:
+    """The mean of frames (N, h, w) on frame 0's grid, by cubic spline interpolation; what none shows is filled in."""
+    height, width = frames.shape[1:]
+    y, x = np.mgrid[:height, :width]
+    centre = np.array([[(width - 1) / 2], [(height - 1) / 2], [0]])
+    points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)]) - centre
+    total, count = np.zeros((2, height, width))
+    for frame, good, back in zip(frames, valid, np.linalg.inv(motion), strict=True):
+        at = back @ points
+        at = ((at / at[2]) + centre)[1::-1].reshape(2, height, width)
+        whole = filled(torch.from_numpy(frame)[None, None], torch.from_numpy(good)[None, None])[0, 0].numpy()
+        seen = ndimage.map_coordinates(good.astype(np.float32), at, order=1, cval=0) > 0.99
+        total += seen * ndimage.map_coordinates(whole, at, order=3, mode="mirror")
+        count += seen
+    mean = torch.from_numpy(total / count.clip(min=1))[None, None]
+    return filled(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
 
 
 @register("method", "average")
@@ -31,14 +51,16 @@ def average(
     motion, used, messages = registered(burst, config, definition)
     kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
     problem, geometry = build(config, kept, None if motion is None else motion[used])
-    with torch.no_grad():
-        values = problem.values()
-        mean, weight = problem.backproject(values)
-        scene = filled(mean, weight > 0.3 * weight.max())[0, 0]
-    y0, y1, x0, x1 = geometry.window
-    result = neutral(scene[y0:y1, x0:x1].numpy(), len(used), burst.size, burst.bad_pixels)
+    if motion is not None and geometry.ratio == 1:
+        scene = pulled_back(kept.frames, kept.valid & ~kept.bad_pixels, motion[used].numpy())
+    else:
+        with torch.no_grad():
+            mean, weight = problem.backproject(problem.values())
+            y0, y1, x0, x1 = geometry.window
+            scene = filled(mean, weight > 0.3 * weight.max())[0, 0, y0:y1, x0:x1]
+    result = neutral(scene.numpy(), len(used), burst.size, burst.bad_pixels)
     if motion is not None:
-        result.motion[used] = values["motion"].numpy()
+        result.motion[used] = problem.values()["motion"].detach().numpy()
         result.motion[~used] = float("nan")
     result.frames_used, result.messages = used, messages
     result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}

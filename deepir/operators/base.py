@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -23,6 +24,8 @@ class Operator(nn.Module):
     affine: bool = True
     #: The value of each slot that leaves the data as they are (1 for a gain, 0 for an offset).
     neutral: ClassVar[Mapping[str, float]] = {}
+    #: How much stronger white noise of the output is when it is carried back to the input (standard deviations).
+    noise_gain: float = 1.0
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""
@@ -52,6 +55,10 @@ class Operator(nn.Module):
         """Where the output is computed from valid input only; `mask` is 1 or 0 in the shape of `x`."""
         return mask
 
+    def image(self, x: Tensor) -> Tensor:
+        """What `x` looks like at its own pixels' centres; not `x` itself where that holds coefficients."""
+        return x
+
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
         """A small instance with input and slots (float64): the test-suite collects it from the registry."""
@@ -71,6 +78,7 @@ class Chain(Operator):
         self.stages = nn.ModuleDict(stages)
         self.linear = all(stage.linear for stage in stages.values())
         self.affine = all(stage.affine for stage in stages.values())
+        self.noise_gain = math.prod(stage.noise_gain for stage in stages.values())
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Slots of all stages, as `stage.slot`."""
@@ -103,6 +111,10 @@ class Chain(Operator):
         for name, stage in self.named():
             mask = stage.valid(mask, **own(slots, name))
         return mask
+
+    def image(self, x: Tensor) -> Tensor:
+        """That of the first stage, which takes the scene."""
+        return self.named()[0][1].image(x)
 
     def named(self) -> list[tuple[str, Operator]]:
         """(name, stage), in the order of application."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
+from deepir.operators.spline import LEAST, NOISE_GAIN, Pull, image, sample
 from deepir.registry import register
 
 #: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
@@ -15,24 +15,34 @@ FAR, NEAR = 1e6, 1e-3
 
 @register("operator", "warp")
 class Warp(Operator):
-    """Pull warp with bilinear interpolation, `frame_k(p) = scene(T_k p)`.
+    """The scene as the moved pixels of each frame see it, `frame_k(p) = scene(T_k p)`.
 
-    `x` is (1, C, Hc, Wc), one canvas for all frames, or (N, C, Hc, Wc); the output is (N, C, h, w). The slot
-    `motion` is (N, 3, 3), pull homographies in px with the origin at the frame's centre, or (N, h, w, 2), the
-    point (x, y) that each pixel looks at, from the same origin. Outside the canvas the scene is its nearest
-    edge pixel; `valid` is zero there.
+    The scene is continuous: `x`, (1, C, Hc, Wc) for all frames or (N, C, Hc, Wc), holds coefficients of a cubic
+    B-spline. That is a quadratic spline, integrated over the area of a pixel. (With samples and bilinear interpolation
+    instead, the frames' sharpness depends on where their pixels fall, which biases motion and scene alike.) `image`
+    gives the samples at rest; the output is (N, C, h, w).
+
+    The slot `motion` is (N, 3, 3), pull homographies in px with the origin at the frame's centre, or (N, h, w, 2), the
+    point (x, y) that each pixel looks at, from the same origin. Beyond the outermost pixel but one of the canvas the
+    scene is flat; `valid` is zero there.
     """
 
     place: Tensor
+    noise_gain = NOISE_GAIN
 
     def __init__(self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[int, int]) -> None:
-        """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel."""
+        """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel.
+
+        Raises:
+            ValueError: A side of the canvas is less than 4.
+        """
         super().__init__()
+        if min(canvas) < LEAST:
+            raise ValueError(f"warp: the canvas {canvas} has a side of less than {LEAST} px")
         self.size, self.canvas, self.origin = size, canvas, origin
-        centre = [o + (side - 1) / 2 for o, side in zip(origin, size, strict=True)]
-        # From centred px to grid_sample's units, align_corners=False: index i of s is (2 i + 1) / s - 1.
-        (sy, ty), (sx, tx) = ((2 / s, (2 * c + 1) / s - 1) for c, s in zip(centre, canvas, strict=True))
-        place = torch.tensor([[sx, 0, tx], [0, sy, ty], [0, 0, 1]], dtype=torch.float64)
+        # From the frame's centre to the canvas' centre.
+        y, x = (o + (s - c) / 2 for o, s, c in zip(origin, size, canvas, strict=True))
+        place = torch.tensor([[1, 0, x], [0, 1, y], [0, 0, 1]], dtype=torch.float64)
         self.register_buffer("place", place, persistent=False)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
@@ -53,32 +63,29 @@ class Warp(Operator):
         Raises:
             ValueError: `x` has another size than the canvas.
         """
-        return self._sample(x, self._grid(motion, x.dtype))
-
-    def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
-        """Samples whose neighbours are valid and in the canvas, to 1e-4 px."""
-        grid = self._grid(motion, mask.dtype)
-        height, width = self.canvas
-        edge = grid.new_tensor([1 - (1 - 2e-4) / width, 1 - (1 - 2e-4) / height])
-        inside = (grid.abs() <= edge).all(-1)[:, None]
-        return (inside & (self._sample(mask, grid) > 1 - 1e-4)).to(mask.dtype)
-
-    def _grid(self, motion: Tensor, dtype: torch.dtype) -> Tensor:
-        """Where each pixel looks, (N, h, w, 2), in grid_sample's units; never NaN.
-
-        A NaN crashes grid_sample's backward pass on the CPU (torch 2.13); a line search can produce one, and
-        must see a bad loss instead.
-        """
-        motion = motion.nan_to_num(nan=FAR).clamp(-FAR, FAR)
-        if motion.ndim == 4:
-            return (motion * self.place.diagonal()[:2] + self.place[:2, 2]).to(dtype)
-        return coords((self.place @ motion.double()).to(dtype), self.size)
-
-    def _sample(self, x: Tensor, grid: Tensor) -> Tensor:
         if x.shape[-2:] != self.canvas:
             raise ValueError(f"warp: the canvas is {self.canvas}, but the scene {tuple(x.shape[-2:])}")
-        x = x.expand(len(grid), -1, -1, -1)
-        return F.grid_sample(x, grid, mode="bilinear", padding_mode="border", align_corners=False)
+        if x.device.type == "cpu" and motion.ndim == 3:
+            return Pull.apply(x, self.place @ _finite(motion).double(), self.size)
+        return sample(x, self._points(motion).to(x.dtype))
+
+    def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
+        """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
+        points = self._points(motion)
+        reach = points.new_tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)])
+        inside = (points.abs() <= reach).all(-1)[:, None]
+        return (inside & (self.forward(mask, motion=motion) > 1 - 1e-4)).to(mask.dtype)
+
+    def image(self, x: Tensor) -> Tensor:
+        """The scene at the canvas' pixel centres."""
+        return image(x)
+
+    def _points(self, motion: Tensor) -> Tensor:
+        """Where each pixel looks, (N, h, w, 2), in px from the canvas' centre."""
+        motion = _finite(motion)
+        if motion.ndim == 4:
+            return motion + self.place[:2, 2].to(motion)
+        return coords(self.place @ motion.double(), self.size)
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
@@ -90,6 +97,14 @@ class Warp(Operator):
         jitter[:, 2, 2] = 0
         x = torch.rand(1, 1, 11, 12, generator=generator, dtype=torch.float64)
         return cls((6, 7), (11, 12), (2, 3)), x, {"motion": torch.eye(3, dtype=torch.float64) + jitter}
+
+
+def _finite(motion: Tensor) -> Tensor:
+    """The motion without a NaN, which crashes grid_sample's backward pass on the CPU (torch 2.13).
+
+    A line search can produce one, and must see a bad loss instead.
+    """
+    return motion.nan_to_num(nan=FAR).clamp(-FAR, FAR)
 
 
 def coords(motion: Tensor, size: tuple[int, int]) -> Tensor:

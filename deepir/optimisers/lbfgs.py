@@ -26,7 +26,8 @@ class LBFGS(Optimiser):
         super().__init__(problem, group, evaluate, lr=lr)
         self.x = self._flat(self.parameters)
         self.slope: Tensor | None = None
-        self.pairs: list[tuple[Tensor, Tensor]] = []
+        #: Steps, changes of the gradient, and one over their product; the newest last.
+        self.pairs: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def step(self, *, fresh: bool) -> None:
         """One quasi-Newton step. Without descent the memory is dropped; `done` if the gradient has none."""
@@ -50,7 +51,7 @@ class LBFGS(Optimiser):
         x, self.value, slope = found
         s, y = x - self.x, slope - self.slope
         if float(torch.dot(s, y)) > 1e-10 * float(y.norm() * s.norm()):
-            self.pairs = [*self.pairs, (s, y)][-MEMORY:]
+            self.pairs = [*self.pairs, _pair(s, y)][-MEMORY:]
         self.x, self.slope = x, slope
 
     def state(self) -> dict[str, Tensor]:
@@ -58,36 +59,35 @@ class LBFGS(Optimiser):
         named = {"x": self.x, "value": torch.tensor(self.value, dtype=torch.float64)}
         if self.slope is not None:
             named["slope"] = self.slope
-        for i, (s, y) in enumerate(self.pairs):
+        for i, (s, y, _) in enumerate(self.pairs):
             named |= {f"s{i}": s, f"y{i}": y}
         return named
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Take all of it over."""
         self.x, self.value, self.slope = state["x"], float(state["value"]), state.get("slope")
-        self.pairs = [(state[f"s{i}"], state[f"y{i}"]) for i in range(MEMORY) if f"s{i}" in state]
+        self.pairs = [_pair(state[f"s{i}"], state[f"y{i}"]) for i in range(MEMORY) if f"s{i}" in state]
 
     def _direction(self, slope: Tensor) -> Tensor:
         q = -slope
         if not self.pairs:
             return q
         factors = []
-        for s, y in reversed(self.pairs):
-            rho = 1 / torch.dot(s, y)
+        for s, y, rho in reversed(self.pairs):
             alpha = rho * torch.dot(s, q)
-            q = q - alpha * y
-            factors.append((rho, alpha))
-        s, y = self.pairs[-1]
-        q = q * (torch.dot(s, y) / torch.dot(y, y))
-        for (s, y), (rho, alpha) in zip(self.pairs, reversed(factors), strict=True):
-            q = q + (alpha - rho * torch.dot(y, q)) * s
+            q.addcmul_(alpha, y, value=-1)
+            factors.append(alpha)
+        s, y, rho = self.pairs[-1]
+        q.div_(rho * torch.dot(y, y))
+        for (s, y, rho), alpha in zip(self.pairs, reversed(factors), strict=True):
+            q.addcmul_(alpha - rho * torch.dot(y, q), s)
         return q
 
     def _search(self, direction: Tensor, descent: float) -> tuple[Tensor, float, Tensor] | None:
         step = 1.0 if self.pairs else min(1.0, 1.0 / max(float(direction.abs().max()), 1e-30))
         low, high, best = 0.0, float("inf"), None
         for _ in range(MAX_TRIALS):
-            x = self.x + step * direction
+            x = torch.add(self.x, direction, alpha=step)
             value, slope = self._at(x)
             along = float(torch.dot(slope, direction))
             if not (value <= self.value + ARMIJO * step * descent and math.isfinite(along)):
@@ -115,3 +115,7 @@ class LBFGS(Optimiser):
     @staticmethod
     def _flat(tensors: Sequence[Tensor]) -> Tensor:
         return torch.cat([t.detach().flatten() for t in tensors])
+
+
+def _pair(s: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    return s, y, 1 / torch.dot(s, y)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage, signal
+from scipy import signal
+from scipy.interpolate import BSpline
 from skimage.measure import block_reduce
 
 from deepir.operators import Blur, Downsample, Operator, Sensor, Warp
@@ -15,11 +16,15 @@ def warp(x, slots):
     size, origin = (6, 7), (2, 3)  # of the example
     rows, columns = np.mgrid[: size[0], : size[1]]
     points = np.stack((columns - 3.0, rows - 2.5, np.ones(size)), -1)
+    spline = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
     frames = []
     for matrix in slots["motion"]:
         px, py, pz = (points @ matrix.T).transpose(2, 0, 1)
         at = (py / pz + 2.5 + origin[0], px / pz + 3.0 + origin[1])
-        frames.append([ndimage.map_coordinates(x[0, 0], at, order=1, mode="nearest")])
+        inside = (np.clip(i, 1, side - 2) for i, side in zip(at, x.shape[2:], strict=True))
+        sides = (np.arange(side) for side in x.shape[2:])
+        wy, wx = (np.nan_to_num(spline(i[..., None] - j)) for i, j in zip(inside, sides, strict=True))
+        frames.append([np.einsum("hwi,hwj,ij->hw", wy, wx, x[0, 0])])
     return np.array(frames)
 
 
@@ -201,7 +206,9 @@ def test_kornia_warps_the_same_way():
     motion[:, :2, 2] *= 100
     motion[:, 2, :2] = 1e-4 * torch.randn(4, 2, dtype=torch.float64)
     operator = Warp((30, 41), (50, 60), (9, 8))
-    x = torch.rand(1, 1, 50, 60, dtype=torch.float64)
+    # A slope, on which all interpolations agree.
+    y, x = torch.meshgrid(torch.arange(50.0).double(), torch.arange(60.0).double(), indexing="ij")
+    x = (2 * x - 3 * y)[None, None]
     to_centre, to_canvas = torch.eye(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
     to_centre[:2, 2] = torch.tensor([-20, -14.5])
     to_canvas[:2, 2] = torch.tensor([20 + 8, 14.5 + 9])

@@ -1,0 +1,194 @@
+# mypy: disable-error-code="no-untyped-def"
+"""A cubic B-spline at points moved by homographies, its adjoint, and its gradient in the homographies.
+
+Their origins are centres: of the frame, and of the canvas, whose sides are at least 4. No grid of coordinates is ever
+written.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.loops import compiled
+from deepir.operators.warp import NEAR
+
+
+@compiled
+def _project(t, x, y):
+    """The point of homography `t`, its depth, and one over it."""
+    depth = t[2, 0] * x + (t[2, 1] * y + t[2, 2])
+    nearness = 1 / max(depth, NEAR)
+    px = (t[0, 0] * x + (t[0, 1] * y + t[0, 2])) * nearness
+    py = (t[1, 0] * x + (t[1, 1] * y + t[1, 2])) * nearness
+    return px, py, depth, nearness
+
+
+@compiled
+def _locate(t, y, height, width, at, fx, fy):
+    """Where the samples of a row look: index of the first of 16 coefficients, and how far beyond the sixth."""
+    for j in range(len(at)):
+        x, v, _, _ = _project(t, j - (len(at) - 1) / 2, y)
+        x, v = x + (width - 1) / 2, v + (height - 1) / 2
+        # In this order a NaN, too, ends up inside.
+        x = x if x > 1 else 1.0
+        v = v if v > 1 else 1.0
+        x = x if x < width - 2 else width - 2.0
+        v = v if v < height - 2 else height - 2.0
+        left, top = min(np.int32(x), np.int32(width - 3)), min(np.int32(v), np.int32(height - 3))
+        at[j] = (top - np.int32(1)) * np.int32(width) + left - np.int32(1)
+        fx[j], fy[j] = x - left, v - top
+
+
+@compiled
+def _weights(f, out):
+    """The spline's weights `out` (4, n) of the coefficients around points that are `f` beyond the second."""
+    sixth = f.dtype.type(1 / 6)
+    for j in range(len(f)):
+        t = f[j]
+        s = 1 - t
+        out[0, j] = s * s * s * sixth
+        out[1, j] = (4 - 3 * t * t * (2 - t)) * sixth
+        out[2, j] = (4 - 3 * s * s * (2 - s)) * sixth
+        out[3, j] = t * t * t * sixth
+
+
+@compiled
+def _slopes(f, out):
+    """Derivatives of the weights by `f`."""
+    half = f.dtype.type(1 / 2)
+    for j in range(len(f)):
+        t = f[j]
+        s = 1 - t
+        out[0, j] = -s * s * half
+        out[1, j] = t * (3 * t - 4) * half
+        out[2, j] = s * (4 - 3 * s) * half
+        out[3, j] = t * t * half
+
+
+@compiled
+def _run(at, j):
+    """The end of the run of samples from `j` on whose coefficients lie side by side: they need no gather."""
+    start, end = at[j] - j, j + 1
+    while end < len(at) and at[end] - end == start:
+        end += 1
+    return end
+
+
+@compiled
+def _combine(flat, width, at, wx, wy, out):
+    """`out = Σ wx wy c` over the 16 coefficients `c` of each sample."""
+    j = 0
+    while j < len(at):
+        end = _run(at, j)
+        first = flat[at[j] :]
+        second, third, fourth = first[width:], first[2 * width :], first[3 * width :]
+        x0, x1, x2, x3 = wx[0, j:end], wx[1, j:end], wx[2, j:end], wx[3, j:end]
+        y0, y1, y2, y3 = wy[0, j:end], wy[1, j:end], wy[2, j:end], wy[3, j:end]
+        into = out[j:end]
+        for m in range(end - j):
+            a = x0[m] * first[m] + x1[m] * first[m + 1] + x2[m] * first[m + 2] + x3[m] * first[m + 3]
+            b = x0[m] * second[m] + x1[m] * second[m + 1] + x2[m] * second[m + 2] + x3[m] * second[m + 3]
+            c = x0[m] * third[m] + x1[m] * third[m + 1] + x2[m] * third[m + 2] + x3[m] * third[m + 3]
+            d = x0[m] * fourth[m] + x1[m] * fourth[m + 1] + x2[m] * fourth[m + 2] + x3[m] * fourth[m + 3]
+            into[m] = y0[m] * a + y1[m] * b + y2[m] * c + y3[m] * d
+        j = end
+
+
+@compiled
+def pull(first, last, scene, motion, out):
+    """Rows [first, last) of each frame: `out` (N, C, h, w) from the coefficients `scene` (1 or N, C, Hc, Wc)."""
+    (frames, channels, h, w), (height, width) = out.shape, scene.shape[2:]
+    at, fx, fy = np.empty(w, np.int32), np.empty(w, out.dtype), np.empty(w, out.dtype)
+    wx, wy = np.empty((4, w), out.dtype), np.empty((4, w), out.dtype)
+    for k in range(frames):
+        for i in range(first, last):
+            _locate(motion[k], i - (h - 1) / 2, height, width, at, fx, fy)
+            _weights(fx, wx)
+            _weights(fy, wy)
+            for c in range(channels):
+                _combine(scene[k % len(scene), c].ravel(), width, at, wx, wy, out[k, c, i])
+
+
+@compiled
+def push(first, last, gradient, motion, scene):
+    """Rows [first, last) of the canvas `scene`, which is added to: the adjoint of `pull`."""
+    (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
+    at, fx, fy = np.empty(w, np.int32), np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    # Room for three at both ends, so that each coefficient is written to once for all samples of a run.
+    wx, wy, part = (
+        np.zeros((4, w + 6), scene.dtype),
+        np.empty((4, w), scene.dtype),
+        np.zeros(w + 6, scene.dtype),
+    )
+    middle = (height - 1) / 2
+    for k in range(frames):
+        t = motion[k]
+        for i in range(h):
+            y = i - (h - 1) / 2
+            _, y0, z0, _ = _project(t, -(w - 1) / 2, y)
+            _, y1, z1, _ = _project(t, (w - 1) / 2, y)
+            low, high = max(min(y0, y1) + middle, 1.0), min(max(y0, y1) + middle, height - 2.0)
+            if min(z0, z1) > NEAR and (max(high, 1.0) < first - 3 or min(low, height - 2.0) > last + 2):
+                continue  # the whole row looks elsewhere
+            _locate(t, y, height, width, at, fx, fy)
+            _weights(fx, wx[:, 3 : w + 3])
+            _weights(fy, wy)
+            for c in range(channels):
+                flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
+                j = 0
+                while j < w:
+                    end = _run(at, j)
+                    top, n = at[j] // width, end - j
+                    g = row[j:end]
+                    part[3 + n : 6 + n] = 0
+                    p0, p1, p2, p3 = part[3:], part[2:], part[1:], part
+                    x0, x1, x2, x3 = wx[0, j + 3 :], wx[1, j + 2 :], wx[2, j + 1 :], wx[3, j:]
+                    for r in range(4):
+                        if first <= top + r < last:
+                            v, mine = wy[r, j:end], part[3 : 3 + n]
+                            for m in range(n):
+                                mine[m] = v[m] * g[m]
+                            into = flat[at[j] + r * width :]
+                            for m in range(n + 3):
+                                into[m] += (x0[m] * p0[m] + x1[m] * p1[m]) + (x2[m] * p2[m] + x3[m] * p3[m])
+                    j = end
+
+
+@compiled
+def turn(first, last, gradient, scene, motion, sums):
+    """The gradient of rows [first, last) in each row of the homographies: `sums` (N, h, 3, 2) of it, and of it by x."""
+    (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
+    at, fx, fy = np.empty(w, np.int32), np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    wx, wy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
+    dx, dy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
+    slope_x, slope_y = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    for k in range(frames):
+        t = motion[k]
+        for i in range(first, last):
+            y = i - (h - 1) / 2
+            _locate(t, y, height, width, at, fx, fy)
+            _weights(fx, wx)
+            _weights(fy, wy)
+            _slopes(fx, dx)
+            _slopes(fy, dy)
+            for c in range(channels):
+                flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
+                _combine(flat, width, at, dx, wy, slope_x)
+                _combine(flat, width, at, wx, dy, slope_y)
+                ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for j in range(w):
+                    x = j - (w - 1) / 2
+                    px, py, depth, nearness = _project(t, x, y)
+                    # Beyond the edge the scene is flat.
+                    gx = row[j] * slope_x[j] * nearness if abs(px) < (width - 3) / 2 else 0.0
+                    gy = row[j] * slope_y[j] * nearness if abs(py) < (height - 3) / 2 else 0.0
+                    gz = gx * px + gy * py if depth >= NEAR else 0.0
+                    ax, ay, az = ax + gx, ay + gy, az - gz
+                    bx, by, bz = bx + gx * x, by + gy * x, bz - gz * x
+                into = sums[k, i]
+                into[0, 0] += ax
+                into[1, 0] += ay
+                into[2, 0] += az
+                into[0, 1] += bx
+                into[1, 1] += by
+                into[2, 1] += bz

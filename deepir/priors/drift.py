@@ -1,0 +1,53 @@
+"""Drift: the level of whole frames."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from deepir.priors.field import Field, Shape
+from deepir.registry import register
+
+
+@register("field", "drift")
+class Drift(Field):
+    """One Gaussian value for each frame, of mean zero; `sigma`, in data units, is found from the burst if not given.
+
+    Without strength it is zero: over a burst that does not drift, a free level would take part of the scene's slope
+    away, for a camera that moves over a slope sees its level change.
+    """
+
+    sigma: Tensor
+    step: Tensor
+
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
+        super().__init__(shape, neutral)
+        if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
+            raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
+        self.given = sigma is not None
+        self.register_buffer("sigma", torch.tensor(sigma or 0.0))
+        #: What a value moves for a step of one: all pixels of a frame feel it, see `Field`.
+        self.register_buffer("step", torch.tensor(1.0))
+        self.values = nn.Parameter(torch.zeros(self.shape))
+
+    def forward(self) -> Tensor:
+        """The levels, (N, 1, 1, 1)."""
+        levels = self.step * (self.sigma > 0) * self.values
+        return self.neutral + levels - levels.mean()
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take the levels over, less their mean."""
+        value = value.to(self.values).expand(self.shape) - self.neutral
+        self.values.copy_((value - value.mean()) / self.step)
+
+    def penalty(self) -> Tensor | None:
+        """`½ Σ level² / sigma²`."""
+        return ((self.forward() - self.neutral) / self.sigma).square().sum() / 2 if self.sigma > 0 else None
+
+    @classmethod
+    def example(cls) -> Drift:
+        """The levels of three frames."""
+        return cls((3, 1, 1, 1), sigma=0.5)

@@ -1,0 +1,111 @@
+"""A burst and its truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.scenes import procedural
+from deepir.simulate.events import observe
+from deepir.simulate.optics import move, reach_of, scale_of
+from deepir.simulate.sensor import expose, more_defects, pattern
+from deepir.simulate.settings import DEFAULT, Settings
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
+
+    scene: (
+        np.ndarray
+    )  # (H, W), frame 0 without pattern, level, noise and walker (with the optics and the pixel's box)
+    gain: np.ndarray  # (H, W), mean one over good pixels, shading included
+    offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
+    level: np.ndarray  # (N,), mean zero
+    motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
+    bad_pixels: np.ndarray  # (H, W) bool
+    moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
+    failed: np.ndarray  # (N,) bool: frames of another place
+    read_noise: float  # sigma; rounding to counts adds a variance of 1/12
+    photons_per_unit: float  # photon noise has variance gain · flux / this; 0: there is none
+    scale: float  # picture px per detector px
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A burst (N, H, W), float32 or uint16, and what made it."""
+
+    frames: np.ndarray
+    truth: Truth
+    settings: Settings
+    seed: int
+
+    def save(self, path: str | Path) -> tuple[Path, Path]:
+        """Write `path` (frames; settings as JSON) and, beside it, STEM_truth.npz (the fields of `Truth`)."""
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise DataError(f"{path}: a simulation is saved as .npz")
+        beside = path.with_name(f"{path.stem}_truth.npz")
+        np.savez(path, frames=self.frames, settings=json.dumps({"seed": self.seed, **asdict(self.settings)}))
+        np.savez(beside, **{field.name: getattr(self.truth, field.name) for field in fields(Truth)})
+        return path, beside
+
+
+def simulate(scene: np.ndarray | None = None, settings: Settings = DEFAULT, *, seed: int = 0) -> Simulation:
+    """Record a burst of a scene.
+
+    Motion, pattern, level, noise and each effect that is off by default have random streams of their own: with
+    another noise the motion stays.
+
+    Args:
+        scene: Picture (height, width) in [0, 1], finer than the detector; None: `procedural(seed)`, twice as
+            fine.
+        settings: The camera and its motion.
+        seed: The same seed gives the same burst.
+
+    Raises:
+        DataError: The picture is no picture, or is too small for the frames and their motion.
+    """
+    # A new effect takes a new stream at the end: those before it stay as they are.
+    streams = np.random.default_rng(seed).spawn(8)
+    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams
+    motion = move(settings, motion_rng)
+    reach = reach_of(motion, settings)
+    if scene is None:
+        height, width = np.ceil((settings.scale or 2.0) * 2 * reach).astype(int) + 5
+        scene = procedural(seed, (int(height), int(width)))
+    picture = np.asarray(scene, float)
+    if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
+        raise DataError(
+            f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}"
+        )
+    scale = scale_of(picture.shape, reach, settings)
+    flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
+    dark = settings.pedestal if settings.counts else 0.0
+    flux, static = settings.range * flux + dark, settings.range * static + dark
+
+    gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
+    bad = more_defects(bad, settings, defects_rng)
+    gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
+    level = settings.range * settings.level_drift * np.cumsum(level_rng.standard_normal(settings.n_frames))
+    level -= level.mean()
+    failed = np.arange(settings.n_frames) == (settings.failed_frame or -1)
+    truth = Truth(
+        scene=static,
+        gain=gain,
+        offset=offset,
+        level=level,
+        motion=motion,
+        bad_pixels=bad > 0,
+        moving=moving,
+        failed=failed,
+        read_noise=settings.read_noise * settings.range,
+        photons_per_unit=settings.photons / settings.range,
+        scale=scale,
+    )
+    frames = expose(flux, gain, offset, level, bad, settings, noise_rng, defects_rng)
+    return Simulation(frames, truth, settings, seed)

@@ -1,0 +1,94 @@
+"""What can be asked of the simulated camera."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from deepir.errors import ConfigError, nearest
+
+CHOICES = {
+    "motion": ("shift", "rigid", "affine", "homography"),
+    "jitter": ("both", "x", "y"),
+    "gain_distribution": ("normal", "uniform"),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the camera is and how it moves: magnitudes of 14-bit microbolometers; a zero turns an effect off.
+
+    "Range" is the difference between scene values 0 and 1: one, or `contrast` counts where `counts` is true.
+    """
+
+    n_frames: int = 5  # frame 0 is the reference and does not move
+    shape: tuple[int, int] = (160, 192)  # height and width of a frame, px
+    scale: float | None = (
+        None  # picture px per detector px, >= 1.2; None: the largest at which all frames fit
+    )
+    motion: str = "rigid"  # shift, rigid, affine (+ 1 % stretch and shear), homography (+ 1 % keystone)
+    max_shift: float = 10.0  # shifts are uniform in +- this along each axis, px
+    max_rotation: float = 0.0  # rotations about the frame's centre are uniform in +- this, degrees
+    jitter: str = "both"  # axis of the shifts: both, x, y
+    gain_pixel: float = 0.03  # sigma of a pixel's gain, fraction
+    gain_column: float = 0.01  # sigma of a column's gain, fraction
+    gain_row: float = 0.0  # sigma of a row's gain, fraction
+    gain_distribution: str = (
+        "normal"  # or uniform: parts are U(1 - s, 1); U(v, 1) columns: gain_column = 1 - v
+    )
+    gain_shading: float = 0.0  # smooth (quadratic) factor of the gain, peak to peak, fraction
+    offset_pixel: float = 0.027  # sigma of a pixel's offset, fraction of the range
+    offset_column: float = 0.04  # sigma of a column's offset, fraction of the range
+    offset_row: float = 0.027  # sigma of a row's offset, fraction of the range
+    shading: float = 0.1  # smooth (quadratic) part of the offset, peak to peak, fraction of the range
+    photons: float = 0.0  # photons in one range of flux at gain one (the paper's tau); 0: no photon noise
+    read_noise: float = 0.003  # sigma of the Gaussian noise of a sample, fraction of the range
+    level_drift: float = 0.0  # sigma of the level's random walk from frame to frame, fraction of the range
+    dead_pixels: float = 0.002  # fraction of bad pixels: a third each stuck low, stuck high, flickering
+    stuck_pixels: float = 0.0  # fraction of pixels stuck at a value between the scene's least and largest
+    noisy_pixels: float = 0.0  # fraction of pixels with ten times the noise
+    walker: float = 0.0  # height of a person that walks through the scene, fraction of the frame's height
+    walker_contrast: float = 0.3  # how much warmer than the scene's mean the person is, fraction of the range
+    walker_speed: float = 8.0  # px that the person walks from frame to frame
+    failed_frame: int = 0  # the frame of this number is of another place
+    psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
+    counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
+    pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
+    contrast: float = 1500.0  # counts between scene values 0 and 1
+
+    def __post_init__(self) -> None:
+        for key, allowed in CHOICES.items():
+            if (name := getattr(self, key)) not in allowed:
+                raise ConfigError(f"simulate.{key}: '{name}' is unknown; {nearest(name, allowed)}")
+        for key, value in asdict(self).items():
+            if isinstance(value, int | float) and not 0 <= value < np.inf:
+                raise ConfigError(f"simulate.{key} = {value}: must be zero or more, and finite")
+        if self.n_frames < 1 or min(self.shape) < 8:
+            raise ConfigError(
+                "simulate: at least one frame (n_frames) of at least 8 x 8 px (shape) is needed"
+            )
+        if self.scale is not None and self.scale < 1.2:
+            raise ConfigError(f"simulate.scale = {self.scale}: must be 1.2 or more: finer than the detector")
+        if self.motion == "shift" and self.max_rotation:
+            raise ConfigError("simulate.max_rotation: motion 'shift' does not rotate; take motion: rigid")
+        if (bad := self.dead_pixels + self.stuck_pixels + self.noisy_pixels) > 0.5:
+            raise ConfigError(
+                f"simulate.dead_pixels, stuck_pixels, noisy_pixels = {bad:g} together: a fraction up to 0.5 is needed"
+            )
+        for key in ("gain_shading", "walker"):
+            if (value := getattr(self, key)) > 1:
+                raise ConfigError(f"simulate.{key} = {value}: a fraction up to 1 is needed")
+        if self.failed_frame >= self.n_frames:
+            raise ConfigError(
+                f"simulate.failed_frame = {self.failed_frame}: the frames are numbered 1 to {self.n_frames - 1}, "
+                "without the reference; 0: none fails"
+            )
+
+    @property
+    def range(self) -> float:
+        """The flux between scene values 0 and 1, in the data's units."""
+        return self.contrast if self.counts else 1.0
+
+
+DEFAULT = Settings()

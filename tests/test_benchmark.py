@@ -1,0 +1,131 @@
+"""The benchmark's bursts are what they are said to be, and its oracle knows what it is told."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepir.simulate import Settings, simulate
+from deepir.simulate.optics import move, reach_of, scale_of
+
+SMALL = Settings(shape=(48, 56), n_frames=5, max_shift=4.0, shading=0.0, dead_pixels=0.0)
+
+
+@pytest.fixture(autouse=True)
+def benchmarks(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
+    monkeypatch.setattr("nuc_store.FOLDER", tmp_path)
+
+
+def test_the_halves_share_no_picture_and_no_seed():
+    from nuc_regimes import REGIMES, SEEDS
+
+    a, b = ({regime.picture(half) for regime in REGIMES.values()} for half in "AB")
+    assert not a & b
+    assert not set(SEEDS["A"]) & set(SEEDS["B"])
+
+
+def test_every_regime_fits_its_pictures():
+    from nuc_regimes import REGIMES, SEEDS, picture
+
+    shapes = {}
+    for name in {regime.picture(half) for regime in REGIMES.values() for half in "AB"}:
+        grey = picture(name)
+        assert grey.ndim == 2
+        assert 0 <= grey.min() < 0.5 < grey.max() <= 1, name
+        shapes[name] = grey.shape
+    for regime in REGIMES.values():
+        for half, seeds in SEEDS.items():
+            for n, seed in ((n, seed) for n in regime.frames for seed in seeds):
+                settings = regime.settings(n)
+                motion = move(settings, np.random.default_rng(seed).spawn(1)[0])
+                assert scale_of(shapes[regime.picture(half)], reach_of(motion, settings), settings) >= 1.2
+
+
+@pytest.mark.parametrize(
+    "effect", [{"walker": 0.5}, {"failed_frame": 2}, {"dead_pixels": 0.01}, {"level_drift": 0.05}]
+)
+def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
+    from nuc_oracle import oracle
+
+    from deepir.scenes import procedural
+
+    monkeypatch.setattr("nuc_oracle.ITERATIONS", 30)
+    scene = procedural(2, (140, 160))
+    clean, disturbed = (
+        oracle(simulate(scene, dataclasses.replace(SMALL, **each), seed=1), scene) for each in ({}, effect)
+    )
+    assert disturbed > clean - 1.5
+
+
+def test_the_oracles_noise_is_that_of_the_frames():
+    from nuc_oracle import noise_variance
+
+    from deepir.scenes import procedural
+
+    scene = procedural(2, (140, 160))
+    camera = dataclasses.replace(SMALL, photons=300.0, max_shift=0.0, counts=True, n_frames=60)
+    sim = simulate(scene, camera, seed=1)
+    expected = noise_variance(sim, scene)[0]
+    np.testing.assert_allclose(sim.frames.var(0).mean(), expected.mean(), rtol=0.02)
+    assert np.corrcoef(sim.frames.var(0).ravel(), expected.ravel())[0, 1] > 0.2
+
+
+@pytest.mark.parametrize("peak", [-3.0, 0.0, 0.4, 2.5])
+def test_the_best_weight_is_climbed_to(peak):
+    from nuc_oracle import climb
+
+    assert climb(lambda power: -((power - peak) ** 2)) >= -(0.25**2)
+
+
+def test_what_is_kept_is_made_once():
+    from nuc_store import burst, kept
+
+    made = []
+
+    def make():
+        made.append(1)
+        return {"value": np.arange(3)}
+
+    for fresh in (False, False, True):
+        np.testing.assert_array_equal(kept("things", ["key", 1], make, fresh=fresh)["value"], np.arange(3))
+    assert len(made) == 2
+    (first, digest), (again, same) = (burst("sky 0", SMALL, 3) for _ in range(2))
+    assert digest == same
+    np.testing.assert_array_equal(first.frames, again.frames)
+    assert first.truth.read_noise == again.truth.read_noise
+    assert burst("sky 0", SMALL, 4)[1] != digest
+
+
+def test_the_radiometric_error_forgives_a_level_and_not_a_gain():
+    from nuc_oracle import aligned, radiometric
+
+    sim = simulate(settings=dataclasses.replace(SMALL, counts=True))
+    scene = sim.truth.scene
+    assert radiometric(scene + 50, sim) == pytest.approx(0, abs=1e-9)
+    assert radiometric(1.1 * scene, sim) == pytest.approx(10 * scene.std() / 1500)
+    assert aligned(1.1 * scene + 50, sim) > 150
+
+
+def test_the_report_says_what_it_found():
+    from nuc_table import Case, Row, summary
+
+    good, refused = (
+        Case(20, 25, 26, 35, 36, 0.5, 1.0),
+        Case(20, 25, 26, 20, 36, np.nan, np.nan, ["REFUSED: no"]),
+    )
+    rows = [
+        Row("counts", 3, "", {"A": [good], "B": [refused]}),
+        Row("sky", 3, "nothing to see", {"A": [good], "B": [good]}),
+    ]
+    assert rows[0].line().startswith("| counts | 3 | 20.0 / 20.0 |")
+    assert rows[1].line().startswith("| sky | 3 * |")
+    text = "\n".join(summary(rows, "AB"))
+    for words in (
+        "| **1.00** | **16.00** |",
+        "16.0 (counts, n = 3)",
+        "nothing to see",
+        "1 of 2 bursts: REFUSED: no",
+    ):
+        assert words in text
