@@ -16,7 +16,7 @@ from deepir.components import make, options_schema
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
 from deepir.operators import Chain, Operator, Warp
-from deepir.operators.warp import coords
+from deepir.operators.warp import NEAR
 from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
 from deepir.priors.parts import Sum
@@ -152,9 +152,11 @@ def _canvas(
     """Canvas (H, W) and origin (y, x) that hold all footprints of frames of `size`, and a margin."""
     if motion is None:
         motion = torch.eye(3, dtype=torch.float64)[None]
-    points = coords(scaled(motion, ratio), size)
-    centre = points.new_tensor([(size[1] - 1) / 2, (size[0] - 1) / 2])
-    low, high = (points + centre).amin((0, 1, 2)), (points + centre).amax((0, 1, 2))
+    y, x = ((side - 1) / 2 for side in size)
+    corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64)
+    moved = scaled(motion, ratio).double() @ corners
+    points = moved[:, :2] / moved[:, 2:].clamp(min=NEAR) + corners.new_tensor([[x], [y]])
+    low, high = points.amin((0, 2)), points.amax((0, 2))  # straight lines stay straight
     x0, y0 = (MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
     x1, y1 = (
         MARGIN + math.ceil(max(float(v), side - 1)) for v, side in zip(high, reversed(size), strict=True)

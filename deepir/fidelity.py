@@ -40,6 +40,15 @@ class Gaussian(Fidelity):
         nats: Tensor = _HalfSquares.apply(prediction, data, precision)
         return nats
 
+    def of_sensor(
+        self, flux: Tensor, data: Tensor, precision: Tensor, *, gain: Tensor, offset: Tensor, level: Tensor
+    ) -> Tensor:
+        """The same of `gain * flux + offset + level`, with gain and offset held: in one pass on the CPU."""
+        if flux.device.type != "cpu":
+            return self(torch.addcmul(offset, gain, flux) + level, data, precision)
+        nats: Tensor = _OfSensor.apply(flux, data, precision, gain, offset, level)
+        return nats
+
 
 class _HalfSquares(torch.autograd.Function):
     """`½ Σ w r²` with the gradient `w r`, which is at hand: half the passes over the frames that autograd makes."""
@@ -54,7 +63,38 @@ class _HalfSquares(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, None, None]:
         (weighted,) = ctx.saved_tensors
-        return gradient.to(weighted) * weighted, None, None
+        return _times(gradient, weighted), None, None
+
+
+class _OfSensor(torch.autograd.Function):
+    """`½ Σ w r²` of a sensor's frames; the gradients in flux and level are at hand."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, flux: Tensor, data: Tensor, precision: Tensor, gain: Tensor, offset: Tensor, level: Tensor
+    ) -> Tensor:
+        from deepir.loops import spread
+        from deepir.loops.half_squares import of_sensor
+
+        maps = (each.expand(1, *flux.shape[1:]).contiguous().flatten(0, -2) for each in (gain, offset))
+        frames = [each.contiguous().flatten(0, -2) for each in (flux, data, precision)]
+        slope = torch.empty_like(frames[0])
+        nats, drift = frames[0].new_empty(2, len(slope), dtype=torch.float64)
+        spread(of_sensor, len(slope), *frames, *maps, level.flatten(), slope, nats, drift)
+        ctx.save_for_backward(slope.reshape(flux.shape), drift.reshape(len(flux), -1).sum(1).to(level))
+        ctx.level = level.shape
+        return nats.sum()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        slope, drift = ctx.saved_tensors
+        return _times(gradient, slope), None, None, None, None, _times(gradient, drift.reshape(ctx.level))
+
+
+def _times(gradient: Tensor, slope: Tensor) -> Tensor:
+    """Their product; mostly the gradient is one, which spares a pass over the frames."""
+    return slope if gradient == 1 else gradient.to(slope) * slope
 
 
 def _half_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:

@@ -23,6 +23,7 @@ FILES = (
     "checkpoint.safetensors",
     "checkpoint.part",
     "result.npz",
+    "uncertainty.npz",
     "scene.tiff",
     "scene_preview.png",
     "summary.png",

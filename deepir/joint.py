@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -14,19 +15,23 @@ from deepir.build import Geometry, build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError, DataError, nearest
+from deepir.levels import drift_message
 from deepir.priors.parts import Part
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, drift_message
+from deepir.problems.definition import Definition
 from deepir.registration import register as register_frames
 from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 from deepir.solve import Progress, Solution, Stage, Step, solve
+from deepir.uncertainty import pattern_cost, uncertainty
 
 #: Motion, in px at the frame's edge, below which a burst counts as still.
 STILL = 0.5
 #: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
 LITTLE = 3.0
+#: Cost of the unknown pattern, in dB, from which it is worth a message.
+COSTLY = 2.0
 
 
 @register("method", "joint")
@@ -44,6 +49,7 @@ def joint(
     problem, geometry = build(config, kept, None if motion is None else motion[used])
     problem = problem.to(config.device)
     _given_noise(problem, config)
+    given = problem.precision.amax((0, 1)) > 0
     definition.initialise(problem, config.seed)
     _demand_strengths(problem)
     stages = plan(problem, definition, config)
@@ -51,6 +57,8 @@ def joint(
     messages += definition.messages
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
         messages += drift_message(problem)
+    found = given & ~(problem.precision.amax((0, 1)) > 0)
+    burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     return _result(problem, geometry, solution, burst, used, messages)
 
 
@@ -191,7 +199,12 @@ def _result(
         else:
             result.extra[name] = value.squeeze()
     result.frames_used, result.history, result.messages = used, solution.history, messages
-    to_gauge(result)
+    gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
+    to_gauge(result, known_gain=not any(name in problem.free() for name in gains))
+    cost = pattern_cost(problem)
+    maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
+    result.uncertainty = maps | {"scene": maps["scene"][y0:y1, x0:x1]}
+    result.messages += cost_message(cost, len(problem.data))
     good = problem.precision > 0
     result.metrics = {
         "iterations": solution.iterations,
@@ -199,9 +212,20 @@ def _result(
         "stop_reason": solution.reason,
         "noise_sigma": float(problem.precision[good].rsqrt().median()),
         "held_out_rmse": solution.held_out,
+        "pattern_cost_db": None if math.isnan(cost) else cost,
         "strengths": strengths(problem),
     }
     return result
+
+
+def cost_message(cost: float, n_frames: int) -> list[str]:
+    """A line if it costs a good part of the frames that they have to tell the pattern from the scene."""
+    if not cost > COSTLY:
+        return []
+    return [
+        f"telling the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the scene: "
+        "take more frames, or move further, in x and in y"
+    ]
 
 
 def strengths(problem: Problem) -> dict[str, float]:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 import torch
 from torch import Tensor, nn
 
-from deepir.elimination import eliminate
+from deepir.elimination import Eliminated, eliminate
 from deepir.fidelity import Fidelity, Gaussian
 from deepir.operators import Chain, Sensor
 from deepir.operators.base import own
@@ -99,20 +99,26 @@ class Problem(nn.Module):
         may lack them, is updated. `precision` stands in for that of the samples that are fitted.
         """
         precision = self.fitted() if precision is None else precision
-        if eliminated:
-            flux = self.flux(values)
-            self.eliminate(values, eliminated, flux=flux.detach(), precision=precision)
-            name, sensor = self.operator.named()[-1]
-            prediction = sensor(flux, **own(self._slot_values(values), name))
-        else:
-            prediction = self.predict(values)
-        terms = {"data": self.fidelity(prediction, self.data, precision)}
+        terms = {"data": self._misfit(values, eliminated, precision)}
         for name, field in self.fields.items():
             if (prior := field.penalty()) is not None:
                 terms[name] = prior
             for kind, penalty in self.penalties[name].items() if name in self.penalties else ():
                 terms[f"{name}.{kind}"] = penalty(values[name])
         return terms
+
+    def _misfit(self, values: Values, eliminated: Collection[str], precision: Tensor) -> Tensor:
+        name, last = self.operator.named()[-1]
+        if not isinstance(last, Sensor):
+            return self.fidelity(self.predict(values), self.data, precision)
+        flux = self.flux(values)
+        if eliminated:
+            self._eliminate(values, eliminated, flux.detach(), precision)
+        slots = own(self._slot_values(values), name)
+        moves = slots["gain"].requires_grad or slots["offset"].requires_grad
+        if isinstance(self.fidelity, Gaussian) and not moves:
+            return self.fidelity.of_sensor(flux, self.data, precision, **slots)
+        return self.fidelity(last(flux, **slots), self.data, precision)
 
     def free(self) -> list[str]:
         """The unknowns that can move: those with parameters that are not fixed."""
@@ -163,24 +169,35 @@ class Problem(nn.Module):
     ) -> dict[str, list[Tensor]]:
         """Set the unknowns of `group` to their optimum given the others; `values` is updated.
 
-        Returns the posterior variance of each part, by unknown, see `deepir.elimination.eliminate`. `flux`
+        Returns the posterior variance of each part, by unknown, see `deepir.elimination`. `flux`
         and `precision` spare their computation where they are known.
         """
         flux = self.flux(values) if flux is None else flux
         precision = self.fitted() if precision is None else precision
-        unknowns = [
-            self.slots[f"{self.operator.named()[-1][0]}.{slot}"] for slot in ("gain", "offset", "level")
-        ]
-        gain, offset, level = (None if each in group else values[each] for each in unknowns)
-        rest = self.data - (flux if gain is None else gain * flux)
-        for known in (offset, level):
-            if known is not None and known.any():  # a level is mostly zero: spares a pass over the frames
-                rest -= known
-        unknowns = unknowns[:2]
-        parts = [self.fields[each].parts() if each in group else () for each in unknowns]
-        variances = iter(eliminate(flux, rest, precision, *parts))
-        values.update({each: self.fields[each]() for each in group})
-        return {each: [next(variances) for _ in mine] for each, mine in zip(unknowns, parts, strict=True)}
+        found = self._eliminate(values, group, flux, precision)
+        return dict(zip(self._of_sensor()[:2], found.variances(), strict=True))
+
+    @torch.no_grad()
+    def _eliminate(
+        self, values: Values, group: Collection[str], flux: Tensor, precision: Tensor
+    ) -> Eliminated:
+        gain, offset, level = self._of_sensor()
+        data = self.data if gain in group else self.data - values[gain] * flux
+        if offset not in group and values[offset].any():
+            data = data - values[offset]
+        parts = [self.fields[each].parts() if each in group else () for each in (gain, offset)]
+        neutral = [self.fields[each].neutral if each in group else 0.0 for each in (gain, offset)]
+        found = eliminate(
+            flux, data, precision, *parts, level=values[level], neutral=(neutral[0], neutral[1])
+        )
+        both = zip((gain, offset), found.values, strict=True)
+        values.update({name: value[None, None] for name, value in both if name in group})
+        return found
+
+    def _of_sensor(self) -> list[str]:
+        """The unknowns of the sensor that ends the operator: gain, offset, level."""
+        stage = self.operator.named()[-1][0]
+        return [self.slots[f"{stage}.{slot}"] for slot in ("gain", "offset", "level")]
 
     def _slot_values(self, values: Values) -> Values:
         return {slot: values[unknown] for slot, unknown in self.slots.items() if unknown in values}

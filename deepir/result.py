@@ -32,6 +32,7 @@ class Result:
     history: list[dict[str, Any]] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     extra: dict[str, Array] = field(default_factory=dict)  # what only some problems have: stray, psf ...
+    uncertainty: dict[str, Array] = field(default_factory=dict)  # standard deviations of scene, gain, offset
 
     def arrays(self) -> dict[str, Array]:
         """All arrays by name, as `result.npz` holds them."""
@@ -43,6 +44,8 @@ class Result:
         from deepir.report.summary import write_summary
 
         write_npz(folder / "result.npz", self.arrays())
+        if self.uncertainty:
+            write_npz(folder / "uncertainty.npz", self.uncertainty)
         write_tiff(folder / "scene.tiff", self.scene)
         write_preview(folder / "scene_preview.png", self.scene)
         write_summary(folder / "summary.png", self, example)
@@ -62,10 +65,13 @@ def neutral(scene: Array, n_frames: int, size: tuple[int, int], bad_pixels: Arra
     )
 
 
-def to_gauge(result: Result) -> None:
-    """Gain mean one, offset and level mean zero, over good pixels and used frames; the prediction does not change."""
+def to_gauge(result: Result, *, known_gain: bool = False) -> None:
+    """Gain mean one, offset and level mean zero, over good pixels and used frames; the prediction does not change.
+
+    A known gain stays as it is.
+    """
     good = ~result.bad_pixels
-    mean = result.gain[good].mean(dtype=np.float64)
+    mean = 1.0 if known_gain else result.gain[good].mean(dtype=np.float64)
     result.gain, result.scene = result.gain / mean, result.scene * mean
     drift = np.nanmean(np.where(result.frames_used, result.level, np.nan))
     result.level, result.offset = result.level - drift, result.offset + drift

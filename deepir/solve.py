@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from deepir import checkpoint as store
+from deepir.curvature import curvature
 from deepir.errors import DataError, SolverError
 from deepir.optimisers import OPTIMISERS, Optimiser, free_parameters
 from deepir.problem import Problem, Values
@@ -185,8 +186,11 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     precision = problem.precision if stage.use_held_out else problem.fitted()
 
+    with torch.no_grad():  # once: gain and offset of several parts are not free
+        fixed = problem.values(without={name for step in stage.steps for name in step.group})
+
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
-        values = problem.values(free, without=eliminated)
+        values = fixed | problem.values(free, without=[*eliminated, *fixed])
         terms = problem.losses(values, eliminated, precision=precision)
         return torch.stack([term.double() for term in terms.values()]).sum(), values
 
@@ -206,7 +210,12 @@ def held_out_error(problem: Problem) -> float:
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
     evaluate = objective(problem, stage)
     steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
-    return [(OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step) for step in steps]
+    found = [(OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step) for step in steps]
+    eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
+    for optimiser, step in found:
+        if step.method == "lbfgs":
+            optimiser.curvature = curvature(problem, optimiser.parameters, eliminated)
+    return found
 
 
 def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:

@@ -11,8 +11,11 @@ import torch
 from scipy.optimize import nnls
 from torch import Tensor
 
+from deepir.defects import crowded, defective, deviating
+from deepir.levels import reach, tilt
 from deepir.noise import MAD
 from deepir.priors.parts import Part
+from deepir.priors.shading import Shading
 from deepir.problem import Problem
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
@@ -22,6 +25,8 @@ ROUNDS = 3  # of expectation-maximisation at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
 #: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
 MOST = 1.5
+#: A term of the shading, as a share of what the frames' tilt makes of a quadratic one.
+SHADING = 0.4
 #: Weak prior on the variance of a part: so much of its number of values, at so large a sigma.
 PSEUDO_SHARE, PSEUDO_GAIN, PSEUDO_OFFSET = 0.2, 0.02, 0.03
 
@@ -34,12 +39,13 @@ def hold_out(problem: Problem, seed: int) -> None:
 
 
 @torch.no_grad()
-def update_noise(problem: Problem) -> None:
+def update_noise(problem: Problem, *, settled: bool = False) -> None:
     """Set each sample's precision to 1 / (read² + signal / photons), as the residuals have it.
 
     Residuals of fitted samples are too small, by the freedom that the fit has, and those of held-out samples too
     large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
-    the noise. It is taken in bins of the signal, from medians, which leave outliers out.
+    the noise. It is taken in bins of the signal, from medians, which leave outliers out. Samples that misfit count
+    less; with `settled`, pixels that misfit throughout are given up.
     """
     if problem.known_noise:
         return
@@ -64,8 +70,10 @@ def update_noise(problem: Problem) -> None:
     read, photon = share / unit
     found = read + photon * prediction.clamp(min=0)
     found = found.clamp(min=0.1 * variance.min())
-    doubt = (prediction - problem.data).square() / (found * OUTLIER**2)
-    problem.precision.copy_(usable / (found * (1 + doubt)))
+    misfit = usable * (prediction - problem.data).square() / found
+    if settled:
+        usable = usable & ~defective(misfit, usable)
+    problem.precision.copy_(usable / (found * (1 + misfit / OUTLIER**2 + crowded(misfit, usable))))
 
 
 def _bins(values: Tensor) -> Tensor:
@@ -95,10 +103,13 @@ def start_parts(problem: Problem) -> None:
     level = float(problem.data[usable].mean().abs())
     for slot, unit in (("gain", level), ("offset", 1.0)):
         for part in _all_parts(problem, slot):
-            if not part.given:
+            if isinstance(part, Shading) and not part.given:
+                part.sigma.fill_(SHADING * tilt(problem) / max(reach(problem), 0.01) / unit)
+            elif not part.given:
                 part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
-    rest = rest - pattern
+    problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
+    rest, usable = rest - pattern, problem.precision > 0
     if not problem.known_noise and (spread := _spread(rest[usable])) > 0:  # one frame leaves nothing
         problem.precision.div_(1 + (rest / (OUTLIER * spread)).square())
 
@@ -138,6 +149,8 @@ def update_parts(problem: Problem) -> None:
 
 
 def _maximised(part: Part, variance: Tensor, anchor: float) -> Tensor:
+    if isinstance(part, Shading):  # few terms, of which some are large
+        return ((part.sigma * part.white).square() + variance).mean().sqrt()
     spread = (MAD * part.values.abs().median()) ** 2 + variance.median()  # the mean, but for outliers
     return ((spread + PSEUDO_SHARE * anchor**2) / (1 + PSEUDO_SHARE)).sqrt().clamp(max=part.most)
 

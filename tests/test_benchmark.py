@@ -56,7 +56,8 @@ def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
     clean, disturbed = (
         oracle(simulate(scene, dataclasses.replace(SMALL, **each), seed=1), scene) for each in ({}, effect)
     )
-    assert disturbed > clean - 1.5
+    # Noise alone costs 1.8 dB where one frame of three is left out.
+    assert disturbed > clean - 2.2
 
 
 def test_the_oracles_noise_is_that_of_the_frames():

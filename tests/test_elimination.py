@@ -77,7 +77,7 @@ def test_the_optimum_is_that_of_dense_least_squares(gain, offset, zero, pedestal
 def test_the_variances_of_pixels_alone_are_those_of_the_dense_inverse(pedestal, dead):
     gains, offsets = make_parts(["pixel"], 1.0), make_parts(["pixel"], 50.0)
     z, y, w = burst(pedestal, dead=dead)
-    found = eliminate(z, y, w, gains, offsets)
+    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, *SHAPE)
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
@@ -88,7 +88,7 @@ def test_the_variances_of_pixels_alone_are_those_of_the_dense_inverse(pedestal, 
 def test_the_variances_of_columns_alone_are_those_of_the_dense_inverse():
     gains, offsets = make_parts(["column"], 1.0), make_parts(["column"], 50.0)
     z, y, w = burst()
-    found = eliminate(z, y, w, gains, offsets)
+    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, 6)
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
@@ -99,7 +99,7 @@ def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_den
     names = ["pixel", "column", "shading"]
     gains, offsets = make_parts(names, 1.0), make_parts(names, 50.0)
     z, y, w = burst()
-    found = eliminate(z, y, w, gains, offsets)
+    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.split(
         np.diag(np.linalg.inv(a.T @ a)), np.cumsum([p.white.numel() for p in [*gains, *offsets]])[:-1]
@@ -111,7 +111,7 @@ def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_den
 
 def test_variances_come_in_the_order_of_the_parts_and_lie_between_nothing_and_the_prior():
     gains, offsets = make_parts(["pixel", "column"], 1.0), make_parts(["row", "column", "pixel"], 50.0)
-    found = eliminate(*burst(), gains, offsets)
+    found = [v for each in eliminate(*burst(), gains, offsets).variances() for v in each]
     for variance, part in zip(found, (*gains, *offsets), strict=True):
         assert variance.shape == part.white.shape
         assert (variance > 0).all()
@@ -122,7 +122,7 @@ def test_a_pixel_without_data_is_left_at_its_prior():
     gains, offsets = make_parts(["pixel"], 1.0), make_parts(["pixel"], 50.0)
     z, y, w = burst()
     w[:, 0, 2, 3] = 0
-    variances = eliminate(z, y, w, gains, offsets)
+    variances = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
     for part, variance in zip((*gains, *offsets), variances, strict=True):
         assert part.white[0, 0, 2, 3] == 0
         assert variance[0, 0, 2, 3] == pytest.approx(float(part.sigma) ** 2)

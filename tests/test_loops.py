@@ -7,8 +7,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir import elimination, fidelity
+from deepir import fidelity
 from deepir.loops import spread
+from deepir.normal_equations import Pixels, PixelsOnCPU
 from deepir.penalties import tv
 
 sizes = st.tuples(st.integers(1, 6), st.integers(1, 50))
@@ -27,21 +28,48 @@ def error(found, wanted):
     return float((found - wanted).abs().max() / wanted.abs().max())
 
 
+def pixels(kind, dtype, size, pedestal, one=False):
+    generator = torch.Generator().manual_seed(0)
+    shape = (4, *size)
+    flux = pedestal + 10 * torch.rand(shape, generator=generator, dtype=torch.float32)
+    flux = flux[:1].expand(shape) if one else flux  # without a warp, all frames see the same flux
+    data, precision = flux + torch.randn(shape, generator=generator), torch.rand(shape, generator=generator)
+    sigma, level = torch.tensor([0.02, 50.0], dtype=torch.float64), torch.arange(4, dtype=torch.float64)
+    return kind(flux.to(dtype), data.to(dtype), precision.to(dtype), level, 1.0, sigma)
+
+
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (60, 80)])
 @pytest.mark.parametrize("pedestal", [0.0, 8000.0])
-def test_the_sums_over_the_frames_are_exact_in_float32_too(threads, size, pedestal):
-    flux = pedestal + 10 * torch.rand(4, *size)
-    data, precision = torch.randn(4, *size), torch.rand(4, *size)
-    wanted = elimination._sums(flux.double(), data.double(), precision.double())
-    for found, right in zip(elimination._sums_on_cpu(flux, data, precision), wanted, strict=True):
-        assert error(found, right) < 1e-13
-    of_one = flux[:1].expand(4, *size)  # without a warp, all frames see the same flux
-    for found, right in zip(
-        elimination._sums_on_cpu(of_one, data, precision)[4:],
-        elimination._sums(of_one.double(), data.double(), precision.double())[4:],
-        strict=True,
-    ):
-        assert error(found, right) < 1e-13
+@pytest.mark.parametrize("one", [False, True])
+def test_the_normal_equations_are_exact_in_float32_too(threads, size, pedestal, one):
+    wanted = pixels(Pixels, torch.float64, size, pedestal, one)
+    for dtype in (torch.float32, torch.float64):
+        found = pixels(PixelsOnCPU, dtype, size, pedestal, one)
+        for name in ("maps", "down", "across"):
+            for each, right in zip(getattr(found, name), getattr(wanted, name), strict=True):
+                assert error(each, right) < 1e-12
+
+
+@pytest.mark.parametrize("terms", [0, 3])
+@pytest.mark.parametrize("size", [(3, 5), (60, 80)])
+def test_rows_and_columns_are_solved_and_the_pixels_found(threads, size, terms):
+    generator = torch.Generator().manual_seed(1)
+
+    def random(*shape):
+        return torch.rand(shape, generator=generator, dtype=torch.float64)
+
+    (height, width), results = size, []
+    root, to_columns, to_rows = random(2, 2, width) / 1e3, random(terms, 2 * width), random(terms, 2 * height)
+    rhs, columns, neutral = random(2 * width + terms), random(2, width), random(2)
+    weights, smooth = random(3, height) / 1e6, (random(2, height, terms), random(terms, width))
+    for kind in (Pixels, PixelsOnCPU):
+        mine, white = pixels(kind, torch.float64, size, 50.0), (torch.empty(size), torch.empty(size))
+        white = tuple(each.double() for each in white)
+        solution = mine.solve(root, to_columns, to_rows, weights, rhs)
+        errors, values = mine.finish(columns, smooth, weights, neutral, white)
+        results.append((solution, errors, values, *white))
+    for found, right in zip(*results, strict=True):
+        assert error(found, right) < 1e-10
 
 
 @settings(deadline=None)
@@ -56,6 +84,32 @@ def test_the_weighted_residuals_and_their_sum(size, dtype, one):
     residuals, wanted = fidelity._half_squares(prediction, data, precision)
     assert torch.equal(weighted, residuals)
     assert float(nats) == pytest.approx(float(wanted), rel=1e-5 if dtype == torch.float32 else 1e-12)
+
+
+@settings(deadline=None)
+@given(
+    size=sizes, dtype=types, channels=st.integers(1, 2), one=st.booleans(), factor=st.sampled_from([1.0, 3.0])
+)
+def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, one, factor):
+    shape = (3, channels, *size)
+    flux = (50 + torch.randn(1 if one else 3, channels, *size, dtype=torch.float64)).requires_grad_()
+    data, precision = (50 + torch.randn(shape)).double(), torch.rand(shape).double()
+    gain, offset = 1 + 0.1 * torch.randn(1, *shape[1:]).double(), torch.randn(1, *shape[1:]).double()
+    level = torch.randn(3, 1, 1, 1, dtype=torch.float64, requires_grad=True)
+    wanted = factor * fidelity.Gaussian()(gain * flux + offset + level, data, precision)
+    given = [each.detach().to(dtype) for each in (flux, data, precision, gain, offset, level)]
+    given[0].requires_grad_()
+    given[-1].requires_grad_()
+    slots = dict(zip(("gain", "offset", "level"), given[3:], strict=True))
+    found = factor * fidelity.Gaussian().of_sensor(given[0].expand(shape), *given[1:3], **slots)
+    tolerance = 1e-4 if dtype == torch.float32 else 1e-12
+    assert float(found.detach()) == pytest.approx(float(wanted.detach()), rel=tolerance)
+    slopes = torch.autograd.grad(found, (given[0], given[-1]))
+    for slope, right in zip(slopes, torch.autograd.grad(wanted, (flux, level)), strict=True):
+        assert slope.dtype == dtype
+        assert torch.allclose(
+            slope.double(), right, rtol=tolerance, atol=tolerance * float(right.abs().max())
+        )
 
 
 @settings(deadline=None)

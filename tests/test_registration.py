@@ -78,7 +78,8 @@ def test_a_whole_pixel_shift_is_found():
 
 def test_a_fraction_of_a_pixel_is_not_pulled_to_whole_pixels():
     motions = [move(), move(x=5.25, y=-3.25), move(x=-4.75, y=6.3), move(x=2.2, y=-7.2)]
-    assert np.median(errors(register(burst("camera", motions, tau=1e5), model="shift"), motions)) < 0.02
+    for name in ("camera", "moon", "grass"):
+        assert errors(register(burst(name, motions, tau=1e5), model="shift"), motions).max() < 0.04
 
 
 @pytest.mark.parametrize("name", ["camera", "coins"])

@@ -42,7 +42,7 @@ def spread(loop: Callable[..., None], count: int, *arguments: Tensor | float) ->
     the other takes the process down when two threads use it at once.
     """
     arrays = [each.numpy() if isinstance(each, Tensor) else each for each in arguments]
-    threads = torch.get_num_threads()
+    threads = min(torch.get_num_threads(), max(count, 1))
     mine, *others = itertools.pairwise(count * i // threads for i in range(threads + 1))
     waiting = [_pool(os.getpid()).submit(loop, *part, *arrays) for part in others]
     loop(*mine, *arrays)

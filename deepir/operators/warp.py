@@ -71,9 +71,15 @@ class Warp(Operator):
 
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
-        points = self._points(motion)
-        reach = points.new_tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)])
-        inside = (points.abs() <= reach).all(-1)[:, None]
+        reach = torch.tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)], device=mask.device)
+        masks = mask.expand(len(motion), -1, -1, -1)
+        # A frame at a time: the points take four times a frame's room.
+        return torch.cat(
+            [self._valid(masks[k : k + 1], motion[k : k + 1], reach) for k in range(len(motion))]
+        )
+
+    def _valid(self, mask: Tensor, motion: Tensor, reach: Tensor) -> Tensor:
+        inside = (self._points(motion).abs() <= reach).all(-1)[:, None]
         return (inside & (self.forward(mask, motion=motion) > 1 - 1e-4)).to(mask.dtype)
 
     def image(self, x: Tensor) -> Tensor:

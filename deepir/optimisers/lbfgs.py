@@ -61,30 +61,41 @@ class LBFGS(Optimiser):
             named["slope"] = self.slope
         for i, (s, y, _) in enumerate(self.pairs):
             named |= {f"s{i}": s, f"y{i}": y}
+        if self.curvature is not None:
+            named |= {f"curvature.{name}": tensor for name, tensor in self.curvature.tensors.items()}
         return named
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Take all of it over."""
         self.x, self.value, self.slope = state["x"], float(state["value"]), state.get("slope")
+        if self.curvature is not None:
+            self.curvature.tensors = {name: state[f"curvature.{name}"] for name in self.curvature.tensors}
         self.pairs = [_pair(state[f"s{i}"], state[f"y{i}"]) for i in range(MEMORY) if f"s{i}" in state]
 
     def _direction(self, slope: Tensor) -> Tensor:
         q = -slope
         if not self.pairs:
-            return q
+            return q if self.curvature is None else self.curvature.solve(q)
         factors = []
         for s, y, rho in reversed(self.pairs):
             alpha = rho * torch.dot(s, q)
             q.addcmul_(alpha, y, value=-1)
             factors.append(alpha)
         s, y, rho = self.pairs[-1]
-        q.div_(rho * torch.dot(y, y))
+        if self.curvature is None:
+            q.div_(rho * torch.dot(y, y))
+        else:
+            q = self.curvature.solve(q).div_(rho * torch.dot(y, self.curvature.solve(y)))
         for (s, y, rho), alpha in zip(self.pairs, reversed(factors), strict=True):
             q.addcmul_(alpha - rho * torch.dot(y, q), s)
         return q
 
     def _search(self, direction: Tensor, descent: float) -> tuple[Tensor, float, Tensor] | None:
-        step = 1.0 if self.pairs else min(1.0, 1.0 / max(float(direction.abs().max()), 1e-30))
+        step = (
+            1.0
+            if self.pairs or self.curvature is not None
+            else min(1.0, 1.0 / max(float(direction.abs().max()), 1e-30))
+        )
         low, high, best = 0.0, float("inf"), None
         for _ in range(MAX_TRIALS):
             x = torch.add(self.x, direction, alpha=step)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
+from deepir.curvature import Curvature
 from deepir.problem import Problem, Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
@@ -25,6 +26,8 @@ class Optimiser:
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
         self.parameters = free_parameters(problem, group)
         self.value, self.done, self._count = float("nan"), False, 0
+        #: What is known of the objective's second derivatives, for those that can use it.
+        self.curvature: Curvature | None = None
 
     def step(self, *, fresh: bool) -> None:
         """One iteration, sets `value`, and `done` at rest. `fresh`: others have changed since the last."""

@@ -33,3 +33,8 @@ class HuberTV(Penalty):
     def natural(self, noise: float) -> float:
         """One nat for a step of `SCALE` standard deviations."""
         return 1 / (SCALE * noise)
+
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """The mean of `weight / max(|∇x|, d)`, of the gradient."""
+        d = self.threshold / self.weight.clamp(min=1e-12)
+        return 0.0, float((self.weight / squared_gradient(value).sqrt().clamp(min=float(d))).mean())

@@ -34,6 +34,10 @@ class Penalty(nn.Module):
         """The weight that suits a value with noise of this standard deviation, before it is penalised."""
         return 1.0
 
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """About how the penalty curves at `value`: per square of a change, and per squared gradient of one."""
+        return 0.0, 0.0
+
 
 def squared_gradient(value: Tensor) -> Tensor:
     """`|∇x|²` by forward differences, (..., H, W); those across the lower and right edge are zero."""

@@ -20,3 +20,7 @@ class Ridge(Penalty):
     def energy(self, value: Tensor) -> Tensor:
         """`½ Σ (x - center)²`."""
         return (value - self.center).square().sum(dtype=torch.float64) / 2
+
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """The weight."""
+        return float(self.weight), 0.0

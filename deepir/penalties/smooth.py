@@ -24,3 +24,7 @@ class Smooth(Penalty):
     def natural(self, noise: float) -> float:
         """A gradient of `SCALE` standard deviations is usual."""
         return 1 / (SCALE * noise) ** 2
+
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """The weight, of the gradient."""
+        return 0.0, float(self.weight)

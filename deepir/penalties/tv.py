@@ -36,6 +36,11 @@ class TV(Penalty):
             return energy
         return total_variation(value, rounding)
 
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """The mean of `weight / sqrt(|∇x|² + e²)`, of the gradient."""
+        rounding = self.rounding / self.weight.clamp(min=1e-12)
+        return 0.0, float((self.weight * (squared_gradient(value) + rounding.square()).rsqrt()).mean())
+
     def natural(self, noise: float) -> float:
         """One nat for a step of `SCALE` standard deviations."""
         return 1 / (SCALE * noise)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import ClassVar
@@ -59,9 +60,14 @@ class Part(Field):
         """Set the deviation from neutral; a part whose sigma is zero stays zero."""
         self.white.copy_(values / self.sigma if self.sigma > 0 else torch.zeros_like(values))
 
+    def over_map(self, variance: Tensor) -> Tensor:
+        """Variance of the map, (1, 1, h or 1, w or 1), for that of what the white values stand for."""
+        return variance
+
     def penalty(self) -> Tensor:
         """`½ Σ values² / sigma²`."""
-        return self.white.square().sum() / 2
+        white = self.white.flatten()
+        return torch.dot(white, white) / 2
 
     def parts(self) -> Sequence[Part]:
         """The part itself."""
@@ -101,7 +107,7 @@ class Sum(Field):
 
     def forward(self) -> Tensor:
         """`neutral + Σ members`."""
-        return self.neutral + torch.stack([member() for member in self.members.values()]).sum(0)
+        return functools.reduce(torch.add, (member() for member in self.members.values())) + self.neutral
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:

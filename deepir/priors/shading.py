@@ -22,6 +22,11 @@ class Shading(Part):
     #: The polynomials along each axis, (degree + 1, side), and which of them each term has, (terms,).
     in_y: Tensor
     in_x: Tensor
+    #: Those of up to twice the degree, and what the product of two of the others is made of, (.., .., 2 degree + 1).
+    more_y: Tensor
+    more_x: Tensor
+    products_y: Tensor
+    products_x: Tensor
     of_y: Tensor
     of_x: Tensor
 
@@ -31,8 +36,13 @@ class Shading(Part):
         super().__init__(shape, neutral, sigma=sigma)
         orders = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 0]
         for k, axis in enumerate("yx"):
-            polynomials = torch.from_numpy(_legendre(shape[k - 2], degree))
+            side = shape[k - 2]
+            more = torch.from_numpy(_legendre(side, min(2 * degree, side - 1)))
+            polynomials = more[: degree + 1]
+            products = (polynomials[:, None] * polynomials) @ more.T / side
             self.register_buffer(f"in_{axis}", polynomials, persistent=False)
+            self.register_buffer(f"more_{axis}", more, persistent=False)
+            self.register_buffer(f"products_{axis}", products.flatten(0, 1), persistent=False)
             self.register_buffer(
                 f"of_{axis}", torch.tensor([each[k] for each in orders], dtype=torch.long), persistent=False
             )
@@ -43,31 +53,65 @@ class Shading(Part):
         """The deviation from neutral, float64, (1, 1, h, w)."""
         return self.spread(self.sigma * self.white)[None, None]
 
-    def factors(self) -> tuple[Tensor, Tensor]:
-        """How each term depends on y, (terms, h), and on x, (terms, w)."""
-        return self.in_y[self.of_y], self.in_x[self.of_x]
+    def in_rows(self, terms: Tensor) -> Tensor:
+        """In each row a combination (..., h, degree + 1) of the polynomials `in_x`; of coefficients (..., terms)."""
+        table = terms.new_zeros(*terms.shape[:-1], len(self.in_y), len(self.in_x))
+        table[..., self.of_y, self.of_x] = terms
+        return self.in_y.T @ table
 
     def spread(self, terms: Tensor) -> Tensor:
         """The map (..., h, w) of coefficients (..., terms)."""
-        y, x = self.factors()
-        return (terms[..., None, :] * y.T) @ x
+        return self.in_rows(terms) @ self.in_x
+
+    def down(self, maps: Tensor) -> Tensor:
+        """Sums of maps (..., h, w) down the columns, times each of the polynomials up to twice the degree."""
+        return self.more_y @ maps
+
+    def by_row(self, maps: Tensor) -> Tensor:
+        """Sums of maps (..., h, w) with each term along each row, (..., terms, h)."""
+        return (maps @ self.in_x.T).mT[..., self.of_x, :] * self.in_y[self.of_y]
+
+    def by_column(self, down: Tensor) -> Tensor:
+        """Sums of maps with each term down each column, (..., terms, w), from `down`."""
+        return down[..., self.of_y, :] * self.in_x[self.of_x]
+
+    def at(self, y: Tensor, x: Tensor) -> Tensor:
+        """Each term at points in px from the centre, (..., terms)."""
+        along = []
+        for at, polynomials, order in ((y, self.in_y, self.of_y), (x, self.in_x, self.of_x)):
+            side = polynomials.shape[1]
+            powers = torch.linspace(-1, 1, side, dtype=at.dtype, device=at.device)[:, None] ** torch.arange(
+                len(polynomials), device=at.device
+            )
+            coefficients = torch.linalg.lstsq(powers, polynomials.T).solution
+            place = (2 * at / (side - 1))[..., None] ** torch.arange(len(polynomials), device=at.device)
+            along.append((place @ coefficients)[..., order])
+        return along[0] * along[1]
 
     def sums(self, maps: Tensor) -> Tensor:
-        """Its transpose: maps (..., h, w) summed with each term, (..., terms)."""
-        y, x = self.factors()
-        return (maps @ x.T * y.T).sum(-2)
+        """Sums of maps (..., h, w) with each term, (..., terms): the transpose of `spread`."""
+        return self.sums_of(self.down(maps))
 
-    def gram(self, weights: Tensor) -> Tensor:
-        """Sums of each product of two terms, times `weights` (h, w): (terms, terms)."""
-        # From those of the few products of two polynomials along an axis.
-        y, x = ((each[:, None] * each).flatten(0, 1) for each in (self.in_y, self.in_x))
-        sums = (y @ weights @ x.T).reshape(2 * [len(self.in_y)] + 2 * [len(self.in_x)])
-        return sums[self.of_y[:, None], self.of_y, self.of_x[:, None], self.of_x]
+    def sums_of(self, down: Tensor) -> Tensor:
+        """The same from `down`."""
+        return (down[..., : len(self.in_y), :] @ self.in_x.T)[..., self.of_y, self.of_x]
+
+    def gram(self, down: Tensor) -> Tensor:
+        """Sums of maps with each product of two terms, (..., terms, terms), from `down`."""
+        sums = self.products_y @ (down @ self.more_x.T) @ self.products_x.T
+        sums = sums.unflatten(-1, 2 * [len(self.in_x)]).unflatten(-3, 2 * [len(self.in_y)])
+        return sums[..., self.of_y[:, None], self.of_y, self.of_x[:, None], self.of_x]
+
+    def over_map(self, variance: Tensor) -> Tensor:
+        """Variance of the map for that of the terms, couplings left out."""
+        y, x = self.in_y[self.of_y].square(), self.in_x[self.of_x].square()
+        return (variance * y.T @ x)[None, None]
 
     @torch.no_grad()
     def assign(self, values: Tensor) -> None:
         """Set the deviation from neutral to the polynomial nearest to `values`, a map."""
-        terms = self.sums(values.expand(self.shape)[0, 0]) / values.expand(self.shape)[0, 0].numel()
+        whole = values.expand(self.shape)[0, 0]
+        terms = self.sums(whole) / whole.numel()
         self.white.copy_(terms / self.sigma if self.sigma > 0 else torch.zeros_like(terms))
 
     @classmethod

@@ -9,16 +9,15 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
+from deepir.levels import drift_strength, level_names, level_residuals
 from deepir.noise import sample_noise
+from deepir.priors.drift import Drift
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import start_parts, weigh_scene
 
 LEVEL_TURNS = 4  # of scene and level, for the start of a free level
-#: Residual of a frame's level, in standard deviations of a sample's noise, above which it drifts. With all modelled it
-#: is at most 0.1.
-DRIFT = 0.25
 
 
 class Definition:
@@ -68,37 +67,21 @@ def start_scene(problem: Problem) -> None:
 
     A free level starts at what the frames are above that average: by turns, for the average follows the levels.
     """
-    free = [name for name in _levels(problem) if name in problem.free()]
+    free = [problem.fields[name] for name in level_names(problem) if name in problem.free()]
+    drifts = [field for field in free if isinstance(field, Drift) and not field.given]
+    for drift in drifts:
+        drift.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
+        drift.sigma.fill_(1.0)  # for the turns
     for turn in range(LEVEL_TURNS if free else 1):
-        for name in free if turn else ():
-            problem.fields[name].init_from(problem.values()[name] + level_residual(problem))
+        for field in free if turn else ():
+            field.init_from(field() + level_residuals(problem))
         average, weight = problem.backproject(problem.values())
         problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
-
-
-@torch.no_grad()
-def level_residual(problem: Problem) -> Tensor:
-    """How far each frame as a whole is above its prediction, (N, 1, 1, 1): the median over its usable samples."""
-    rest = (problem.data - problem.predict(problem.values())).where(problem.precision > 0, torch.nan)
-    return rest.flatten(1).nanmedian(1).values.nan_to_num()[:, None, None, None]
-
-
-def drift_message(problem: Problem) -> list[str]:
-    """Say so if the frames' levels drift and the problem does not know it."""
-    if all(name in problem.free() for name in _levels(problem)):
-        return []
-    level = level_residual(problem)
-    drift = float((level - level.mean()).abs().max())
-    noise = float(problem.precision[problem.precision > 0].rsqrt().median())
-    if drift < DRIFT * noise:
-        return []
-    return [
-        f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with physics.sensor.level=pixels"
-    ]
-
-
-def _levels(problem: Problem) -> list[str]:
-    return [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "level"]
+    for drift in drifts:
+        drift.sigma.fill_(drift_strength(problem, drift()))
+    if drifts and not any(drift.sigma > 0 for drift in drifts):
+        average, weight = problem.backproject(problem.values())
+        problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:

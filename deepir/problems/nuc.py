@@ -40,10 +40,10 @@ class NUC(Definition):
         still = tuple(name for name in free if name != "motion")
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         return [
-            Stage("sensor 1", (Step(still), *eliminate), 25),
-            Stage("sensor 2", (Step(still), *eliminate), 25, prepare=_update),
+            Stage("sensor 1", (Step(still), *eliminate), 8),
+            Stage("sensor 2", (Step(still), *eliminate), 8, prepare=_update),
             Stage("sensor 3", (Step(free), *eliminate), 30, prepare=_update),
-            Stage("scene", (Step(("scene",)),), 35, prepare=weigh_scene, use_held_out=True),
+            Stage("scene", (Step(("scene",)),), 20, prepare=_finish, use_held_out=True),
         ]
 
 
@@ -51,3 +51,8 @@ def _update(problem: Problem) -> None:
     update_noise(problem)
     update_parts(problem)
     weigh_scene(problem, WEAK)
+
+
+def _finish(problem: Problem) -> None:
+    update_noise(problem, settled=True)
+    weigh_scene(problem)

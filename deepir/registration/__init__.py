@@ -1,8 +1,9 @@
 """Registration of bursts under strong fixed-pattern noise.
 
-`register` is the one entry. The files, in the order in which the work is done: `flatten` (logarithm, stripes,
-stuck pixels), `pyramid` (band-passed levels), `coarse` (correlation and rotation search), `refine`
-(Gauss-Newton), `burst` (the scene and the fixed pattern of the whole burst), `motion` (the motion models).
+`register` in `burst` is the one entry. The other files, in the order in which the work is done: `flatten` (logarithm,
+stuck pixels), `pyramid` (band-passed levels), `group` (which frames show one scene), `search` (correlation over all
+shifts and some rotations), `align` (scene, fixed pattern and motions, alternately), `refine` (a Gauss-Newton step),
+`motion` (the motion models).
 """
 
 from deepir.registration.burst import Registration, register

@@ -7,45 +7,53 @@ import scipy.ndimage
 import torch
 from torch import Tensor
 
-STUCK = 7.0  # robust standard deviations beyond which a pixel of the mean frame is stuck
+STUCK = 10.0  # robust standard deviations beyond which a pixel of the mean frame is stuck
+WINDOW = 31  # px across the stripes: what is broader is none
+ENOUGH = 1_000_000  # values for a median
 
 
 def flatten(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Frames `(N, H, W)`, float64, gains made offsets, unit spread; weights `(H, W)`, zero where bad."""
-    good = frames.isfinite().all(0)
+    """Frames `(N, H, W)` float32, gains made offsets, without stripes; weights `(H, W)`, zero where bad."""
+    good = torch.ones(frames.shape[1:], dtype=torch.bool)
+    for frame in frames:
+        good &= frame.isfinite()
     if ignore is not None:
-        good = good & ~ignore
-    y = logarithm(torch.where(good, frames, frames[:, good].median() if good.any() else 0.0).double())
-    good = good & ~stuck(without_stripes(y, 15).mean(0))
-    y = y - (y * good).sum((1, 2), keepdim=True) / good.sum().clamp_min(1)
-    y = y / (y * good).square().mean().sqrt().clamp_min(1e-12)
-    return y, good.float()
+        good &= ~ignore
+    if not good.any():
+        return torch.zeros(frames.shape), good.float()
+    y = logarithm(frames, good)
+    mean = y.mean(0).numpy()
+    standing = torch.from_numpy(stripes(mean, 0) + stripes(mean, 1))
+    good &= ~stuck(mean - standing.numpy())
+    if len(frames) < 3:
+        y -= standing
+    return y.mul_(good), good.float()
 
 
-def without_stripes(frames: Tensor, window: int) -> Tensor:
-    """Frames less the column and row structure of their mean, as float32: `(N, H, W)`.
-
-    A stripe is the median along a line of what differs from the mean over `window` px across the lines.
-    Narrow, it leaves the broad part of the stripes; wide, it takes the scene's own profile with it, which
-    plants a ghost that stands still.
-    """
-    image = frames.mean(0).numpy()
-    columns = np.median(image - scipy.ndimage.uniform_filter1d(image, window, axis=1, mode="nearest"), axis=0)
-    rows = np.median(image - scipy.ndimage.uniform_filter1d(image, window, axis=0, mode="nearest"), axis=1)
-    return (frames - torch.from_numpy(columns[None] + rows[:, None])).float()
-
-
-def logarithm(frames: Tensor) -> Tensor:
-    """The logarithm (floored at 5 % of the median), or the frames themselves if they are not positive."""
-    middle = frames.median()
-    if middle <= 0 or (frames <= 0).double().mean() > 0.05:
-        return frames
-    return frames.clamp_min(0.05 * float(middle)).log()
+def logarithm(frames: Tensor, good: Tensor) -> Tensor:
+    """Logarithm over the median, at least 0.05 of it; or what differs from it, if the frames are not positive."""
+    few = frames[:, good].flatten()
+    few = few[:: max(1, len(few) // ENOUGH)]
+    middle = float(few.median())
+    positive = middle > 0 and float((few <= 0).double().mean()) <= 0.05
+    y = torch.empty(frames.shape)
+    for frame, out in zip(frames, y, strict=True):
+        out.copy_(frame).masked_fill_(~good, middle)
+        if positive:
+            out.div_(middle).clamp_min_(0.05).log_()
+        else:
+            out.sub_(middle)
+    return y
 
 
-def stuck(mean: Tensor) -> Tensor:
-    """Pixels `(H, W)` of the mean that differ from their 3 x 3 median by `STUCK` robust deviations."""
-    image = mean.numpy().astype(np.float32)
+def stripes(image: np.ndarray, axis: int) -> np.ndarray:
+    """Structure of lines along `axis`: their median of what differs from the mean over some px across them."""
+    broad = scipy.ndimage.uniform_filter1d(image, WINDOW, axis=1 - axis, mode="nearest")
+    return np.median(image - broad, axis=axis, keepdims=True)
+
+
+def stuck(image: np.ndarray) -> Tensor:
+    """Pixels `(H, W)` that differ from their 3 x 3 median by `STUCK` robust deviations."""
     apart = np.abs(image - scipy.ndimage.median_filter(image, 3, mode="nearest"))
     scale = 1.4826 * float(np.median(apart))
-    return torch.from_numpy(apart > STUCK * scale) if scale > 0 else torch.from_numpy(apart > np.inf)
+    return torch.from_numpy(apart > STUCK * scale if scale > 0 else apart > np.inf)

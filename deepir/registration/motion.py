@@ -8,21 +8,14 @@ from torch import Tensor
 PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
 
 
-def pixel_grid(height: int, width: int) -> Tensor:
-    """Centred coordinates (x, y) of every pixel, in px: `(2, height * width)` float32."""
-    y, x = torch.meshgrid(
-        torch.arange(height) - (height - 1) / 2, torch.arange(width) - (width - 1) / 2, indexing="ij"
-    )
-    return torch.stack((x.flatten(), y.flatten()))
+def identity(n: int) -> Tensor:
+    """`n` motions that are none."""
+    return torch.eye(3, dtype=torch.float64).repeat(n, 1, 1)
 
 
-def transform(motion: Tensor, points: Tensor) -> Tensor:
-    """Points `(..., 2, M)` moved by homographies `(..., 3, 3)`, both in centred px."""
-    motion = motion.to(points.dtype)
-    moved = motion[..., :2, :2] @ points + motion[..., :2, 2:]
-    if not motion[..., 2, :2].any():
-        return moved
-    return moved / (motion[..., 2:, :2] @ points + motion[..., 2:, 2:])
+def relative(motion: Tensor, to: int = 0) -> Tensor:
+    """Motions `(N, 3, 3)` relative to one of them."""
+    return normalised(torch.linalg.inv(motion[to]) @ motion)
 
 
 def normalised(motion: Tensor) -> Tensor:
@@ -60,7 +53,7 @@ def generators(model: str, points: Tensor, size: float) -> tuple[Tensor, Tensor]
 
 def increment(model: str, delta: Tensor, size: float) -> Tensor:
     """The motions `(B, 3, 3)` of small parameters `(B, P)`, in the order and scale of `generators`."""
-    out = torch.eye(3, dtype=torch.float64).repeat(len(delta), 1, 1)
+    out = identity(len(delta))
     if model == "rigid":
         out = rotation(delta[:, 2] / size)
     elif model in ("affine", "homography"):

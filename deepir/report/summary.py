@@ -1,4 +1,4 @@
-"""One picture of a run: a raw frame, the scene, gain, offset, and how the loss fell."""
+"""One picture of a run: a raw frame, the scene and how sure it is, gain, offset, and how the loss fell."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     grid = figure.subplots(2, 3)
     _picture(grid[0, 0], example, "raw frame", "gray")
     _picture(grid[0, 1], result.scene, "scene", "gray")
-    _picture(grid[0, 2], result.scene, "scene, inferno", "inferno")
+    if "scene" in result.uncertainty:
+        _picture(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", "viridis")
+    else:
+        _picture(grid[0, 2], result.scene, "scene, inferno", "inferno")
     _picture(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
     _picture(grid[1, 1], result.offset, f"offset (σ {result.offset.std():.3g})", "RdBu_r", centre=0.0)
     _loss(grid[1, 2], result.history)

@@ -14,6 +14,7 @@ ENDED = {
     "run.json",
     "deepir.log",
     "result.npz",
+    "uncertainty.npz",
     "scene.tiff",
     "scene_preview.png",
     "summary.png",

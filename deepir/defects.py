@@ -1,0 +1,66 @@
+"""Pixels that are no sensors, and samples that show something else than the scene.
+
+A pixel is judged by what it does beside the model, never by its value: pixels of a saturated sky, or exact zeros, are
+as good as any.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from deepir.noise import MAD
+
+DEVIATION = 7.0  # robust standard deviations of the pattern beyond which a pixel is none of it
+MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, from which a pixel is defective
+MOST = 100.0  # squared misfit that counts of one sample: one frame does not condemn a pixel
+LONELY = 4.0  # how many times more a defective pixel misfits than its neighbourhood
+WINDOW = 5  # px: side of a neighbourhood
+CROWD = 2.0  # mean squared misfit of a neighbourhood from which it shows something else
+
+
+@torch.no_grad()
+def deviating(pattern: Tensor, known: Tensor) -> Tensor:
+    """Pixels whose pattern (1, 1, h, w) is far from what their neighbours' lets expect, bool; columns may differ."""
+    apart = pattern
+    for axis in (-2, -1):
+        apart = apart - apart.where(known, torch.nan).nanmedian(axis, keepdim=True).values.nan_to_num()
+    apart = apart - _median(apart)
+    differ = apart[known & (apart != 0)].abs()
+    if differ.numel() < apart.numel() / 4:  # most pixels are exactly alike: nothing to compare with
+        return torch.zeros_like(known)
+    apart = apart.abs()
+    return known & (apart > DEVIATION * MAD * differ.median()) & (apart > LONELY * _median(apart))
+
+
+@torch.no_grad()
+def defective(misfit: Tensor, usable: Tensor) -> Tensor:
+    """Pixels (1, 1, h, w), bool, that misfit in the mean of all frames, alone among their neighbours.
+
+    `misfit` is squared, in units of the noise, (N, 1, h, w).
+    """
+    count = usable.sum(0, keepdim=True)
+    mean = misfit.clamp(max=MOST).sum(0, keepdim=True) / count.clamp(min=1)
+    return (count > 0) & (mean > MISFIT) & (mean > LONELY * _median(mean))
+
+
+@torch.no_grad()
+def crowded(misfit: Tensor, usable: Tensor) -> Tensor:
+    """How much samples are to be doubted for their neighbourhood's sake, (N, 1, h, w): zero for a clean one.
+
+    What moves by itself misfits over many pixels, a little each.
+    """
+    pad = WINDOW // 2
+    total = F.avg_pool2d(misfit.clamp(max=MOST), WINDOW, 1, pad, count_include_pad=False)
+    share = F.avg_pool2d(usable.to(misfit), WINDOW, 1, pad, count_include_pad=False)
+    return (total / share.clamp(min=0.1) - CROWD).clamp(min=0)
+
+
+def _median(image: Tensor) -> Tensor:
+    """The median of each 3 x 3 neighbourhood, (1, 1, h, w)."""
+    padded = F.pad(image, (1, 1, 1, 1), mode="replicate")
+    shifted = [
+        padded[..., i : i + image.shape[-2], j : j + image.shape[-1]] for i in range(3) for j in range(3)
+    ]
+    return torch.stack(shifted).median(0).values

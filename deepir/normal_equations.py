@@ -1,0 +1,175 @@
+"""The normal equations of gain and offset at each pixel, with the pixels' own parts eliminated.
+
+At a pixel they are `A x = s` with `A = Σ w [z² z; z 1]` and `s = Σ w y (z, 1)` over the frames, and `x` (gain, offset)
+the sum of all parts. Without the pixel parts, of prior variance `V = diag(u, v)`, the other parts have the system
+`(I + A V)^-1 A` and the right-hand side `(I + A V)^-1 s`; unlike `(A + V^-1)^-1` both are finite where V or A is zero
+(no pixel part, a dead pixel).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+#: Relative residual at which conjugate gradients stop, and the most iterations they get.
+TOLERANCE, MAX_ITERATIONS = 1e-12, 200
+
+
+class Pixels:
+    """`maps` (5, h, w), float64: the system (aa, ab, bb), then the right-hand side; `down` and `across`: its sums.
+
+    Args:
+        flux: what falls on the detector, (N, h, w); `data` and `precision` likewise.
+        level: (N,), float64; with `neutral` times the flux it is taken from the data.
+        sigma: the pixel parts' prior standard deviations (gain, offset), float64; zero where there is none.
+    """
+
+    maps: Tensor
+    down: Tensor  # (5, w)
+    across: Tensor  # (5, h)
+
+    def __init__(
+        self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float, sigma: Tensor
+    ) -> None:
+        self.sigma, self.dtype = sigma, flux.dtype
+        self._reduce(flux, data, precision, level, neutral)
+
+    def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
+        """Summed as `d = z - m`, m the first frame's flux: the determinant, which is the same, does not cancel."""
+        u, v = self.sigma.square()
+        m, zero = flux[0].double(), flux.new_zeros(flux.shape[1:], dtype=torch.float64)
+        aa, ab, bb, sa, sb = (zero.clone() for _ in range(5))
+        for z, y, w, less in zip(flux.double(), data, precision.double(), level, strict=True):
+            d, rest = z - m, y - neutral * z - less
+            wd = w * d
+            aa += wd * d
+            ab += wd
+            bb += w
+            sa += wd * rest
+            sb += w * rest
+        shifted = ab + m * bb
+        whole = aa + m * (ab + shifted)
+        determinant, cross = aa * bb - ab * ab, sa * bb - sb * ab
+        lower = bb + u * determinant
+        gain, offset = sa + m * sb + v * cross, sb + u * (sb * aa - sa * ab - m * cross)
+        each = (whole + v * determinant, shifted, lower, gain, offset)
+        self.maps = torch.stack(each) / (1 + u * whole + v * lower)
+        self.down, self.across = self.maps.sum(1), self.maps.sum(2)
+
+    def solve(
+        self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
+    ) -> Tensor:
+        """Columns and further terms, (2 w + terms,), with the rows eliminated, by conjugate gradients.
+
+        In coordinates in which the system without the rows is the unit matrix. Of such coordinates (c, t), the columns'
+        values are `root' (c - to_columns' t)`, with a root (2, 2, w) for each column, and what the terms amount to in
+        the rows is `to_rows' t`, (2 h). `weights`, (3, h), make values of the rows of that.
+        (Hestenes and Stiefel 1952.)
+        """
+        width = root.shape[-1]
+
+        def by_rows(x: Tensor, rest: Tensor | float = 0.0) -> Tensor:
+            c, terms = x[: 2 * width], x[2 * width :]
+            columns = (root * (c - terms @ to_columns).reshape(2, 1, width)).sum(0)
+            along = self._system(columns[:, None]).sum(2) + (terms @ to_rows).reshape(2, -1) + rest
+            rows = symmetric(weights, along)
+            down = (root * self._system(rows[..., None]).sum(1)).sum(1).flatten()
+            return torch.cat((down, to_rows @ rows.flatten() - to_columns @ down))
+
+        r = rhs - by_rows(torch.zeros_like(rhs), self.across[3:])
+        x, p, rr = 0 * r, r.clone(), torch.dot(r, r)  # what is not a number stays so
+        goal = TOLERANCE**2 * rr
+        for _ in range(MAX_ITERATIONS):
+            if not rr > goal:
+                break
+            q = p - by_rows(p)
+            step = rr / torch.dot(p, q)
+            x, r = x + step * p, r - step * q
+            rr, before = torch.dot(r, r), rr
+            p = r + (rr / before) * p
+        return x
+
+    def finish(
+        self,
+        columns: Tensor,
+        smooth: tuple[Tensor, Tensor],
+        weights: Tensor,
+        neutral: Tensor,
+        white: tuple[Tensor, Tensor],
+    ) -> tuple[Tensor, Tensor]:
+        """Set the `white` values of the pixels for values of the columns and of what is `smooth`.
+
+        The latter is in each row the combination (2, h, n) of functions of x, (n, w). Returns the right-hand side that
+        is left for each row, (2, h), of which `weights` make its value, and the sum of all parts, (2, h, w), with
+        `neutral` added.
+        """
+        others = columns[:, None] + smooth[0] @ smooth[1]
+        errors = self.across[3:] - self._system(others).sum(2)
+        others = others + symmetric(weights, errors)[..., None]
+        sigma = self.sigma[:, None, None]
+        found = sigma * (self.maps[3:] - self._system(others))
+        for each, into in zip(found, white, strict=True):
+            into.copy_(each)
+        return errors, (neutral[:, None, None] + others + sigma * found).to(self.dtype)
+
+    def variance(self, i: int) -> Tensor:
+        """Posterior variance of the white values of gain (0) or offset (1)."""
+        return 1 - self.sigma[i].square() * self.maps[2 if i else 0]
+
+    def _system(self, x: Tensor) -> Tensor:
+        return symmetric(self.maps[:3], x)
+
+
+class PixelsOnCPU(Pixels):
+    """The same, each in one pass by a compiled loop."""
+
+    def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
+        from deepir.loops import spread
+        from deepir.loops.normal_equations import BAND, reduce
+
+        (_, height, width), u, v = flux.shape, *self.sigma.square().tolist()
+        self.bands = -(-height // BAND)
+        self.maps = torch.empty(5, height, width, dtype=torch.float64)
+        self.across = torch.empty(5, height, dtype=torch.float64)
+        down = torch.empty(self.bands, 5, width, dtype=torch.float64)
+        frames = (each.contiguous() for each in (flux, data, precision))
+        spread(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.across, down)
+        self.down = down.sum(0)
+
+    def solve(
+        self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
+    ) -> Tensor:
+        """See `Pixels`."""
+        from deepir.loops import spread
+        from deepir.loops.normal_equations import solve
+
+        x = rhs.clone()
+        system = (self.maps, root, to_columns, to_rows, weights, self.across[3:].flatten())
+        spread(solve, 1, *system, TOLERANCE, MAX_ITERATIONS, x)
+        return x
+
+    def finish(
+        self,
+        columns: Tensor,
+        smooth: tuple[Tensor, Tensor],
+        weights: Tensor,
+        neutral: Tensor,
+        white: tuple[Tensor, Tensor],
+    ) -> tuple[Tensor, Tensor]:
+        """See `Pixels`."""
+        from deepir.loops import spread
+        from deepir.loops.normal_equations import finish
+
+        errors, values = (
+            torch.empty_like(self.across[3:]),
+            self.maps.new_empty(2, *self.maps.shape[1:], dtype=self.dtype),
+        )
+        before = (columns.contiguous(), self.across[3:], weights, *(each.contiguous() for each in smooth))
+        spread(finish, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values)
+        return errors, values
+
+
+def symmetric(block: Tensor, x: Tensor) -> Tensor:
+    """Symmetric 2 x 2 matrices (aa, ab, bb), (3, ...), times (2, ...)."""
+    aa, ab, bb = block
+    return torch.stack((aa * x[0] + ab * x[1], ab * x[0] + bb * x[1]))

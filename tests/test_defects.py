@@ -1,0 +1,63 @@
+"""Bad pixels and moving things are told by what they do beside the model."""
+
+import numpy as np
+import torch
+
+import deepir
+from deepir.defects import crowded, defective, deviating
+from deepir.simulate import Settings, simulate
+
+KNOWN = torch.ones(1, 1, 40, 50, dtype=torch.bool)
+
+
+def pattern(sigma=3.0):
+    torch.manual_seed(0)
+    return sigma * torch.randn(1, 1, 40, 50) + 20 * torch.randn(1, 1, 1, 50) + 20 * torch.randn(1, 1, 40, 1)
+
+
+def test_a_pixel_far_from_its_neighbours_is_found_under_strong_columns_and_rows():
+    bad = pattern()
+    bad[0, 0, 5, 6], bad[0, 0, 20, 30] = 400.0, -300.0
+    found = deviating(bad, KNOWN)
+    assert found[0, 0, 5, 6]
+    assert found[0, 0, 20, 30]
+    assert found.sum() == 2
+
+
+def test_a_pattern_of_zeros_has_no_bad_pixels():
+    assert not deviating(torch.zeros(1, 1, 40, 50), KNOWN).any()
+
+
+def test_a_saturated_half_is_not_dead():
+    half = pattern()
+    half[..., :25] = 0
+    assert not deviating(half, KNOWN).any()
+
+
+def test_a_pixel_that_misfits_in_all_frames_is_given_up_one_that_does_so_once_is_not():
+    misfit = torch.ones(4, 1, 40, 50)
+    misfit[:, 0, 3, 4] = 60.0
+    misfit[1, 0, 8, 9] = 40.0
+    found = defective(misfit, torch.ones_like(misfit) > 0)
+    assert found.nonzero()[:, 2:].tolist() == [[3, 4]]
+
+
+def test_a_region_that_misfits_is_no_defect_but_is_doubted():
+    misfit = torch.ones(4, 1, 40, 50)
+    misfit[2, 0, 10:20, 10:20] = 9.0
+    usable = torch.ones_like(misfit) > 0
+    assert not defective(misfit, usable).any()
+    doubt = crowded(misfit, usable)
+    assert (doubt[2, 0, 12:18, 12:18] > 5).all()
+    assert not doubt[0].any()
+
+
+def test_dead_and_flickering_pixels_of_a_burst_are_found_and_filled():
+    camera = Settings(n_frames=6, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.005)
+    sim = simulate(None, camera, seed=5)
+    result = deepir.run("nuc", frames=sim.frames, threads=1)
+    truth, found = sim.truth.bad_pixels, result.bad_pixels
+    assert (found & truth).sum() >= 0.9 * truth.sum()
+    assert (found & ~truth).sum() <= 0.002 * truth.size
+    error = np.abs(result.scene - sim.truth.scene - (result.scene - sim.truth.scene).mean())
+    assert np.median(error[truth]) < 0.05 * sim.settings.contrast

@@ -1,0 +1,42 @@
+"""Drift of the level, and shading, look alike to a camera that moves: they are told by the frames' tilt."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import deepir
+from deepir.simulate import Settings, simulate
+
+CAMERA = Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0)
+
+
+def run(n_frames=5, seed=3, **effects):
+    sim = simulate(None, dataclasses.replace(CAMERA, n_frames=n_frames, **effects), seed=seed)
+    return deepir.run("nuc", frames=sim.frames, threads=1), sim
+
+
+@pytest.mark.parametrize(("n_frames", "share"), [(3, 0.4), (6, 0.2)])
+def test_a_drift_is_found_but_for_a_slope_that_looks_the_same(n_frames, share):
+    result, sim = run(n_frames, level_drift=0.03)
+    error = result.level - sim.truth.level
+    assert np.abs(error).max() < share * np.ptp(sim.truth.level)
+
+
+@pytest.mark.parametrize("n_frames", [3, 6])
+def test_a_burst_without_drift_has_none(n_frames):
+    result, _ = run(n_frames)
+    assert not result.level.any()
+
+
+@pytest.mark.parametrize("n_frames", [3, 6])
+def test_shading_is_not_taken_for_drift(n_frames):
+    result, _ = run(n_frames, shading=0.5)
+    assert not result.level.any()
+
+
+def test_shading_stronger_than_the_pixels_pattern_is_taken_out():
+    result, sim = run(shading=1.0, gain_pixel=0.005, gain_column=0.005)
+    assert np.ptp(sim.truth.offset) > 1000
+    error = result.scene - sim.truth.scene
+    assert (error - error.mean()).std() < 0.02 * sim.settings.contrast

@@ -1,0 +1,169 @@
+"""Registration of simulated bursts against the truth: strong patterns, wide motion, frames that do not belong."""
+
+import functools
+
+import numpy as np
+import pytest
+import skimage.data
+import torch
+
+from deepir.registration import align, burst, register
+from deepir.simulate import Settings, simulate
+
+SHAPE = (128, 160)
+#: Counts on a pedestal: a pixel's gain of 3 % is a pattern of 240 counts.
+COUNTS = {"counts": True, "max_rotation": 2.0}
+FAINT = {**COUNTS, "contrast": 60.0, "read_noise": 0.07}
+
+
+@functools.cache
+def simulated(name, **settings):
+    """Frames `(N, H, W)` of a public picture and their true motions; the same camera for all pictures."""
+    picture = getattr(skimage.data, name)().astype(float)
+    picture = picture if picture.ndim == 2 else picture.mean(-1)
+    picture = (picture - picture.min()) / np.ptp(picture)
+    found = simulate(picture, Settings(shape=SHAPE, **settings), seed=1)
+    return torch.from_numpy(found.frames.astype(np.float32)), found.truth.motion
+
+
+def errors(result, truth):
+    """Largest distance (px) at the corners, of each frame that is used; the truth relative to the first of them."""
+    used = result.used.numpy()
+    first = used.argmax()
+    true = np.linalg.inv(truth[first]) @ truth[used]
+    h, w = SHAPE
+    corners = np.array([(x, y, 1.0) for x in (-w / 2, w / 2) for y in (-h / 2, h / 2)]).T
+    a, b = result.motion.numpy()[used] @ corners, true @ corners
+    assert np.array_equal(result.motion[first], np.eye(3))
+    return np.linalg.norm(a[:, :2] / a[:, 2:] - b[:, :2] / b[:, 2:], axis=1).max(1)
+
+
+@pytest.mark.parametrize("name", ["camera", "moon", "gravel", "astronaut", "grass"])
+def test_a_pattern_four_times_the_scenes_contrast_is_seen_through(name):
+    frames, truth = simulated(name, **FAINT)
+    result = register(frames)
+    assert result.used.all()
+    assert errors(result, truth).max() < 0.7
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"gain_column": 0.5, "gain_distribution": "uniform", "gain_pixel": 0.0},
+        {"gain_pixel": 0.1},
+        {"photons": 150.0},
+    ],
+)
+def test_half_the_gain_in_columns_a_tenth_in_pixels_or_few_photons_do_no_harm(camera):
+    for name in ("camera", "grass"):
+        frames, truth = simulated(name, **camera)
+        result = register(frames)
+        assert result.used.all()
+        assert errors(result, truth).max() < 0.35
+
+
+@pytest.mark.parametrize("name", ["camera", "astronaut", "grass"])
+def test_a_quarter_of_the_frame_and_eight_degrees_are_found(name):
+    frames, truth = simulated(name, max_shift=32.0, max_rotation=8.0)
+    result = register(frames)
+    assert result.used.all()
+    assert errors(result, truth).max() < 0.2
+
+
+@pytest.mark.parametrize("model", ["affine", "homography"])
+def test_a_per_cent_of_stretch_and_of_keystone_are_found(model):
+    frames, truth = simulated("astronaut", motion=model, max_rotation=2.0)
+    assert errors(register(frames, model=model), truth).max() < 0.4
+
+
+def strangers(frames, **settings):
+    """What a frame may be that does not belong: another scene, a shutter, noise, nothing."""
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.randn(SHAPE, generator=generator)
+    mean = frames.mean(0)
+    shutter = frames.median() + mean - torch.nn.functional.avg_pool2d(mean[None], 5, 1, 2)[0]
+    return {
+        "scene": simulated("gravel", **settings)[0][2],
+        "shutter": shutter + 0.01 * frames.std() * noise,
+        "noise": frames.mean() + 0.5 * frames.std() * noise,
+        "nothing": torch.full(SHAPE, float(frames.mean())),
+    }
+
+
+@pytest.mark.parametrize("settings", [{}, COUNTS], ids=["unit", "counts"])
+@pytest.mark.parametrize("place", [0, 3])
+def test_a_frame_that_does_not_belong_is_left_out_wherever_it_is(settings, place):
+    frames, truth = simulated("camera", **settings)
+    alone = errors(register(frames[[k for k in range(5) if k != place]]), np.delete(truth, place, 0)).max()
+    for kind, stranger in strangers(frames, **settings).items():
+        spoilt = frames.clone()
+        spoilt[place] = stranger
+        result = register(spoilt)
+        assert result.used.tolist() == [k != place for k in range(5)], kind
+        assert result.motion[place].isnan().all()
+        assert result.messages[0].startswith(f"frame {place} does not register")
+        assert errors(result, truth).max() < alone + 0.1
+
+
+def test_without_frame_0_motions_are_relative_to_the_first_that_is_used():
+    frames, _ = simulated("camera")
+    spoilt = frames.clone()
+    spoilt[0] = simulated("gravel")[0][0]
+    result = register(spoilt)
+    assert torch.equal(result.motion[1], torch.eye(3, dtype=torch.float64))
+    assert "relative to it" in result.messages[-1]
+
+
+def test_three_frames_of_one_scene_outvote_two_of_others():
+    frames, truth = simulated("astronaut")
+    spoilt = frames.clone()
+    spoilt[0], spoilt[3] = simulated("gravel")[0][0], simulated("moon")[0][3]
+    result = register(spoilt)
+    assert result.used.tolist() == [False, True, True, False, True]
+    assert errors(result, truth).max() < 0.3
+
+
+@pytest.mark.parametrize("settings", [{}, FAINT], ids=["unit", "faint"])
+def test_a_burst_that_stands_still_is_found_still(settings):
+    frames, _ = simulated("camera", **settings, n_frames=1)
+    noise = 0.01 * frames.std() * torch.randn(5, *SHAPE)
+    result = register(frames + noise)
+    assert result.used.all()
+    assert torch.equal(result.motion, torch.eye(3, dtype=torch.float64).expand(5, 3, 3))
+
+
+def test_an_object_that_goes_its_own_way_does_not_take_the_motion_along():
+    frames, truth = simulated("astronaut")
+    alone = errors(register(frames), truth).max()
+    crossed = frames.clone()
+    patch = 1.5 * simulated("gravel")[0][0, :40, :36] + 0.3  # 7 % of the frame
+    for k, frame in enumerate(crossed):
+        frame[30 + 3 * k : 70 + 3 * k, 20 + 12 * k : 56 + 12 * k] = patch
+    result = register(crossed)
+    assert result.used.all()
+    assert errors(result, truth).max() < alone + 0.1
+
+
+def test_a_large_frame_is_registered_from_half_its_size(monkeypatch):
+    frames, truth = simulated("camera", **COUNTS)
+    monkeypatch.setattr(burst, "COARSE", 40)
+    assert errors(register(frames), truth).max() < 0.3
+    monkeypatch.setattr(burst, "FINEST", SHAPE[0] * SHAPE[1] // 3)
+    assert errors(register(frames), truth).max() < 0.5
+
+
+def test_frames_taken_one_at_a_time_make_no_difference(monkeypatch):
+    frames, _ = simulated("camera", **COUNTS)
+    together = register(frames).motion
+    monkeypatch.setattr(align, "BATCH", 1)
+    assert torch.allclose(register(frames).motion, together, atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_frames_of_two_thousand_pixels_are_enough(seed):
+    camera = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0)
+    found = simulate(None, camera, seed=seed)
+    result = register(torch.from_numpy(found.frames.astype(np.float32)))
+    assert result.used.all()
+    shift = result.motion.numpy()[:, :2, 2] - found.truth.motion[:, :2, 2]
+    assert np.abs(shift).max() < 1.0  # a start; the solve goes on from there
