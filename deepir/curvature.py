@@ -32,7 +32,12 @@ from deepir.priors.shading import Shading
 from deepir.problem import Problem
 
 POINTS = 40  # along each axis, where the frames are sampled for the dense system
-FLOOR = 1e-4  # least curvature along a wave, as a share of the mean
+PLACES = 5  # along each axis, at which the motion is taken
+PEDESTAL = 4.0  # least ratio of the data's level to their spread
+RIDGE = 1e-4  # least curvature that is known, as a share of the mean
+#: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
+#: to run to where a weak prior has its optimum: pattern in the scene.
+FLOOR = 0.3
 
 
 class Curvature:
@@ -72,24 +77,31 @@ def curvature(
 ) -> Curvature | None:
     """For pixels that a moving sensor sees; None where the parameters or the physics are others."""
     mine = any(p is each for p in parameters for each in problem.fields["scene"].parameters())
-    return Curvature(problem, parameters, eliminated) if mine and _modelled(problem) else None
+    return Curvature(problem, parameters, eliminated) if mine and modelled(problem) else None
 
 
-def _modelled(problem: Problem) -> bool:
+def modelled(problem: Problem) -> bool:
+    """Whether the model holds: a moving sensor, whose gain acts on about the same flux everywhere.
+
+    Over a scene that is dark in part a gain is no additive pattern. L-BFGS then went astray along lines' patterns.
+    """
     stages = [type(stage) for _, stage in problem.operator.named()]
-    return isinstance(problem.fields["scene"], Pixels) and stages == [Warp, Sensor] and len(problem.data) > 1
+    if not isinstance(problem.fields["scene"], Pixels) or stages != [Warp, Sensor] or len(problem.data) < 2:
+        return False
+    level, spread = torch.var_mean(problem.data[problem.precision > 0])[::-1]
+    return bool(level.abs() > PEDESTAL * spread.sqrt())
 
 
 def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
     """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`."""
-    if not _modelled(problem):
+    if not modelled(problem):
         return None
     values = problem.values()
     motion = values[problem.slots["warp.motion"]].double()
     precision = float(problem.precision[problem.precision > 0].median())
     shared = _shared(problem, eliminated, precision, len(motion), values["scene"].shape[-2:])
-    found = _waves(problem, motion[:, :2, 2], precision, shared.to(motion.device), values["scene"])
-    return found.clamp(min=FLOOR * float(found.mean()))
+    found = _waves(problem, motion, precision, shared.to(motion.device), values["scene"])
+    return found.clamp(min=RIDGE * float(found.mean()))
 
 
 def spline_response(problem: Problem) -> Tensor:
@@ -113,8 +125,9 @@ def _tensors(
     unit = float(scene.scale) ** 2
     precision = float(problem.precision[problem.precision > 0].median())
     shared = _shared(problem, eliminated, precision, len(motion), scene.values.shape[-2:])
-    waves = unit * _waves(problem, motion[:, :2, 2], precision, shared.to(motion.device), values["scene"])
+    waves = unit * _waves(problem, motion, precision, shared.to(motion.device), values["scene"])
     waves = waves.clamp(min=FLOOR * float(waves.mean()))
+    waves[0, 0] = waves.mean()  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
     scales = []
     for field in fields:
@@ -153,16 +166,28 @@ def _shared(
     return count + 1 / (precision * each).clamp(min=1e-9)
 
 
-def _waves(problem: Problem, shifts: Tensor, precision: float, shared: Tensor, scene: Tensor) -> Tensor:
+def _waves(problem: Problem, motion: Tensor, precision: float, shared: Tensor, scene: Tensor) -> Tensor:
     """Curvature along each wave of a real Fourier transform, in units of the scene."""
-    y, x = _frequencies(scene.shape[-2:], shifts.device)
-    phase = shifts[:, 0, None, None] * x + shifts[:, 1, None, None] * y
-    common = torch.polar(torch.ones_like(phase), phase).sum(0)
-    data = precision * spline_response(problem) * (len(shifts) - common.abs().square() / shared)
+    y, x = _frequencies(scene.shape[-2:], motion.device)
+    common = _common(motion, problem.data.shape[-2:], y, x)
+    data = precision * spline_response(problem) * (len(motion) - common / shared)
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
     of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
     return data + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+
+
+def _common(motion: Tensor, size: Sequence[int], y: Tensor, x: Tensor) -> Tensor:
+    """`|Σ_j exp(i k d_j)|²`, the mean over the frame: where the camera turns, d differs from place to place."""
+    total = torch.zeros((), dtype=y.dtype, device=y.device)
+    parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
+    for at in torch.cartesian_prod(parts * size[1], parts * size[0]):
+        moved = motion @ torch.cat((at, at.new_ones(1)))
+        shift = moved[:, :2] / moved[:, 2:] - at
+        phases = (y * shift[:, 1], x * shift[:, :1])  # (H, N) and (N, W / 2 + 1)
+        along_y, along_x = (torch.polar(torch.ones_like(each), each) for each in phases)
+        total = total + (along_y @ along_x).abs().square()
+    return total / PLACES**2
 
 
 def _frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
@@ -188,6 +213,6 @@ def _slow(problem: Problem, motion: Tensor, precision: float, basis: Shading, dr
     flat = seen.flatten(0, 1)
     total = seen.sum(0)
     system = weight * (flat.T @ flat - total.T @ total / len(motion))
-    system.diagonal().add_(FLOOR * system.diagonal().mean())
+    system.diagonal().add_(RIDGE * system.diagonal().mean())
     # Of sums of products the last digits depend on where they lie in memory: without them, runs repeat to the bit.
     return torch.linalg.inv(system).float().contiguous()

@@ -110,11 +110,24 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
             f"{burst.source}: the frames do not move (at most {float(moved):.2f} px), so the scene and the sensor's "
             "fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y"
         )
-    return [
+    few = [
         f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
         "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
         for axis, lines, span in zip("xy", ("columns", "rows"), at.amax(0) - at.amin(0), strict=True)
         if span < LITTLE
+    ]
+    return few or _along_a_line(at)
+
+
+def _along_a_line(at: Tensor) -> list[str]:
+    """A message if the places (N, 2) where the frames look lie on a slanted line."""
+    _, _, axes = torch.linalg.svd(at - at.mean(0), full_matrices=False)
+    along, beside = (at @ axis for axis in (axes[0], axes[-1]))
+    if len(axes) > 1 and beside.max() - beside.min() >= LITTLE / 2:
+        return []
+    return [
+        f"the frames move along one line, by {float(along.max() - along.min()):.1f} px: what is constant along it is "
+        "hard to tell from the scene. Move the camera at right angles to it too, by 3 to 10 px"
     ]
 
 

@@ -21,6 +21,7 @@ from deepir.problem import Problem
 HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
+TAIL = 12.0  # medians of a squared value beyond which it is an outlier
 ROUNDS = 3  # of expectation-maximisation at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
 #: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
@@ -105,6 +106,7 @@ def start_parts(problem: Problem) -> None:
         for part in _all_parts(problem, slot):
             if isinstance(part, Shading) and not part.given:
                 part.sigma.fill_(SHADING * tilt(problem) / max(reach(problem), 0.01) / unit)
+                part.most.copy_(MOST * part.sigma)
             elif not part.given:
                 part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
@@ -131,6 +133,23 @@ def _spread(values: Tensor) -> float:
 
 
 @torch.no_grad()
+def keep_gauge(problem: Problem) -> None:
+    """Carry what gain and offset have in common over to the scene: their parts are to be about one and zero.
+
+    The data do not change with it, so nothing but the priors holds it, and it drifts.
+    """
+    values, closed = problem.values(), problem.closed_form()
+    name = problem.operator.named()[-1][0]
+    gain, offset = (problem.slots.get(f"{name}.{slot}", "") for slot in ("gain", "offset"))
+    scene = values["scene"]
+    if gain in closed:
+        scene = scene * values[gain].mean()
+    if offset in closed:
+        scene = scene + values[offset].mean()
+    problem.fields["scene"].init_from(scene)
+
+
+@torch.no_grad()
 def update_parts(problem: Problem) -> None:
     """Expectation-maximisation of the parts' variances, `mean(value² + posterior variance)`, the scene held."""
     if not problem.closed_form():
@@ -150,8 +169,9 @@ def update_parts(problem: Problem) -> None:
 
 def _maximised(part: Part, variance: Tensor, anchor: float) -> Tensor:
     if isinstance(part, Shading):  # few terms, of which some are large
-        return ((part.sigma * part.white).square() + variance).mean().sqrt()
-    spread = (MAD * part.values.abs().median()) ** 2 + variance.median()  # the mean, but for outliers
+        return ((part.sigma * part.white).square() + variance).mean().sqrt().clamp(max=part.most)
+    each = part.values.square() + variance
+    spread = each.clamp(max=TAIL * each.median()).mean()
     return ((spread + PSEUDO_SHARE * anchor**2) / (1 + PSEUDO_SHARE)).sqrt().clamp(max=part.most)
 
 

@@ -12,6 +12,7 @@ from deepir.optimisers.optimiser import Evaluate, Optimiser
 from deepir.problem import Problem
 
 MEMORY = 10
+SCALED = 4  # pairs until which a known curvature is scaled to the last of them
 ARMIJO, CURVATURE, MAX_TRIALS = 1e-4, 0.9, 20
 
 
@@ -26,6 +27,7 @@ class LBFGS(Optimiser):
         super().__init__(problem, group, evaluate, lr=lr)
         self.x = self._flat(self.parameters)
         self.slope: Tensor | None = None
+        self.scale = torch.ones(())  # of a known curvature
         #: Steps, changes of the gradient, and one over their product; the newest last.
         self.pairs: list[tuple[Tensor, Tensor, Tensor]] = []
 
@@ -62,6 +64,7 @@ class LBFGS(Optimiser):
         for i, (s, y, _) in enumerate(self.pairs):
             named |= {f"s{i}": s, f"y{i}": y}
         if self.curvature is not None:
+            named |= {"scale": self.scale}
             named |= {f"curvature.{name}": tensor for name, tensor in self.curvature.tensors.items()}
         return named
 
@@ -69,6 +72,7 @@ class LBFGS(Optimiser):
         """Take all of it over."""
         self.x, self.value, self.slope = state["x"], float(state["value"]), state.get("slope")
         if self.curvature is not None:
+            self.scale = state["scale"]
             self.curvature.tensors = {name: state[f"curvature.{name}"] for name in self.curvature.tensors}
         self.pairs = [_pair(state[f"s{i}"], state[f"y{i}"]) for i in range(MEMORY) if f"s{i}" in state]
 
@@ -85,7 +89,9 @@ class LBFGS(Optimiser):
         if self.curvature is None:
             q.div_(rho * torch.dot(y, y))
         else:
-            q = self.curvature.solve(q).div_(rho * torch.dot(y, self.curvature.solve(y)))
+            if len(self.pairs) <= SCALED:
+                self.scale = 1 / (rho * torch.dot(y, self.curvature.solve(y)))
+            q = self.curvature.solve(q).mul_(self.scale)
         for (s, y, rho), alpha in zip(self.pairs, reversed(factors), strict=True):
             q.addcmul_(alpha - rho * torch.dot(y, q), s)
         return q

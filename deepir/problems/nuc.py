@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from deepir.curvature import modelled
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
 from deepir.solve import Stage, Step
-from deepir.strengths import hold_out, start_parts, update_noise, update_parts, weigh_scene
+from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
@@ -34,21 +35,26 @@ class NUC(Definition):
         weigh_scene(problem, WEAK)
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples."""
+        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
+
+        They end before they converge: where the curvature is modelled, after fewer iterations.
+        """
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name != "motion")
         eliminate = (Step(closed, "eliminate"),) if closed else ()
+        first, second, third, last = (8, 8, 30, 20) if modelled(problem) else (25, 25, 30, 35)
         return [
-            Stage("sensor 1", (Step(still), *eliminate), 8),
-            Stage("sensor 2", (Step(still), *eliminate), 8, prepare=_update),
-            Stage("sensor 3", (Step(free), *eliminate), 30, prepare=_update),
-            Stage("scene", (Step(("scene",)),), 20, prepare=_finish, use_held_out=True),
+            Stage("sensor 1", (Step(still), *eliminate), first),
+            Stage("sensor 2", (Step(still), *eliminate), second, prepare=_update),
+            Stage("sensor 3", (Step(free), *eliminate), third, prepare=_update),
+            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
         ]
 
 
 def _update(problem: Problem) -> None:
     update_noise(problem)
+    keep_gauge(problem)
     update_parts(problem)
     weigh_scene(problem, WEAK)
 
