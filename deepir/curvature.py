@@ -23,18 +23,15 @@ from torch import Tensor, nn
 
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.operators import Sensor, Warp
-from deepir.operators.warp import coords
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
 from deepir.priors.pixels import Pixels
-from deepir.priors.shading import Shading
 from deepir.problem import Problem
+from deepir.slow import SMOOTH, Slow, expected, variances
 
-POINTS = 40  # along each axis, where the frames are sampled for the dense system
 PLACES = 5  # along each axis, at which the motion is taken
-PEDESTAL = 4.0  # least ratio of the data's level to their spread
-RIDGE = 1e-4  # least curvature that is known, as a share of the mean
+RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
 #: to run to where a weak prior has its optimum: pattern in the scene.
 FLOOR = 0.3
@@ -51,9 +48,10 @@ class Curvature:
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
         self.drift = next((i for i, f in enumerate(mine) if isinstance(f, Drift) and f.sigma > 0), None)
-        self.basis = Shading(tuple(parameters[self.scene].shape)).to(problem.data.device)
         drift = next((f for f in mine if isinstance(f, Drift) and f.sigma > 0), None)
-        self.tensors = _tensors(problem, mine, self.basis, drift, eliminated)
+        slow = Slow(problem, tuple(parameters[self.scene].shape))
+        self.basis = slow.scene
+        self.tensors = _tensors(problem, mine, slow, drift, eliminated)
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
@@ -81,15 +79,9 @@ def curvature(
 
 
 def modelled(problem: Problem) -> bool:
-    """Whether the model holds: a moving sensor, whose gain acts on about the same flux everywhere.
-
-    Over a scene that is dark in part a gain is no additive pattern. L-BFGS then went astray along lines' patterns.
-    """
+    """Whether there is a model: for pixels that a moving sensor sees."""
     stages = [type(stage) for _, stage in problem.operator.named()]
-    if not isinstance(problem.fields["scene"], Pixels) or stages != [Warp, Sensor] or len(problem.data) < 2:
-        return False
-    level, spread = torch.var_mean(problem.data[problem.precision > 0])[::-1]
-    return bool(level.abs() > PEDESTAL * spread.sqrt())
+    return isinstance(problem.fields["scene"], Pixels) and stages == [Warp, Sensor] and len(problem.data) > 1
 
 
 def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
@@ -114,7 +106,7 @@ def spline_response(problem: Problem) -> Tensor:
 def _tensors(
     problem: Problem,
     fields: Sequence[nn.Module],
-    basis: Shading,
+    slow: Slow,
     drift: Drift | None,
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
@@ -134,29 +126,17 @@ def _tensors(
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
         scales.append(1 / known if known > 0 else float((1 / waves).mean()))
-    slow = _slow(problem, motion, precision, basis, drift)
+    inverse = _slow(problem, slow, drift, eliminated)
     if not eliminated:
-        slow = torch.zeros_like(slow)
-    return {"waves": (1 / waves).to(scene.values), "slow": slow, "scales": torch.tensor(scales)}
-
-
-def _variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int, ...], float]:
-    """Variance of the free pattern in the data's units, by the axes along which it is constant."""
-    level = float(problem.data[problem.precision > 0].mean())
-    found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0}
-    for slot, unit in (("sensor.gain", level), ("sensor.offset", 1.0)):
-        name = problem.slots[slot]
-        for part in problem.fields[name].parts() if name in eliminated else ():
-            if not isinstance(part, Shading):
-                found[part.along] += (float(part.sigma) * unit) ** 2
-    return found
+        inverse = torch.zeros_like(inverse)
+    return {"waves": (1 / waves).to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
 
 
 def _shared(
     problem: Problem, eliminated: Collection[str], precision: float, count: int, size: Sequence[int]
 ) -> Tensor:
     """`n + 1 / (w V)` for each wave: a pattern constant along columns is all in the waves that are so, too."""
-    variance = _variances(problem, eliminated)
+    variance = variances(problem, eliminated)
     height, width = size
     each = torch.full((height, width // 2 + 1), variance[PIXEL], dtype=torch.float64)
     # In part also in their neighbours: the camera moves over them.
@@ -197,22 +177,38 @@ def _frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Ten
     return y, 2 * math.pi * torch.fft.rfftfreq(width, dtype=torch.float64, device=device)
 
 
-def _slow(problem: Problem, motion: Tensor, precision: float, basis: Shading, drift: Drift | None) -> Tensor:
-    """Inverse of the dense system of the scene's polynomials and, if they drift, the frames' levels."""
-    warp: Any = problem.operator.named()[0][1]
+def _slow(problem: Problem, slow: Slow, drift: Drift | None, eliminated: Collection[str]) -> Tensor:
+    """Inverse of the dense system of the scene's polynomials and, if they drift, the frames' levels.
+
+    The pattern's own polynomials are eliminated, with what its parts let expect of them: where the motion leaves
+    open whether scene or pattern has a slope, that is all there is to hold it.
+    """
     scene: Any = problem.fields["scene"]
-    height, width = warp.size
-    stride = max(height // POINTS, 1), max(width // POINTS, 1)
-    points = coords(warp.place @ motion, warp.size)[:, :: stride[0], :: stride[1]].flatten(1, 2)
-    seen = basis.at(points[..., 1], points[..., 0]) * float(scene.scale)
-    if drift is not None:
-        levels = torch.eye(len(motion), dtype=seen.dtype, device=seen.device) - 1 / len(motion)
-        levels = float(drift.step) * levels[:, None].expand(-1, seen.shape[1], -1)
-        seen = torch.cat((seen, levels), -1)
-    weight = precision * height * width / seen.shape[1]
-    flat = seen.flatten(0, 1)
-    total = seen.sum(0)
-    system = weight * (flat.T @ flat - total.T @ total / len(motion))
+    terms = len(slow.scene.white)
+    whole = slow.normal(levels=drift is not None)
+    found = variances(problem, eliminated)
+    spread = expected(found, slow.frame) + found[SMOOTH]
+    whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
+    whole[:terms, :terms] += _stiffness(problem, slow)
+    pattern = torch.arange(len(whole), device=whole.device)
+    pattern = (pattern >= terms) & (pattern <= 2 * terms)
+    held, shared = whole[pattern][:, pattern], whole[pattern][:, ~pattern]
+    system = whole[~pattern][:, ~pattern] - shared.T @ torch.linalg.solve(held, shared)
+    unit = system.new_full((len(system),), float(drift.step) if drift is not None else 1.0)
+    unit[:terms] = float(scene.scale)
+    system = unit[:, None] * system * unit
     system.diagonal().add_(RIDGE * system.diagonal().mean())
     # Of sums of products the last digits depend on where they lie in memory: without them, runs repeat to the bit.
     return torch.linalg.inv(system).float().contiguous()
+
+
+def _stiffness(problem: Problem, slow: Slow) -> Tensor:
+    """What the scene's penalties make of its polynomials: a matrix."""
+    value = problem.values()["scene"]
+    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
+    stiffness = [penalty.stiffness(value) for penalty in penalties]
+    of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
+    maps = slow.scene.spread(torch.eye(len(slow.scene.white), dtype=torch.float64, device=value.device))
+    flat = [each.flatten(1) for each in (maps, maps.diff(dim=-1), maps.diff(dim=-2))]
+    values, right, down = (each @ each.T for each in flat)
+    return of_value * values + of_gradient * (right + down)

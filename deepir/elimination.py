@@ -14,7 +14,7 @@ with gain and offset held.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -38,6 +38,31 @@ class Eliminated:
         self, parts: Sequence[dict[Kind, Part]], solved: dict[Kind, Pixels | _Lines | _Smooth], values: Tensor
     ) -> None:
         self.parts, self.solved, self.values = parts, solved, values
+
+    def blocks(self) -> Iterator[tuple[list[Part | None], Tensor, Tensor]]:
+        """For pixels, columns and rows: the parts (gain, offset), what the data say of each, (3, K), and means (2, K).
+
+        The former is the matrix (aa, ab, bb) with all else held, but the pixels' own parts in that of a line.
+        """
+        for kind in (PIXEL, COLUMN, ROW):
+            parts = [mine.get(kind) for mine in self.parts]
+            if any(parts):
+                yield parts, *self._block(kind, parts)
+
+    def _block(self, kind: Kind, parts: list[Part | None]) -> tuple[Tensor, Tensor]:
+        pixels, solved = self.solved[PIXEL], self.solved[kind]
+        assert isinstance(pixels, Pixels)
+        if isinstance(solved, _Lines):
+            return (pixels.down if kind == COLUMN else pixels.across)[:3], solved.values
+        nothing = pixels.maps.new_zeros(pixels.maps[0].numel())
+        white = torch.stack([part.white.detach().flatten() if part else nothing for part in parts])
+        return pixels.information().flatten(1), pixels.sigma[:, None] * white
+
+    def freedom(self) -> tuple[Tensor, Tensor]:
+        """What it adds to the objective that each pixel has parts of its own; see `Gaussian.of_sensor`."""
+        pixels = self.solved[PIXEL]
+        assert isinstance(pixels, Pixels)
+        return pixels.nats, pixels.covariance()
 
     def variances(self) -> list[list[Tensor]]:
         """The posterior variance of what the white values of each part stand for: the gain's, the offset's.

@@ -41,12 +41,28 @@ class Gaussian(Fidelity):
         return nats
 
     def of_sensor(
-        self, flux: Tensor, data: Tensor, precision: Tensor, *, gain: Tensor, offset: Tensor, level: Tensor
+        self,
+        flux: Tensor,
+        data: Tensor,
+        precision: Tensor,
+        *,
+        gain: Tensor,
+        offset: Tensor,
+        level: Tensor,
+        freedom: tuple[Tensor, Tensor] | None = None,
     ) -> Tensor:
-        """The same of `gain * flux + offset + level`, with gain and offset held: in one pass on the CPU."""
-        if flux.device.type != "cpu":
-            return self(torch.addcmul(offset, gain, flux) + level, data, precision)
-        nats: Tensor = _OfSensor.apply(flux, data, precision, gain, offset, level)
+        """The same of `gain * flux + offset + level`, with gain and offset held: in one pass on the CPU.
+
+        `freedom`: what the pixels add that have gain and offset of their own, in nats, and the covariances
+        (2, h, w) of which it has its gradient in the flux, `precision * (of gain * flux + with offset)`.
+        """
+        if freedom is None:
+            freedom = (
+                flux.new_zeros((), dtype=torch.float64),
+                flux.new_zeros(2, *flux.shape[2:], dtype=torch.float64),
+            )
+        compute = _OfSensorOnCPU if flux.device.type == "cpu" else _OfSensor
+        nats: Tensor = compute.apply(flux, data, precision, gain, offset, level, *freedom)
         return nats
 
 
@@ -67,11 +83,49 @@ class _HalfSquares(torch.autograd.Function):
 
 
 class _OfSensor(torch.autograd.Function):
-    """`½ Σ w r²` of a sensor's frames; the gradients in flux and level are at hand."""
+    """`½ Σ w r²` of a sensor's frames, and its pixels' freedom; the gradients in flux and level are at hand."""
 
     @staticmethod
     def forward(
-        ctx: Any, flux: Tensor, data: Tensor, precision: Tensor, gain: Tensor, offset: Tensor, level: Tensor
+        ctx: Any,
+        flux: Tensor,
+        data: Tensor,
+        precision: Tensor,
+        gain: Tensor,
+        offset: Tensor,
+        level: Tensor,
+        nats: Tensor,
+        covariance: Tensor,
+    ) -> Tensor:
+        weighted, half = _half_squares(torch.addcmul(offset, gain, flux) + level, data, precision)
+        free = torch.addcmul(covariance[1], covariance[0], flux.double()).to(flux)
+        drift = weighted.sum((1, 2, 3), dtype=torch.float64).to(level)
+        ctx.save_for_backward(gain * weighted + precision * free, drift)
+        ctx.level = level.shape
+        return half + nats
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        slope, drift = ctx.saved_tensors
+        along = _times(gradient, drift.reshape(ctx.level))
+        return _times(gradient, slope), None, None, None, None, along, None, None
+
+
+class _OfSensorOnCPU(_OfSensor):
+    """The same in one pass."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        flux: Tensor,
+        data: Tensor,
+        precision: Tensor,
+        gain: Tensor,
+        offset: Tensor,
+        level: Tensor,
+        nats: Tensor,
+        covariance: Tensor,
     ) -> Tensor:
         from deepir.loops import spread
         from deepir.loops.half_squares import of_sensor
@@ -79,17 +133,11 @@ class _OfSensor(torch.autograd.Function):
         maps = (each.expand(1, *flux.shape[1:]).contiguous().flatten(0, -2) for each in (gain, offset))
         frames = [each.contiguous().flatten(0, -2) for each in (flux, data, precision)]
         slope = torch.empty_like(frames[0])
-        nats, drift = frames[0].new_empty(2, len(slope), dtype=torch.float64)
-        spread(of_sensor, len(slope), *frames, *maps, level.flatten(), slope, nats, drift)
+        half, drift = frames[0].new_empty(2, len(slope), dtype=torch.float64)
+        spread(of_sensor, len(slope), *frames, *maps, covariance, level.flatten(), slope, half, drift)
         ctx.save_for_backward(slope.reshape(flux.shape), drift.reshape(len(flux), -1).sum(1).to(level))
         ctx.level = level.shape
-        return nats.sum()
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        slope, drift = ctx.saved_tensors
-        return _times(gradient, slope), None, None, None, None, _times(gradient, drift.reshape(ctx.level))
+        return half.sum() + nats
 
 
 def _times(gradient: Tensor, slope: Tensor) -> Tensor:

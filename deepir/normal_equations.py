@@ -18,6 +18,8 @@ TOLERANCE, MAX_ITERATIONS = 1e-12, 200
 class Pixels:
     """`maps` (5, h, w), float64: the system (aa, ab, bb), then the right-hand side; `down` and `across`: its sums.
 
+    `nats`: half the logarithm of the determinants of `I + A V`, a scalar.
+
     Args:
         flux: what falls on the detector, (N, h, w); `data` and `precision` likewise.
         level: (N,), float64; with `neutral` times the flux it is taken from the data.
@@ -27,6 +29,7 @@ class Pixels:
     maps: Tensor
     down: Tensor  # (5, w)
     across: Tensor  # (5, h)
+    nats: Tensor
 
     def __init__(
         self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float, sigma: Tensor
@@ -53,7 +56,8 @@ class Pixels:
         lower = bb + u * determinant
         gain, offset = sa + m * sb + v * cross, sb + u * (sb * aa - sa * ab - m * cross)
         each = (whole + v * determinant, shifted, lower, gain, offset)
-        self.maps = torch.stack(each) / (1 + u * whole + v * lower)
+        system = 1 + u * whole + v * lower
+        self.maps, self.nats = torch.stack(each) / system, system.log().sum() / 2
         self.down, self.across = self.maps.sum(1), self.maps.sum(2)
 
     def solve(
@@ -116,6 +120,19 @@ class Pixels:
         """Posterior variance of the white values of gain (0) or offset (1)."""
         return 1 - self.sigma[i].square() * self.maps[2 if i else 0]
 
+    def information(self) -> Tensor:
+        """`A`, (aa, ab, bb): what the data say of each pixel with all else held, (3, h, w)."""
+        u, v = self.sigma.square()
+        aa, ab, bb = self.maps[:3]
+        # R = (1 + A V)^-1 A, so that A = R (1 - V R)^-1.
+        p, q, r, s = 1 - u * aa, -u * ab, -v * ab, 1 - v * bb
+        return torch.stack((aa * s - ab * r, ab * p - aa * q, bb * p - ab * q)) / (p * s - q * r)
+
+    def covariance(self) -> Tensor:
+        """Posterior variance of each pixel's own gain, and its covariance with the offset, (2, h, w)."""
+        u, v = self.sigma.square()
+        return torch.stack((u - u * u * self.maps[0], -u * v * self.maps[1]))
+
     def _system(self, x: Tensor) -> Tensor:
         return symmetric(self.maps[:3], x)
 
@@ -132,9 +149,10 @@ class PixelsOnCPU(Pixels):
         self.maps = torch.empty(5, height, width, dtype=torch.float64)
         self.across = torch.empty(5, height, dtype=torch.float64)
         down = torch.empty(self.bands, 5, width, dtype=torch.float64)
+        nats = torch.empty(self.bands, dtype=torch.float64)
         frames = (each.contiguous() for each in (flux, data, precision))
-        spread(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.across, down)
-        self.down = down.sum(0)
+        spread(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.across, down, nats)
+        self.down, self.nats = down.sum(0), nats.sum()
 
     def solve(
         self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor

@@ -112,12 +112,12 @@ class Problem(nn.Module):
         if not isinstance(last, Sensor):
             return self.fidelity(self.predict(values), self.data, precision)
         flux = self.flux(values)
-        if eliminated:
-            self._eliminate(values, eliminated, flux.detach(), precision)
+        found = self._eliminate(values, eliminated, flux.detach(), precision) if eliminated else None
         slots = own(self._slot_values(values), name)
         moves = slots["gain"].requires_grad or slots["offset"].requires_grad
         if isinstance(self.fidelity, Gaussian) and not moves:
-            return self.fidelity.of_sensor(flux, self.data, precision, **slots)
+            freedom = None if found is None else found.freedom()
+            return self.fidelity.of_sensor(flux, self.data, precision, **slots, freedom=freedom)
         return self.fidelity(last(flux, **slots), self.data, precision)
 
     def free(self) -> list[str]:
@@ -176,6 +176,11 @@ class Problem(nn.Module):
         precision = self.fitted() if precision is None else precision
         found = self._eliminate(values, group, flux, precision)
         return dict(zip(self._of_sensor()[:2], found.variances(), strict=True))
+
+    @torch.no_grad()
+    def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Eliminated:
+        """What `eliminate` finds, whole, of the samples that are fitted."""
+        return self._eliminate(values, group, self.flux(values) if flux is None else flux, self.fitted())
 
     @torch.no_grad()
     def _eliminate(

@@ -12,24 +12,20 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from deepir.defects import crowded, defective, deviating
-from deepir.levels import reach, tilt
+from deepir.evidence import likeliest
 from deepir.noise import MAD
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
+from deepir.slow import estimate_slow
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
-TAIL = 12.0  # medians of a squared value beyond which it is an outlier
-ROUNDS = 3  # of expectation-maximisation at each update
+ROUNDS = 2  # of the parts' strengths at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
 #: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
-MOST = 1.5
-#: A term of the shading, as a share of what the frames' tilt makes of a quadratic one.
-SHADING = 0.4
-#: Weak prior on the variance of a part: so much of its number of values, at so large a sigma.
-PSEUDO_SHARE, PSEUDO_GAIN, PSEUDO_OFFSET = 0.2, 0.02, 0.03
+MOST = 2.0
 
 
 def hold_out(problem: Problem, seed: int) -> None:
@@ -104,10 +100,7 @@ def start_parts(problem: Problem) -> None:
     level = float(problem.data[usable].mean().abs())
     for slot, unit in (("gain", level), ("offset", 1.0)):
         for part in _all_parts(problem, slot):
-            if isinstance(part, Shading) and not part.given:
-                part.sigma.fill_(SHADING * tilt(problem) / max(reach(problem), 0.01) / unit)
-                part.most.copy_(MOST * part.sigma)
-            elif not part.given:
+            if not (part.given or isinstance(part, Shading)):
                 part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
@@ -151,35 +144,26 @@ def keep_gauge(problem: Problem) -> None:
 
 @torch.no_grad()
 def update_parts(problem: Problem) -> None:
-    """Expectation-maximisation of the parts' variances, `mean(value² + posterior variance)`, the scene held."""
-    if not problem.closed_form():
+    """Set the parts' strengths to the likeliest, the scene held; those of what is slow, whatever the scene is."""
+    closed = problem.closed_form()
+    if not closed:
         return
     values = problem.values()
     flux = problem.flux(values)
-    usable = problem.precision > 0
-    low, high = torch.quantile(flux[usable][::97], torch.tensor([0.01, 0.99]).to(flux))
-    anchors = {"gain": PSEUDO_GAIN, "offset": PSEUDO_OFFSET * float(high - low)}
     for _ in range(ROUNDS):
-        found = problem.eliminate(values, problem.closed_form(), flux=flux)
-        for slot, anchor in anchors.items():
-            for part, variance in zip(_parts(problem, slot), found.get(slot, []), strict=True):
-                if not part.given:
-                    part.sigma.copy_(_maximised(part, variance, anchor))
-
-
-def _maximised(part: Part, variance: Tensor, anchor: float) -> Tensor:
-    if isinstance(part, Shading):  # few terms, of which some are large
-        return ((part.sigma * part.white).square() + variance).mean().sqrt().clamp(max=part.most)
-    each = part.values.square() + variance
-    spread = each.clamp(max=TAIL * each.median()).mean()
-    return ((spread + PSEUDO_SHARE * anchor**2) / (1 + PSEUDO_SHARE)).sqrt().clamp(max=part.most)
+        for parts, information, means in problem.solved(values, closed, flux=flux).blocks():
+            sigma, most = (
+                torch.stack([getattr(part, name).double() if part else means.new_zeros(()) for part in parts])
+                for name in ("sigma", "most")
+            )
+            free = [i for i, part in enumerate(parts) if part and not part.given]
+            for part, found in zip(parts, likeliest(information, means, sigma, most, free), strict=True):
+                if part and not part.given:
+                    part.sigma.copy_(found)
+    estimate_slow(problem)
 
 
 def _all_parts(problem: Problem, slot: str) -> list[Part]:
     """Parts of what is bound to a slot of this name, whether they have a closed form or not."""
     unknowns = [name for each, name in problem.slots.items() if each.rpartition(".")[2] == slot]
     return [each for name in unknowns for each in problem.fields[name].modules() if isinstance(each, Part)]
-
-
-def _parts(problem: Problem, unknown: str) -> list[Part]:
-    return list(problem.fields[unknown].parts()) if unknown in problem.closed_form() else []

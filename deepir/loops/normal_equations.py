@@ -12,16 +12,20 @@ from deepir.loops import compiled
 
 BAND = 32
 BLOCK = 512  # pixels whose sums stay in the cache
+TOGETHER = 8  # determinants that share a logarithm
 
 
 @compiled
-def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, across, down):
-    """`maps` (5, h, w) of frames (N, h, w), their sums `across` each row (5, h) and `down` each band (bands, 5, w)."""
+def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, across, down, nats):
+    """`maps` (5, h, w) of frames (N, h, w), their sums `across` each row (5, h) and `down` each band (bands, 5, w).
+
+    Each band's half of the logarithm of the determinants goes to `nats` (bands,).
+    """
     frames, height, width = flux.shape
-    block = np.empty((5, BLOCK))
+    block, whole_system = np.empty((5, BLOCK)), np.empty(BLOCK)
     aa, ab, bb, sa, sb = block[0], block[1], block[2], block[3], block[4]
     for band in range(first, last):
-        down[band] = 0
+        down[band], nats[band] = 0, 0
         for i in range(band * BAND, min(band * BAND + BAND, height)):
             across[:, i] = 0
             for start in range(0, width, BLOCK):
@@ -51,7 +55,8 @@ def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, acros
                     whole = aa[j] + shift * (ab[j] + shifted)
                     determinant, cross = aa[j] * bb[j] - ab[j] * ab[j], sa[j] * bb[j] - sb[j] * ab[j]
                     lower = bb[j] + u * determinant
-                    scale = 1 / (1 + u * whole + v * lower)
+                    whole_system[j] = 1 + u * whole + v * lower
+                    scale = 1 / whole_system[j]
                     p0, p1, p2 = (whole + v * determinant) * scale, shifted * scale, lower * scale
                     p3 = (sa[j] + shift * sb[j] + v * cross) * scale
                     p4 = (sb[j] + u * (sb[j] * aa[j] - sa[j] * ab[j] - shift * cross)) * scale
@@ -64,6 +69,11 @@ def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, acros
                         d4[j] + p4,
                     )
                     s0, s1, s2, s3, s4 = s0 + p0, s1 + p1, s2 + p2, s3 + p3, s4 + p4
+                for j in range(0, stop - start, TOGETHER):
+                    product = 1.0
+                    for k in range(j, min(j + TOGETHER, stop - start)):
+                        product *= whole_system[k]
+                    nats[band] += np.log(product) / 2
                 across[0, i] += s0
                 across[1, i] += s1
                 across[2, i] += s2

@@ -9,15 +9,12 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.levels import drift_strength, level_names, level_residuals
 from deepir.noise import sample_noise
-from deepir.priors.drift import Drift
 from deepir.problem import Problem
 from deepir.registry import register
+from deepir.slow import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.strengths import start_parts, weigh_scene
-
-LEVEL_TURNS = 4  # of scene and level, for the start of a free level
 
 
 class Definition:
@@ -35,6 +32,7 @@ class Definition:
         start_precision(problem)
         start_scene(problem)
         start_parts(problem)
+        estimate_slow(problem, start=True)
         weigh_scene(problem)
 
     def plan(self, problem: Problem) -> list[Stage]:
@@ -63,25 +61,9 @@ def start_precision(problem: Problem) -> None:
 
 @torch.no_grad()
 def start_scene(problem: Problem) -> None:
-    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
-
-    A free level starts at what the frames are above that average: by turns, for the average follows the levels.
-    """
-    free = [problem.fields[name] for name in level_names(problem) if name in problem.free()]
-    drifts = [field for field in free if isinstance(field, Drift) and not field.given]
-    for drift in drifts:
-        drift.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
-        drift.sigma.fill_(1.0)  # for the turns
-    for turn in range(LEVEL_TURNS if free else 1):
-        for field in free if turn else ():
-            field.init_from(field() + level_residuals(problem))
-        average, weight = problem.backproject(problem.values())
-        problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
-    for drift in drifts:
-        drift.sigma.fill_(drift_strength(problem, drift()))
-    if drifts and not any(drift.sigma > 0 for drift in drifts):
-        average, weight = problem.backproject(problem.values())
-        problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
+    average, weight = problem.backproject(problem.values())
+    problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
