@@ -95,7 +95,7 @@ class Slow:
 
 def variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int, ...], float]:
     """Variance of the free pattern in the data's units, by the axes along which it is constant."""
-    level = float(problem.data[problem.precision > 0].mean())
+    level = float(problem.data[problem.precision > 0].square().mean().sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
@@ -154,7 +154,7 @@ class _Evidence:
         variance = variances(problem, eliminated)
         self.expected = expected(variance, self.slow.frame)
         self.slow.doubt(self._chance(variance))
-        residual = _above_scene(problem, values, eliminated)
+        residual = _slow_residual(problem, values, self.slow.frame)
         middle = residual.median()
         limit = OUTLIER * float((residual - middle).abs().median())
         self.count, self.free = len(residual), len(self.slow.scene.white) + 1
@@ -231,14 +231,20 @@ class _Evidence:
         return self.slow.scene.spread(self._posterior(smooth, drift)[0][:-1])
 
 
-def _above_scene(problem: Problem, values: Values, eliminated: Collection[str]) -> Tensor:
-    """What the frames are above the scene, (N, h, w): all of the pattern that is not known, levels and noise."""
-    rest, flux = problem.data, problem.flux(values)
-    for kind in ("gain", "offset"):
-        name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
-        if name in values and name not in eliminated:
-            flux, rest = (values[name] * flux, rest) if kind == "gain" else (flux, rest - values[name])
-    return (rest - flux)[:, 0]
+def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
+    """The frames, (N, h, w), less the scene and all of the pattern that is not slow."""
+    closed = problem.closed_form()
+    values = dict(values)
+    problem.eliminate(values, closed)
+    quick = {}
+    for kind, neutral in (("gain", 1.0), ("offset", 0.0)):
+        name = problem.slots[f"{problem.operator.named()[-1][0]}.{kind}"]
+        quick[kind] = values[name]
+        if name in closed:
+            own = (values[name] - neutral)[0, 0].double()
+            slow = own.mean() + frame.spread(frame.sums(own) / own.numel())
+            quick[kind] = quick[kind] - slow.to(quick[kind])
+    return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"])[:, 0]
 
 
 def shifts(problem: Problem) -> Tensor:

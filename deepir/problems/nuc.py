@@ -45,12 +45,11 @@ class NUC(Definition):
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name != "motion")
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        first, second, third, last = (8, 8, 30, 20) if modelled(problem) else (25, 25, 30, 35)
+        import os
+        rounds=eval(os.environ.get("ROUNDS","(8,8,30)")); motion=int(os.environ.get("MOT","3"))
         return [
-            Stage("sensor 1", (Step(still), *eliminate), first),
-            Stage("sensor 2", (Step(still), *eliminate), second, prepare=_update),
-            Stage("sensor 3", (Step(free), *eliminate), third, prepare=_update),
-            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
+            *(Stage(f"sensor {i+1}", (Step(still if i+1<motion else free), *eliminate), k, prepare=_update if i else None) for i,k in enumerate(rounds)),
+            Stage("scene", (Step(("scene",)),), 20, prepare=_finish, use_held_out=True),
         ]
 
 
