@@ -20,6 +20,8 @@ from torch import Tensor
 ENOUGH = 20_000  # of the pixels are asked
 #: Nats, and medians of the nats, that a value may gain of its strength: beyond, it is an outlier and is not asked.
 OUTLIER, MEDIANS = 20.0, 12.0
+#: What is known of gains before: as much as so large a share of the values says, at such a strength.
+SHARE, GAIN = 0.05, 0.02
 LEAST = 1e-3  # a strength changes by no more than such a factor, downwards
 
 
@@ -57,7 +59,8 @@ def likeliest(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, f
         trial[free] = torch.from_numpy(np.exp(logarithms)).to(sigma)
         u, v = trial.square()
         each = system(u, v)
-        return float((each.log() - gained(u, v, each)).mean())
+        nats = (each.log() - gained(u, v, each)).mean()
+        return float(nats + SHARE * (u.log() + GAIN**2 / u)) if 0 in free else float(nats)
 
     bounds = [
         (math.log(LEAST * float(sigma[i])), math.log(max(float(most[i]), LEAST * float(sigma[i]))))

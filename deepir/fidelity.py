@@ -59,7 +59,7 @@ class Gaussian(Fidelity):
         if freedom is None:
             freedom = (
                 flux.new_zeros((), dtype=torch.float64),
-                flux.new_zeros(2, *flux.shape[2:], dtype=torch.float64),
+                flux.new_zeros(2, *flux.shape[1:], dtype=torch.float64),
             )
         compute = _OfSensorOnCPU if flux.device.type == "cpu" else _OfSensor
         nats: Tensor = compute.apply(flux, data, precision, gain, offset, level, *freedom)
@@ -134,7 +134,8 @@ class _OfSensorOnCPU(_OfSensor):
         frames = [each.contiguous().flatten(0, -2) for each in (flux, data, precision)]
         slope = torch.empty_like(frames[0])
         half, drift = frames[0].new_empty(2, len(slope), dtype=torch.float64)
-        spread(of_sensor, len(slope), *frames, *maps, covariance, level.flatten(), slope, half, drift)
+        free = covariance.flatten(1, -2)
+        spread(of_sensor, len(slope), *frames, *maps, free, level.flatten(), slope, half, drift)
         ctx.save_for_backward(slope.reshape(flux.shape), drift.reshape(len(flux), -1).sum(1).to(level))
         ctx.level = level.shape
         return half.sum() + nats

@@ -23,6 +23,7 @@ from deepir.registration import register as register_frames
 from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
+from deepir.slow import shading_message
 from deepir.solve import Progress, Solution, Stage, Step, solve
 from deepir.uncertainty import pattern_cost, uncertainty
 
@@ -56,7 +57,7 @@ def joint(
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     messages += definition.messages
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
-        messages += drift_message(problem)
+        messages += drift_message(problem) + shading_message(problem)
     found = given & ~(problem.precision.amax((0, 1)) > 0)
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     return _result(problem, geometry, solution, burst, used, messages)

@@ -30,6 +30,7 @@ from deepir.problem import Problem, Values
 
 POINTS = 40  # along each axis, where the polynomials are sampled
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
+ENOUGH = 4  # frames to tell shading from the scene
 CERTAIN = 5.0  # nats by which shading or drift have to make the frames likelier
 SMOOTH = (-1, 1)  # no axes: the polynomials of a shading
 
@@ -114,25 +115,13 @@ def expected(variance: dict[tuple[int, ...], float], frame: Shading) -> Tensor:
 
 @torch.no_grad()
 def estimate_slow(problem: Problem, *, start: bool = False) -> None:
-    """Set the strengths of shading and drift where the evidence has them; with `start` the levels and the scene too."""
-    closed = problem.closed_form()
-    shadings = [
-        part
-        for slot, name in problem.slots.items()
-        if slot.endswith(".offset") and name in closed
-        for part in problem.fields[name].parts()
-        if isinstance(part, Shading) and not part.given
-    ]
-    drifts = [
-        field
-        for name in problem.free()
-        if isinstance(field := problem.fields[name], Drift) and not field.given
-    ]
-    moving = isinstance(problem.operator.named()[0][1], Warp) and len(problem.data) > 1
-    if not moving or not (shadings or drifts):
+    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too."""
+    shadings, drifts = _unknown(problem)
+    if not (shadings or drifts):
         return
-    evidence = _Evidence(problem, closed)
+    evidence = _Evidence(problem, problem.closed_form())
     smooth, drift = evidence.most_likely(smooth=bool(shadings), drift=bool(drifts))
+    smooth = smooth if len(problem.data) >= ENOUGH else 0.0
     for part in shadings:
         part.sigma.fill_(smooth)
     for field in drifts:
@@ -143,6 +132,35 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
     if start:
         scene = problem.fields["scene"]
         scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
+
+
+@torch.no_grad()
+def shading_message(problem: Problem) -> list[str]:
+    """Say so if too few frames are shaded."""
+    shadings, drifts = _unknown(problem)
+    if not shadings or len(problem.data) >= ENOUGH:
+        return []
+    smooth, _ = _Evidence(problem, problem.closed_form()).most_likely(smooth=True, drift=bool(drifts))
+    if not smooth:
+        return []
+    return [
+        f"the frames are shaded, which {len(problem.data)} of them do not tell from the scene: it is left in. "
+        f"Take {ENOUGH} or more"
+    ]
+
+
+def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
+    """Shadings of the offset and drifts whose strengths are to be found; none where no warp moves the scene."""
+    if not isinstance(problem.operator.named()[0][1], Warp) or len(problem.data) < 2:
+        return [], []
+    closed, free = problem.closed_form(), problem.free()
+    offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]
+    parts = [part for name in offsets for part in problem.fields[name].parts()]
+    fields = [problem.fields[name] for name in free]
+    return (
+        [part for part in parts if isinstance(part, Shading) and not part.given],
+        [field for field in fields if isinstance(field, Drift) and not field.given],
+    )
 
 
 class _Evidence:

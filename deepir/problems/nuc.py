@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from deepir.curvature import modelled
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
@@ -37,18 +36,15 @@ class NUC(Definition):
         weigh_scene(problem, WEAK)
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
-
-        They end before they converge: where the curvature is modelled, after fewer iterations.
-        """
+        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name != "motion")
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        import os
-        rounds=eval(os.environ.get("ROUNDS","(8,8,30)")); motion=int(os.environ.get("MOT","3"))
         return [
-            *(Stage(f"sensor {i+1}", (Step(still if i+1<motion else free), *eliminate), k, prepare=_update if i else None) for i,k in enumerate(rounds)),
+            Stage("sensor 1", (Step(still), *eliminate), 8),
+            Stage("sensor 2", (Step(still), *eliminate), 8, prepare=_update),
+            Stage("sensor 3", (Step(free), *eliminate), 30, prepare=_update),
             Stage("scene", (Step(("scene",)),), 20, prepare=_finish, use_held_out=True),
         ]
 
