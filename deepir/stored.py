@@ -74,7 +74,7 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
     if missing := [each for each in record.get("plugins", []) if each not in plugins]:
         again = " ".join(f"--plugin {each}" for each in record["plugins"])
         raise ConfigError(f"{path}: the run uses the plugin {missing[0]}: deepir resume {path} {again}")
-    if config.data.path is None:
+    if config.data.path is None and config.data.simulate is None:
         raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
     data = prepare(config)
     _check_unchanged(record.get("inputs", {}), _hashes(config.data, data), path)
@@ -142,13 +142,14 @@ def _pinned(config: Config, folder: Folder) -> Config:
             return value
         return {
             key: absolute(each)
-            if key in ("path", "init") and isinstance(each, str) and Path(each).exists()
+            if key in ("path", "init", "scene") and isinstance(each, str) and Path(each).exists()
             else inside(each)
             for key, each in value.items()
         }
 
     data = config.data
     paths = {key: absolute(getattr(data, key)) for key in ("path", "truth", "mask")}
+    paths["simulate"] = inside(data.simulate)
     return config.model_copy(
         update={
             "data": data.model_copy(update=paths),
