@@ -15,10 +15,9 @@ from deepir.scenes import procedural, sky
 #: Draw a scene of any size from a seed: `procedural:3`.
 DRAWN = {"procedural": procedural, "sky": sky}
 #: Pictures that scikit-image brings along.
-SHIPPED = (
-    "astronaut brick camera cell chelsea clock coffee coins grass gravel hubble_deep_field immunohistochemistry "
-    "moon page retina rocket stereo_motorcycle text"
-).split()
+SHIPPED = ("astronaut", "brick", "camera", "cell", "chelsea", "clock", "coffee", "coins", "grass", "gravel",
+    "hubble_deep_field", "immunohistochemistry", "moon", "page", "retina", "rocket", "stereo_motorcycle", "text",
+)  # fmt: skip
 
 Scene = np.ndarray[Any, Any] | Callable[[tuple[int, int]], np.ndarray[Any, Any]]
 
