@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
-from deepir.cli.compare import Scheduler, Workers, sweep
+from deepir.cli.compare import Scheduler, Workers, finish, folder
 
 
 def batch(
@@ -37,13 +36,20 @@ def batch(
     plugins = load_plugins(plugin)
     from deepir.errors import DataError
     from deepir.sweep.axes import bursts, listed
+    from deepir.sweep.sweep import prepare
 
     settings = [each for each in what if "=" in each and not Path(each).exists()]
     patterns = [each for each in what if each not in settings]
     if not patterns:
         raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")
     fixed, axes = listed(settings)
-    title = shlex.join(["deepir", "batch", config, *what])
-    return sweep(
-        config, fixed, [bursts(patterns), *axes], "batch", title, workers, scheduler, overwrite, plugins
+    checked = prepare(
+        config,
+        fixed,
+        [bursts(patterns), *axes],
+        folder=folder(config, "batch"),
+        workers=workers,
+        remote=scheduler is not None,
+        overwrite=overwrite,
     )
+    return finish(checked, ["batch", config, *what], scheduler, plugins)

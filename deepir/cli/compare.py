@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,6 @@ import typer
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
 
 if TYPE_CHECKING:
-    from deepir.sweep.axes import Axis
     from deepir.sweep.cells import Cell
     from deepir.sweep.sweep import Sweep
     from deepir.sweep.table import Row
@@ -48,37 +48,31 @@ def compare(
     """
     plugins = load_plugins(plugin)
     from deepir.sweep.axes import listed
-
-    fixed, axes = listed(settings or ())
-    title = shlex.join(["deepir", "compare", config, *(settings or ())])
-    return sweep(config, fixed, axes, "compare", title, workers, scheduler, overwrite, plugins)
-
-
-def sweep(
-    config: str,
-    settings: list[str],
-    axes: list[Axis],
-    kind: str,
-    title: str,
-    workers: int | None,
-    scheduler: str | None,
-    overwrite: bool,
-    plugins: list[str],
-) -> int:
-    """Check, run and report; the exit status."""
-    from deepir.cli.signals import Interrupted, Interruptible
     from deepir.sweep.sweep import prepare
 
-    name = Path(config).stem if Path(config).is_file() else config
+    fixed, axes = listed(settings or ())
+    remote = scheduler is not None
     checked = prepare(
         config,
-        settings,
+        fixed,
         axes,
-        folder=Path("runs") / f"{name}-{kind}",
+        folder=folder(config, "compare"),
         workers=workers,
-        remote=scheduler is not None,
+        remote=remote,
         overwrite=overwrite,
     )
+    return finish(checked, ["compare", config, *(settings or ())], scheduler, plugins)
+
+
+def folder(config: str, kind: str) -> Path:
+    """Where results go: runs/NAME-KIND of the configuration's name."""
+    return Path("runs") / f"{Path(config).stem if Path(config).is_file() else config}-{kind}"
+
+
+def finish(checked: Sweep, command: Sequence[str], scheduler: str | None, plugins: Sequence[str]) -> int:
+    """Run what is missing, write and print the table; the exit status."""
+    from deepir.cli.signals import Interrupted, Interruptible
+
     status = 0
     try:
         with Interruptible():
@@ -86,7 +80,7 @@ def sweep(
     except Interrupted as error:
         print("deepir: interrupted; the same command goes on with what is missing", file=sys.stderr)
         status = error.status
-    _report(checked.write(title), checked.folder)
+    _report(checked.write(shlex.join(["deepir", *command])), checked.folder)
     return status or int(bool(checked.errors))
 
 
@@ -109,7 +103,7 @@ class _Progress:
         print(f"deepir: {self.done}/{self.total} {cell.name}: {end}", file=sys.stderr, flush=True)
 
 
-def _report(rows: list[Row], folder: Path) -> None:
+def _report(rows: Sequence[Row], where: Path) -> None:
     """Print the table, and where the files are."""
     from rich import box
     from rich.console import Console
@@ -122,5 +116,5 @@ def _report(rows: list[Row], folder: Path) -> None:
     for line in body:
         shown.add_row(*line)
     Console(width=None if sys.stdout.isatty() else 200).print(shown)
-    plots = "; plots: quality.png" * (folder / "quality.png").exists()
-    typer.echo(f"results: {folder}/table.md, table.csv and a folder for each run{plots}")
+    plots = "; plots: quality.png" * (where / "quality.png").exists()
+    typer.echo(f"results: {where}/table.md, table.csv and a folder for each run{plots}")

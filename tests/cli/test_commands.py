@@ -19,7 +19,7 @@ def test_help_is_quick_and_does_without_torch():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert time.perf_counter() - start < 0.5
     assert done.stdout.endswith("set()\n")
-    for command in ("run", "demo", "simulate", "resume", "list", "check"):
+    for command in ("run", "demo", "simulate", "resume", "compare", "batch", "list", "check"):
         assert f"\n  {command} " in done.stdout
 
 
@@ -32,7 +32,9 @@ def test_version(deepir):
     assert deepir("--version") == (0, f"deepir {package.__version__}\n", "")
 
 
-@pytest.mark.parametrize("command", ["run", "demo", "simulate", "resume", "list", "check"])
+@pytest.mark.parametrize(
+    "command", ["run", "demo", "simulate", "resume", "compare", "batch", "list", "check"]
+)
 def test_every_command_explains_itself(deepir, command):
     status, out, _ = deepir(command, "--help")
     assert status == 0
