@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 from typing import Annotated
 
 import typer
@@ -38,7 +38,7 @@ def batch(
     from deepir.sweep.axes import bursts, listed
     from deepir.sweep.sweep import prepare
 
-    settings = [each for each in what if "=" in each and not Path(each).exists()]
+    settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
     patterns = [each for each in what if each not in settings]
     if not patterns:
         raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")

@@ -22,6 +22,7 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     metric = shown(found)[0]
     finished = [row for row in found if row.metrics.get(metric) is not None]
@@ -39,6 +40,11 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
         axes.grid(alpha=0.3)
         if x == "seconds":
             axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.xaxis.set_major_formatter("{x:g}")
+        else:
+            axes.set_xticks(sorted({row.metrics["frames"] for row in finished}))
     if len(lines) > 1 and len(lines) <= 20:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     buffer = io.BytesIO()
@@ -58,8 +64,8 @@ def _lines(found: Sequence[Row]) -> dict[str, list[Group]]:
 
 def _draw(axes: Any, groups: Sequence[Group], x: str, metric: str, label: str) -> None:
     """A line through the medians, with bars from the least to the greatest."""
-    points = sorted((group.spread(x), group.spread(metric)) for group in groups)
-    (across, aside), (up, beside) = (_bars([point[i] for point in points]) for i in (0, 1))
+    ordered = sorted(groups, key=lambda group: group.spread("frames") or ())
+    (across, aside), (up, beside) = (_bars([group.spread(each) for group in ordered]) for each in (x, metric))
     axes.errorbar(
         across, up, xerr=aside, yerr=beside, marker="o", markersize=4, capsize=2, linewidth=1, label=label
     )

@@ -62,8 +62,8 @@ def prepare(
 ) -> Sweep:
     """Check everything, and say which runs there will be.
 
-    As many workers as there are cores or cells, and the cores shared out among them: torch's threads are the
-    configuration's `threads`, or as many as leave no core to two. On workers elsewhere (`remote`) a run has one.
+    There are as many workers as cores, or as cells if those are fewer, and each run has its share of the cores as
+    threads, or the `threads` that it names. On workers elsewhere (`remote`) it has one.
 
     Args:
         name: The configuration.
@@ -92,11 +92,13 @@ def prepare(
     )
     found = cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
     table.check_free(base)
-    for cell in found:
-        cell.folder.state() if overwrite else cell.state()
-    check(found)
     if overwrite:
         for cell in found:
+            cell.folder.check_free(overwrite=True)
+        check(found)
+        for cell in found:
             cell.folder.discard([cell.folder.path])
-    check_inputs(found)
+    else:
+        check([cell for cell in found if cell.state() != "finished"])
+        check_inputs(found)
     return Sweep(base, found, count)

@@ -1,7 +1,10 @@
 """Which runs there are, and what is wrong with them before anything runs."""
 
+import shlex
+
 import numpy as np
 import pytest
+from documentation import ROOT, blocks
 
 from deepir.errors import ConfigError, DataError
 from deepir.stored import run_into
@@ -109,3 +112,18 @@ def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'deepir\[compare\]'"):
         prepare("nuc", [], [], folder=tmp_path)
+
+
+def test_the_comparison_that_is_documented_is_one(tmp_path):
+    text = next(text for _, text in blocks(ROOT / "docs/ablations.md", "sh") if "compare" in text)
+    _, _, name, *settings = shlex.split(text)
+    fixed, axes = listed(settings)
+    assert len(cells(name, fixed, axes, tmp_path, 1)) == 36
+
+
+def test_a_run_that_takes_its_worker_down_each_time_is_given_up():
+    distributed = pytest.importorskip("distributed")
+    from deepir.sweep.cluster import _failure
+
+    assert "its workers died" in _failure(distributed.KilledWorker("a", None, 3))
+    assert _failure(ValueError("not\nthis")) == "ValueError: not this"
