@@ -107,14 +107,15 @@ def _report(rows: Sequence[Row], where: Path) -> None:
     """Print the table, and where the files are."""
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from deepir.sweep.table import lines
 
     heads, body = lines(rows)
-    shown = Table(*heads, box=box.SIMPLE)
+    shown = Table(*map(escape, heads), box=box.SIMPLE)
     for line in body:
-        shown.add_row(*line)
+        shown.add_row(*map(escape, line))
     Console(width=None if sys.stdout.isatty() else 200).print(shown)
     plots = "; plots: quality.png" * (where / "quality.png").exists()
     typer.echo(f"results: {where}/table.md, table.csv and a folder for each run{plots}")

@@ -71,6 +71,12 @@ def test_check_of_a_configuration_needs_no_data(deepir):
     assert "data: none given" in out
 
 
+def test_check_says_what_would_be_simulated(deepir):
+    status, out, _ = deepir("check", "nuc", "data.simulate={shape: [40, 48], n_frames: 4}", "seed=3")
+    assert status == 0
+    assert "the simulated burst (seed 3), 4 frames of 40 x 48 px" in out
+
+
 def test_check_sees_a_former_run(deepir, nuc):
     nuc("data.path=burst.npz")
     assert "holds another run (finished)" in deepir("check", "nuc")[1]
@@ -86,6 +92,12 @@ def test_simulate_writes_a_burst_and_its_truth(deepir, folder):
     assert stored["frames"].shape == (4, 32, 48)
     assert json.loads(str(stored["settings"]))["seed"] == 2
     assert np.load("new_truth.npz")["scene"].shape == (32, 48)
+
+
+@pytest.mark.parametrize("scene", ["camera", "sky:2"])
+def test_simulate_takes_a_scene_by_name(deepir, folder, scene):
+    status, _, err = deepir("simulate", "new.npz", "shape=[24,32]", "max_shift=2", "--scene", scene)
+    assert status == 0, err
 
 
 def test_simulate_takes_a_picture(deepir, folder):

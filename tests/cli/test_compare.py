@@ -129,8 +129,15 @@ class TestHere:
         assert "1 of 4 runs are finished already" in deepir(*METHODS)[2]
 
     def test_frames_of_a_file_are_its_first(self, deepir, folder):
-        settings = ("data.path=burst.npz", "data.truth=burst_truth.npz", "method=average", "data.frames=2,3")
-        assert deepir("compare", "nuc", *settings)[0] == 0
+        settings = (
+            "data.path=burst.npz",
+            "data.truth=burst_truth.npz",
+            "method=average",
+            "data.frames=2,[0, 1, 2]",
+        )
+        status, out, _ = deepir("compare", "nuc", *settings)
+        assert status == 0
+        assert "[0, 1, 2]" in out
         assert [row["frames"] for row in table(folder / "runs/nuc-compare")] == ["2", "3"]
 
     def test_a_batch_corrects_each_burst(self, deepir, folder, simulation):
