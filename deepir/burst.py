@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from deepir.config import Data
-from deepir.errors import DataError
+from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
@@ -37,22 +38,28 @@ class Burst:
         return self.frames.shape[1], self.frames.shape[2]
 
 
-def load(data: Data, *, frames: Array | None = None, needs: int = 1) -> Burst:
-    """Read and check what `data` names; `frames`, (N, h, w), stands in for its file.
+def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int = 0) -> Burst:
+    """Read or simulate and check what `data` names; `frames`, (N, h, w), stands in for its file.
 
     Raises:
         DataError: Whatever is wrong with the files or the frames, and where.
+        ConfigError: There are two sources, or `data.simulate` is wrong.
     """
+    truth: dict[str, Array] = {}
+    if data.path is not None and data.simulate is not None:
+        raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
     if frames is not None:
         source, digest = "frames", ""
         stack = to_float32(select_frames(stacked(np.asanyarray(frames), source), data.frames, source))
     elif data.path is not None:
         read = read_frames(data.path, key=data.key, select=data.frames)
         stack, source, digest = read.frames, read.source, read.sha256
+    elif data.simulate is not None:
+        stack, source, digest, truth = _simulated(data, seed)
     else:
         raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
-    truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else {}
+    truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
     if data.crop is not None:
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
         truth = {k: crop(v, data.crop) if v.ndim == 2 and v.shape != (3, 3) else v for k, v in truth.items()}
@@ -60,3 +67,17 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1) -> Burst:
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
     return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth)
+
+
+def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:
+    """Frames that are selected of a simulated burst, their source, digest and truth."""
+    from deepir.simulate.recorded import recorded, truth
+
+    simulation = recorded(data.simulate or {}, seed)
+    source = f"the simulated burst (seed {simulation.seed})"
+    if select_frames(np.arange(len(simulation.frames)), data.frames, source)[0] != 0:
+        raise ConfigError(
+            f"data.frames={data.frames!r}: frame 0, on which the truth of a simulated burst lies, goes first"
+        )
+    stack = to_float32(select_frames(simulation.frames, data.frames, source))
+    return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth(simulation)

@@ -13,7 +13,8 @@ Array = np.ndarray[Any, Any]
 def scores(scene: Array, truth: Array) -> dict[str, float]:
     """PSNR (dB) and SSIM of a scene (H, W), as it is and after one best gain and level (the gauge).
 
-    The peak is the truth's range. Truth that is not finite is left out of PSNR, and filled with the scene for SSIM.
+    The peak is the truth's range. `radiometric_rmse` is the error in the data's units after one level, which no burst
+    shows; the gain stays as it is. Truth that is not finite is left out, and filled with the scene for SSIM.
     """
     known = np.isfinite(truth)
     truth, scene = np.where(known, truth, scene).astype(float), scene.astype(float)
@@ -22,6 +23,7 @@ def scores(scene: Array, truth: Array) -> dict[str, float]:
     return {
         "psnr": peak_signal_noise_ratio(truth[known], scene[known], data_range=span),
         "psnr_aligned": peak_signal_noise_ratio(truth[known], aligned[known], data_range=span),
+        "radiometric_rmse": (scene - truth)[known].std(),
         "ssim": structural_similarity(truth, scene, data_range=span),
         "ssim_aligned": structural_similarity(truth, np.where(known, aligned, truth), data_range=span),
     }

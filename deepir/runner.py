@@ -67,7 +67,7 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
     definition = lookup("problem", config.problem, "problem")
     lookup("method", config.method, "method")
     _check_device(config.device)
-    data = bursts.load(config.data, frames=frames, needs=definition.frames)
+    data = bursts.load(config.data, frames=frames, needs=definition.frames, seed=config.seed)
     check_components(config, data)
     return data
 

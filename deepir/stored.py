@@ -44,10 +44,10 @@ def run_into(
     """
     folder = Folder(path.expanduser().absolute())
     folder.check_free(overwrite=overwrite)
-    config = _pinned(config, folder)
+    config = pinned(config, folder)
     _check_inputs(config, folder)
     data = prepare(config, frames)
-    record = {"versions": versions(), "plugins": list(plugins), "inputs": _hashes(config.data, data)}
+    record = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
     made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
     work = _Work(folder, config, data, callbacks)
     try:
@@ -74,16 +74,16 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
     if missing := [each for each in record.get("plugins", []) if each not in plugins]:
         again = " ".join(f"--plugin {each}" for each in record["plugins"])
         raise ConfigError(f"{path}: the run uses the plugin {missing[0]}: deepir resume {path} {again}")
-    if config.data.path is None:
+    if config.data.path is None and config.data.simulate is None:
         raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
     data = prepare(config)
-    _check_unchanged(record.get("inputs", {}), _hashes(config.data, data), path)
+    check_unchanged(record.get("inputs", {}), hashes(config.data, data.sha256), path)
     before = _seconds(folder, record)
     with folder.logging():
         _check_state(folder)
         if record.get("versions", versions()) != versions():
             log.warning("started with %s, resumed with %s", record["versions"], versions())
-        fresh = {"versions": versions(), "plugins": list(plugins), "inputs": _hashes(config.data, data)}
+        fresh = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
         folder.write_record(fresh | record | {"started": time.time(), "seconds": before})
         return _Work(folder, config, data, callbacks, before).run()
 
@@ -131,7 +131,7 @@ class _Work:
             self.folder.keep()
 
 
-def _pinned(config: Config, folder: Folder) -> Config:
+def pinned(config: Config, folder: Folder) -> Config:
     """The configuration with all that a later process might see differently: paths, threads."""
 
     def absolute(path: str | None) -> str | None:
@@ -142,13 +142,14 @@ def _pinned(config: Config, folder: Folder) -> Config:
             return value
         return {
             key: absolute(each)
-            if key in ("path", "init") and isinstance(each, str) and Path(each).exists()
+            if key in ("path", "init", "scene") and isinstance(each, str) and Path(each).exists()
             else inside(each)
             for key, each in value.items()
         }
 
     data = config.data
     paths = {key: absolute(getattr(data, key)) for key in ("path", "truth", "mask")}
+    paths["simulate"] = inside(data.simulate)
     return config.model_copy(
         update={
             "data": data.model_copy(update=paths),
@@ -169,15 +170,17 @@ def _check_inputs(config: Config, folder: Folder) -> None:
             )
 
 
-def _hashes(paths: Data, data: Burst) -> dict[str, str]:
-    found = {} if paths.path is None else {paths.path: data.sha256}
+def hashes(paths: Data, frames: str) -> dict[str, str]:
+    """The digest of each file of the input; `frames` is that of the burst."""
+    found = {} if paths.path is None else {paths.path: frames}
     for path in (paths.mask, paths.truth):
         if path is not None and Path(path).is_file():
             found[path] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
     return found
 
 
-def _check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path) -> None:
+def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path) -> None:
+    """Raise `ConfigError` if a file of the input of the run at `path` is not what it was."""
     for name, digest in then.items():
         if now.get(name) != digest:
             raise ConfigError(

@@ -10,7 +10,9 @@ from typing import Annotated
 import typer
 
 import deepir
+from deepir.cli.batch import batch
 from deepir.cli.check import check
+from deepir.cli.compare import compare
 from deepir.cli.demo import demo
 from deepir.cli.listing import list_components
 from deepir.cli.resume import resume
@@ -27,6 +29,8 @@ app.command()(run)
 app.command()(demo)
 app.command()(simulate)
 app.command()(resume)
+app.command()(compare)
+app.command()(batch)
 app.command("list")(list_components)
 app.command()(check)
 
@@ -78,7 +82,7 @@ def _say(message: str, status: int) -> int:
 def _usage(message: str, given: Sequence[str]) -> str:
     """A usage error with what was probably meant."""
     message = message.rstrip(".")
-    if message.startswith("No such option: --") and given[0] in ("run", "check"):
+    if message.startswith("No such option: --") and given[0] in ("run", "check", "compare", "batch"):
         name = message.partition("--")[2].split(" ")[0].split("=")[0]
         return f"{message}; settings are key=value without dashes, for example {name}=..."
     if message.startswith("No such command") and "Did you mean" not in message:

@@ -70,6 +70,9 @@ def _data(config: Config) -> list[str]:
     from deepir.burst import Burst
     from deepir.runner import check_components, prepare
 
+    if config.data.simulate is not None:
+        burst = prepare(config)
+        return [f"data: {burst.source}, {len(burst.frames)} frames of {burst.size[0]} x {burst.size[1]} px"]
     if config.data.path is not None:
         prepare(config)
         return _burst(config.data.path, key=config.data.key, select=config.data.frames)

@@ -41,10 +41,15 @@ def read_frames(path: str | os.PathLike[str], *, key: str | None = None, select:
     """
     file = Path(path).expanduser()
     stored = stack(readers.read(file, key), str(file))
-    with readers.guarded(file):
-        digest = _sha256(file)
     source = f"{file}[{key}]" if key else str(file)
-    return Frames(to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest)
+    return Frames(to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest(file))
+
+
+def digest(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a burst's file, or of the digests of its pictures in order; `DataError` if it cannot be read."""
+    file = Path(path).expanduser()
+    with readers.guarded(file):
+        return _sha256(file)
 
 
 def stack(array: Array, source: str) -> Array:

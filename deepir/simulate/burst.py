@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from deepir.errors import DataError
 from deepir.scenes import procedural
 from deepir.simulate.events import observe
 from deepir.simulate.optics import move, reach_of, scale_of
+from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
 
@@ -55,15 +57,15 @@ class Simulation:
         return path, beside
 
 
-def simulate(scene: np.ndarray | None = None, settings: Settings = DEFAULT, *, seed: int = 0) -> Simulation:
+def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: int = 0) -> Simulation:
     """Record a burst of a scene.
 
     Motion, pattern, level, noise and each effect that is off by default have random streams of their own: with
     another noise the motion stays.
 
     Args:
-        scene: Picture (height, width) in [0, 1], finer than the detector; None: `procedural(seed)`, twice as
-            fine.
+        scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a
+            given shape, twice as fine. None: `procedural(seed)`.
         settings: The camera and its motion.
         seed: The same seed gives the same burst.
 
@@ -75,9 +77,10 @@ def simulate(scene: np.ndarray | None = None, settings: Settings = DEFAULT, *, s
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams
     motion = move(settings, motion_rng)
     reach = reach_of(motion, settings)
-    if scene is None:
+    scene = partial(procedural, seed) if scene is None else scene
+    if callable(scene):
         height, width = np.ceil((settings.scale or 2.0) * 2 * reach).astype(int) + 5
-        scene = procedural(seed, (int(height), int(width)))
+        scene = scene((int(height), int(width)))
     picture = np.asarray(scene, float)
     if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
         raise DataError(

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import functools
+import typing
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
+from deepir.components import explain
 from deepir.errors import ConfigError, nearest
 
 CHOICES = {
@@ -92,3 +98,25 @@ class Settings:
 
 
 DEFAULT = Settings()
+
+
+@functools.cache
+def schema(extra: tuple[str, ...] = ()) -> type[BaseModel]:
+    """What may be set, with types and defaults; `extra` names what is not for the camera."""
+    hints = typing.get_type_hints(Settings)
+    known: Any = {each.name: (hints[each.name], each.default) for each in fields(Settings)}
+    known |= dict.fromkeys(extra, (Any, None))
+    return create_model("Settings", __config__=ConfigDict(extra="forbid"), **known)
+
+
+def parse(given: Mapping[str, Any], extra: tuple[str, ...] = ()) -> Settings:
+    """Settings from a mapping, whose Nones stand for the default; `ConfigError` for what does not fit.
+
+    `extra` names further keys that a user may give there, to be named in errors.
+    """
+    known = schema(extra)
+    try:
+        found = known.model_validate({key: value for key, value in given.items() if value is not None})
+    except ValidationError as error:
+        raise ConfigError(f"simulate: {explain(error, known)[1]}") from None
+    return Settings(**{each.name: getattr(found, each.name) for each in fields(Settings)})

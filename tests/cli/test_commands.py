@@ -19,7 +19,7 @@ def test_help_is_quick_and_does_without_torch():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert time.perf_counter() - start < 0.5
     assert done.stdout.endswith("set()\n")
-    for command in ("run", "demo", "simulate", "resume", "list", "check"):
+    for command in ("run", "demo", "simulate", "resume", "compare", "batch", "list", "check"):
         assert f"\n  {command} " in done.stdout
 
 
@@ -32,7 +32,9 @@ def test_version(deepir):
     assert deepir("--version") == (0, f"deepir {package.__version__}\n", "")
 
 
-@pytest.mark.parametrize("command", ["run", "demo", "simulate", "resume", "list", "check"])
+@pytest.mark.parametrize(
+    "command", ["run", "demo", "simulate", "resume", "compare", "batch", "list", "check"]
+)
 def test_every_command_explains_itself(deepir, command):
     status, out, _ = deepir(command, "--help")
     assert status == 0
@@ -69,6 +71,12 @@ def test_check_of_a_configuration_needs_no_data(deepir):
     assert "data: none given" in out
 
 
+def test_check_says_what_would_be_simulated(deepir):
+    status, out, _ = deepir("check", "nuc", "data.simulate={shape: [40, 48], n_frames: 4}", "seed=3")
+    assert status == 0
+    assert "the simulated burst (seed 3), 4 frames of 40 x 48 px" in out
+
+
 def test_check_sees_a_former_run(deepir, nuc):
     nuc("data.path=burst.npz")
     assert "holds another run (finished)" in deepir("check", "nuc")[1]
@@ -84,6 +92,12 @@ def test_simulate_writes_a_burst_and_its_truth(deepir, folder):
     assert stored["frames"].shape == (4, 32, 48)
     assert json.loads(str(stored["settings"]))["seed"] == 2
     assert np.load("new_truth.npz")["scene"].shape == (32, 48)
+
+
+@pytest.mark.parametrize("scene", ["camera", "sky:2"])
+def test_simulate_takes_a_scene_by_name(deepir, folder, scene):
+    status, _, err = deepir("simulate", "new.npz", "shape=[24,32]", "max_shift=2", "--scene", scene)
+    assert status == 0, err
 
 
 def test_simulate_takes_a_picture(deepir, folder):

@@ -1,0 +1,55 @@
+"""`deepir batch`."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+from deepir.cli.compare import Scheduler, Workers, finish, folder
+
+
+def batch(
+    config: Annotated[
+        str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)
+    ],
+    what: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="BURST... [KEY=VALUE]...",
+            help="Files, folders of pictures or globs of these; settings for all of them.",
+            show_default=False,
+        ),
+    ],
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    overwrite: Overwrite = False,
+    plugin: Plugins = None,
+) -> int:
+    """Correct many bursts the same way: deepir batch nuc 'bursts/*.tiff' [prior=tv ...].
+
+    Results go to output.dir (runs/NAME-batch): a folder for each burst, table.md and table.csv.
+    The same command again goes on where it was interrupted.
+    """
+    plugins = load_plugins(plugin)
+    from deepir.errors import DataError
+    from deepir.sweep.axes import bursts, listed
+    from deepir.sweep.sweep import prepare
+
+    settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
+    patterns = [each for each in what if each not in settings]
+    if not patterns:
+        raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")
+    fixed, axes = listed(settings)
+    checked = prepare(
+        config,
+        fixed,
+        [bursts(patterns), *axes],
+        folder=folder(config, "batch"),
+        workers=workers,
+        remote=scheduler is not None,
+        overwrite=overwrite,
+    )
+    return finish(checked, ["batch", config, *what], scheduler, plugins)

@@ -1,0 +1,48 @@
+"""The burst that `data.simulate` of a configuration describes."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.errors import ConfigError
+from deepir.simulate.burst import Simulation, simulate
+from deepir.simulate.pictures import picture
+from deepir.simulate.settings import Settings, parse
+
+
+def recorded(given: Mapping[str, Any], seed: int) -> Simulation:
+    """The simulation of `given`: `Settings` by name, and `scene` and `seed`.
+
+    Args:
+        given: What is missing or None has its default; the scene is then drawn, by the burst's seed.
+        seed: The run's, of all that is drawn, unless `given` has its own.
+
+    Raises:
+        ConfigError: An unknown setting, or a wrong value.
+        DataError: There is no such scene, or it is too small for the frames and their motion.
+    """
+    settings = dict(given)
+    scene, own = settings.pop("scene", None), settings.pop("seed", None)
+    if own is not None and (isinstance(own, bool) or not isinstance(own, int) or own < 0):
+        raise ConfigError(f"data.simulate.seed = {own!r}: a whole number, zero or more, is needed")
+    name = None if scene is None else str(scene)
+    changed = Path(name).stat().st_mtime_ns if name and Path(name).is_file() else 0
+    return _recorded(parse(settings, extra=("scene", "seed")), name, seed if own is None else own, changed)
+
+
+@functools.lru_cache(maxsize=2)  # a check of many configurations asks for the same burst again and again
+def _recorded(settings: Settings, scene: str | None, seed: int, changed: int) -> Simulation:
+    return simulate(None if scene is None else picture(scene), settings, seed=seed)
+
+
+def truth(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
+    """The arrays that a result is compared with, float32; the scene is NaN where somebody stands before it."""
+    found = simulation.truth
+    scene = np.where(found.moving[0], np.nan, found.scene)
+    arrays = {"scene": scene, "gain": found.gain, "offset": found.offset}
+    return {name: array.astype(np.float32) for name, array in arrays.items()}

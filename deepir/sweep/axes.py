@@ -1,0 +1,104 @@
+"""What a sweep varies: `prior=tv,dip`, or one burst after another."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path
+
+from deepir.errors import ConfigError, DataError
+
+#: Axes over which medians are taken.
+REPEATS = ("seed", "data.simulate.seed")
+BURST = "burst"
+OPENING, CLOSING, QUOTES = "[{(", "]})", "\"'"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A key and its values: what each is called, and the settings that it stands for."""
+
+    key: str
+    choices: Mapping[str, Sequence[str]]
+
+
+def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
+    """Settings with one value, and an axis for each that lists several: `prior=tv,dip`.
+
+    A comma within brackets or quotes belongs to a value.
+    """
+    fixed: list[str] = []
+    axes: dict[str, Axis] = {}
+    for setting in settings:
+        key, _, text = (part.strip() for part in setting.partition("="))
+        values = [value.strip() for value in split(text)]
+        axes.pop(key, None)  # as everywhere: of a key given twice, the last counts
+        if len(values) == 1:
+            fixed.append(setting)
+        else:
+            axes[key] = Axis(key, {value: [f"{key}={value}"] for value in values})
+    return fixed, list(axes.values())
+
+
+def split(text: str) -> list[str]:
+    """A text at its commas, those within brackets or quotes left out.
+
+    >>> split("[0, 3],5")
+    ['[0, 3]', '5']
+    """
+    parts, depth, quote = [""], 0, ""
+    for letter in text:
+        if quote:
+            quote = "" if letter == quote else quote
+        elif letter in QUOTES:
+            quote = letter
+        depth += (not quote) * ((letter in OPENING) - (letter in CLOSING))
+        if letter == "," and depth <= 0 and not quote:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts
+
+
+def bursts(patterns: Sequence[str]) -> Axis:
+    """An axis of bursts: files, folders of pictures, and globs of these.
+
+    STEM_truth.npz is the truth of STEM.npz beside it, as `deepir simulate` writes them.
+
+    Raises:
+        DataError: A pattern matches nothing.
+    """
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        at = str(Path(pattern).expanduser())
+        matches = [at] if Path(at).exists() else sorted(glob(at, recursive=True))  # noqa: PTH207 - keeps absolute ones
+        if not matches:
+            raise DataError(f"{pattern}: no such file, and no burst matches it")
+        found |= dict.fromkeys(matches)
+    truths = {path: f"{path.removesuffix('.npz')}_truth.npz" for path in found if path.endswith(".npz")}
+    paths = [path for path in found if path not in truths.values()]
+    stems = [Path(path).stem for path in paths]
+    names = stems if len(set(stems)) == len(stems) else paths
+    return Axis(
+        BURST, {name: _burst(path, truths.get(path, "")) for name, path in zip(names, paths, strict=True)}
+    )
+
+
+def _burst(path: str, truth: str) -> list[str]:
+    known = [f"data.truth={truth}"] if truth and Path(truth).is_file() else []
+    return [f"data.path={path}", *known]
+
+
+def folder_name(values: Mapping[str, str]) -> str:
+    """The name of a cell, as a folder's: `prior=tv,seed=0`.
+
+    Raises:
+        ConfigError: It is too long for one.
+    """
+    parts = [value if key == BURST else f"{key}={value}" for key, value in values.items()]
+    name = ",".join(re.sub(r"[^\w.+=-]+", "-", part) for part in parts)
+    if len(name.encode()) > 240:
+        raise ConfigError(f"{name[:80]}...: too long for a folder; put long values into a .yaml file")
+    return name

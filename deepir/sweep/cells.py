@@ -1,0 +1,148 @@
+"""The cells of a sweep: which runs there are, and what has become of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deepir.config import Config, dump, load, read
+from deepir.errors import ConfigError, DataError
+from deepir.folder import Folder
+from deepir.io.frames import digest
+from deepir.runner import prepare
+from deepir.stored import check_unchanged, hashes, pinned
+from deepir.sweep.axes import BURST, Axis, folder_name
+from deepir.yaml import parse
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run: its values by axis, its configuration in full, its folder."""
+
+    values: Mapping[str, str]
+    config: Config
+    folder: Folder
+
+    @property
+    def name(self) -> str:
+        """Its values in short."""
+        return self.folder.path.name
+
+    def state(self) -> str:
+        """`new`, `interrupted` or `finished`.
+
+        Raises:
+            ConfigError: The folder holds the run of another configuration, or of data that have changed since.
+        """
+        state = self.folder.state()
+        if state == "new":
+            return state
+        then, now = (_flat(parse(dump(each))) for each in (read(self.folder.config), self.config))
+        for key in sorted(then.keys() | now.keys()):
+            if key != "threads" and then.get(key) != now.get(key):
+                raise ConfigError(
+                    f"{self.folder.path} holds a run with {key}={then.get(key)}, not {now.get(key)}; replace all with "
+                    "--overwrite, or give another folder with output.dir=DIR"
+                )
+        return state
+
+
+def cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, threads: int) -> list[Cell]:
+    """The product of the axes' choices.
+
+    Args:
+        name: The configuration.
+        settings: `key=value`, for all cells.
+        axes: What varies; the last varies fastest.
+        base: The folder of their folders.
+        threads: Of each run that does not say.
+
+    Raises:
+        ConfigError: A value is wrong.
+    """
+    found = []
+    for labels in itertools.product(*(axis.choices for axis in axes)):
+        chosen = [axis.choices[label] for axis, label in zip(axes, labels, strict=True)]
+        config = load(name, [*settings, *itertools.chain(*chosen)])
+        values = {axis.key: label for axis, label in zip(axes, labels, strict=True)}
+        found.append((values, config))
+    most = max((c.data.frames for _, c in found if isinstance(c.data.frames, int)), default=None)
+    names = Counter(folder_name(values) for values, _ in found)
+    if clash := next((each for each, count in names.items() if count > 1), None):
+        raise ConfigError(
+            f"{clash}: two cells would have this folder; give values that differ in letters or digits"
+        )
+    return [
+        _cell(values, _one_burst(config, most), base / folder_name(values), threads)
+        for values, config in found
+    ]
+
+
+def _cell(values: Mapping[str, str], config: Config, path: Path, threads: int) -> Cell:
+    folder = Folder(path.expanduser().absolute())
+    return Cell(
+        values, pinned(config.model_copy(update={"threads": config.threads or threads}), folder), folder
+    )
+
+
+def _one_burst(config: Config, most: int | None) -> Config:
+    """All numbers of frames are the first of one simulated burst, whose scene and scale then are the same."""
+    simulate = config.data.simulate
+    if simulate is None or most is None or simulate.get("n_frames") is not None:
+        return config
+    data = config.data.model_copy(update={"simulate": simulate | {"n_frames": most}})
+    return config.model_copy(update={"data": data})
+
+
+def check(found: Sequence[Cell]) -> None:
+    """Find what is wrong with any of them before anything runs, but for the files of bursts that an axis names.
+
+    Configurations that differ in seeds only are checked once, and on one burst that can be read.
+
+    Raises:
+        DeepIRError: What is wrong, and with which cell.
+    """
+    checked: set[tuple[str, ...]] = set()
+    unread: dict[tuple[str, ...], DataError] = {}
+    for cell in found:
+        kind = tuple(value for key, value in cell.values.items() if key not in ("seed", BURST))
+        if kind in checked:
+            continue
+        try:
+            prepare(cell.config)
+        except ConfigError as error:
+            raise ConfigError(f"{cell.name}: {error}") from None
+        except DataError as error:
+            unread[kind] = DataError(f"{cell.name}: {error}")
+            if BURST not in cell.values:
+                raise unread[kind] from None
+        else:
+            checked.add(kind)
+            unread.pop(kind, None)
+    if unread:
+        raise next(iter(unread.values()))
+
+
+def check_inputs(found: Sequence[Cell]) -> None:
+    """Raise `ConfigError` if data of a finished cell have changed since."""
+    for cell in found:
+        if cell.state() == "finished":
+            data = cell.config.data
+            now = hashes(data, "" if data.path is None else digest(data.path))
+            check_unchanged(cell.folder.record().get("inputs", {}), now, cell.folder.path)
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    return dict(_leaves(tree, prefix))
+
+
+def _leaves(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

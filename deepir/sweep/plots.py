@@ -1,0 +1,80 @@
+"""Quality against the number of frames, and against seconds."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from deepir.io import replace
+from deepir.sweep.axes import BURST, REPEATS
+from deepir.sweep.table import SHOWN, Group, Row, grouped, shown
+
+FRAMES = "data.frames"
+AVERAGED = (*REPEATS, BURST)
+
+
+def write_plots(path: Path, found: Sequence[Row]) -> None:
+    """One picture, or none of a single point: a line for each combination of the axes beside frames and repeats.
+
+    Points are medians over seeds and bursts, with bars from the least to the greatest.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    metric = shown(found)[0]
+    finished = [row for row in found if row.metrics.get(metric) is not None]
+    if not finished or len(grouped(finished, AVERAGED)) < 2:
+        path.unlink(missing_ok=True)
+        return
+    against = ["frames", "seconds"] if len({row.metrics["frames"] for row in finished}) > 1 else ["seconds"]
+    figure = Figure(figsize=(6 * len(against), 4.5), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    lines = _lines(finished)
+    for axes, x in zip(figure.subplots(1, len(against), squeeze=False)[0], against, strict=True):
+        for label, groups in lines.items():
+            _draw(axes, groups, x, metric, label)
+        axes.set(xlabel=x, ylabel=SHOWN[metric][0])
+        axes.grid(alpha=0.3)
+        if x == "seconds":
+            axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.xaxis.set_major_formatter("{x:g}")
+        else:
+            axes.set_xticks(sorted({row.metrics["frames"] for row in finished}))
+    if len(lines) > 1 and len(lines) <= 20:
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    with replace(path) as part:
+        part.write_bytes(buffer.getvalue())
+
+
+def _lines(found: Sequence[Row]) -> dict[str, list[Group]]:
+    """Groups that differ in the number of frames only, by what they have in common."""
+    lines: dict[str, list[Group]] = {}
+    for group in grouped(found, AVERAGED):
+        label = ", ".join(value for key, value in group.values.items() if key != FRAMES)
+        lines.setdefault(label, []).append(group)
+    return lines
+
+
+def _draw(axes: Any, groups: Sequence[Group], x: str, metric: str, label: str) -> None:
+    """A line through the medians, with bars from the least to the greatest."""
+    ordered = sorted(groups, key=lambda group: group.spread("frames") or ())
+    (across, aside), (up, beside) = (_bars([group.spread(each) for group in ordered]) for each in (x, metric))
+    axes.errorbar(
+        across, up, xerr=aside, yerr=beside, marker="o", markersize=4, capsize=2, linewidth=1, label=label
+    )
+
+
+def _bars(spreads: Sequence[Any]) -> tuple[list[float], list[list[float]]]:
+    """Medians, and how far the least and the greatest are from them."""
+    middles = [middle for middle, _, _ in spreads]
+    return middles, [
+        [middle - least for middle, least, _ in spreads],
+        [most - middle for middle, _, most in spreads],
+    ]

@@ -1,0 +1,104 @@
+"""A sweep from its settings to its table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deepir.config import load
+from deepir.errors import ConfigError
+from deepir.sweep import cluster, table
+from deepir.sweep.axes import Axis
+from deepir.sweep.cells import Cell, cells, check, check_inputs
+
+
+@dataclass
+class Sweep:
+    """Cells that are checked, in a folder, and what went wrong with them so far."""
+
+    folder: Path
+    cells: list[Cell]
+    workers: int
+    errors: dict[str, str] = field(default_factory=dict)
+
+    def todo(self) -> list[Cell]:
+        """What is not finished."""
+        return [cell for cell in self.cells if cell.state() != "finished"]
+
+    def run(
+        self, say: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]
+    ) -> None:
+        """Finish all cells; `say` hears of each as it ends."""
+        if todo := self.todo():
+            workers = min(self.workers, len(todo))
+            for cell, error in cluster.outcomes(todo, workers=workers, scheduler=scheduler, plugins=plugins):
+                if error is not None:
+                    self.errors[cell.name] = error
+                say(cell, error)
+
+    def write(self, title: str) -> list[table.Row]:
+        """Write `table.csv`, `table.md` and `quality.png`; the rows."""
+        from deepir.sweep.plots import write_plots
+
+        found = table.rows(self.cells, self.errors)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        table.write_markdown(self.folder / "table.md", found, title)
+        table.write_csv(self.folder / "table.csv", found)
+        write_plots(self.folder / "quality.png", found)
+        return found
+
+
+def prepare(
+    name: str,
+    settings: Sequence[str],
+    axes: Sequence[Axis],
+    *,
+    folder: Path,
+    workers: int | None = None,
+    remote: bool = False,
+    overwrite: bool = False,
+) -> Sweep:
+    """Check everything, and say which runs there will be.
+
+    There are as many workers as cores, or as cells if those are fewer, and each run has its share of the cores as
+    threads, or the `threads` that it names. On workers elsewhere (`remote`) it has one.
+
+    Args:
+        name: The configuration.
+        settings: `key=value`, for all cells.
+        axes: What varies.
+        folder: Where the cells' folders go, unless `output.dir` says.
+        workers: How many processes; None: as above.
+        remote: The workers are those of another cluster.
+        overwrite: Remove what former sweeps left of these cells.
+
+    Raises:
+        DeepIRError: A setting, a file or the folder is wrong; nothing is written.
+    """
+    cluster.demand_dask()
+    if any(axis.key.partition(".")[0] == "output" for axis in axes):
+        raise ConfigError(
+            "output.dir: the results of all cells go into one folder, each into its own within it"
+        )
+    if not axes:
+        raise ConfigError("nothing varies: list values with commas, for example prior=tv,dip seed=0,1,2")
+    first = load(name, [*settings, *(each for axis in axes for each in next(iter(axis.choices.values())))])
+    base = Path(first.output.dir or folder).expanduser().absolute()
+    cores = cluster.cores()
+    count = workers or min(
+        math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1))
+    )
+    found = cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
+    table.check_free(base)
+    if overwrite:
+        for cell in found:
+            cell.folder.check_free(overwrite=True)
+        check(found)
+        for cell in found:
+            cell.folder.discard([cell.folder.path])
+    else:
+        check([cell for cell in found if cell.state() != "finished"])
+        check_inputs(found)
+    return Sweep(base, found, count)

@@ -1,0 +1,156 @@
+"""What came out of a sweep: a row for each cell, and medians over seeds."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from deepir.errors import ConfigError
+from deepir.io import replace
+from deepir.sweep.axes import REPEATS
+from deepir.sweep.cells import Cell
+
+#: What the table shows of `metrics.json`: heading, and decimals (None: three digits). `table.csv` has all numbers.
+SHOWN = {
+    "psnr_aligned": ("PSNR (dB)", 2),
+    "radiometric_rmse": ("radiometric error", None),
+    "held_out_rmse": ("held-out error", None),
+    "seconds": ("seconds", None),
+}
+HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A cell's values by axis, its numbers (empty if it is not finished), and what is wrong with it."""
+
+    name: str
+    values: Mapping[str, str]
+    metrics: Mapping[str, Any]
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cells that differ in seeds only."""
+
+    values: Mapping[str, str]
+    rows: Sequence[Row]
+
+    def spread(self, metric: str) -> tuple[float, float, float] | None:
+        """Median, least and greatest of a metric over the cells that have it."""
+        found = [row.metrics[metric] for row in self.rows if row.metrics.get(metric) is not None]
+        return (median(found), min(found), max(found)) if found else None
+
+
+def rows(cells: Sequence[Cell], errors: Mapping[str, str]) -> list[Row]:
+    """A row for each cell; `errors` by the cells' names."""
+    return [Row(cell.name, cell.values, _metrics(cell), errors.get(cell.name, "")) for cell in cells]
+
+
+def grouped(found: Sequence[Row], without: Sequence[str] = REPEATS) -> list[Group]:
+    """The rows by their values, those of the axes `without` left out, in order."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    keys = [key for key in found[0].values if key not in without]
+    for row in found:
+        groups.setdefault(tuple(row.values[key] for key in keys), []).append(row)
+    return [Group(dict(zip(keys, values, strict=True)), each) for values, each in groups.items()]
+
+
+def shown(found: Sequence[Row]) -> list[str]:
+    """The metrics that the table shows: the held-out error only where there is no truth."""
+    truth = any("psnr_aligned" in row.metrics for row in found)
+    unknown = ("held_out_rmse",) if truth else ("psnr_aligned", "radiometric_rmse")
+    return [metric for metric in SHOWN if metric not in unknown]
+
+
+def lines(found: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
+    """Headings and cells of the table: a line for each group, medians with the least and the greatest."""
+    groups, metrics = grouped(found), shown(found)
+    heads = [*groups[0].values, "finished", *(SHOWN[metric][0] for metric in metrics)]
+    body = []
+    for group in groups:
+        done = sum(bool(row.metrics) for row in group.rows)
+        figures = [_figure(group.spread(metric), SHOWN[metric][1]) for metric in metrics]
+        body.append([*group.values.values(), f"{done}/{len(group.rows)}", *figures])
+    return heads, body
+
+
+def figures(cell: Cell) -> str:
+    """What came out of one cell, in a line."""
+    found = rows([cell], {})
+    heads, (body,) = lines(found)
+    return ", ".join(
+        f"{head} {each}" for head, each in list(zip(heads, body, strict=True))[-len(shown(found)) :]
+    )
+
+
+def markdown(found: Sequence[Row], title: str) -> str:
+    """The table as a page, with what failed."""
+    heads, body = lines(found)
+    table = [heads, ["---"] * len(heads), *([cell.replace("|", "\\|") for cell in line] for line in body)]
+    text = "".join(f"| {' | '.join(line)} |\n" for line in table)
+    repeated = any(len(group.rows) > 1 for group in grouped(found))
+    note = "Medians over seeds, with the least and the greatest.\n\n" if repeated else ""
+    failed = "".join(f"- `{row.name}`: {row.error}\n" for row in found if row.error)
+    return f"{HEADER}# Results\n\n`{title}`\n\n{note}{text}" + (f"\nFailed:\n\n{failed}" if failed else "")
+
+
+def write_csv(path: Path, found: Sequence[Row]) -> None:
+    """A line for each cell, with all its numbers."""
+    names = {
+        name: None
+        for row in found
+        for name, value in row.metrics.items()
+        if isinstance(value, int | float | str) and name not in row.values
+    }
+    stream = io.StringIO()
+    writer = csv.DictWriter(
+        stream, [*found[0].values, *names, "error"], extrasaction="ignore", lineterminator="\n"
+    )
+    writer.writeheader()
+    for row in found:
+        writer.writerow({**row.metrics, **row.values, "error": row.error})
+    with replace(path) as part:
+        part.write_text(stream.getvalue(), encoding="utf-8")
+
+
+def write_markdown(path: Path, found: Sequence[Row], title: str) -> None:
+    """The table, and what failed."""
+    with replace(path) as part:
+        part.write_text(markdown(found, title), encoding="utf-8")
+
+
+def check_free(folder: Path) -> None:
+    """Raise `ConfigError` if the folder holds a table that no sweep wrote."""
+    page = folder / "table.md"
+    try:
+        ours = page.is_file() and page.read_text(encoding="utf-8").startswith(HEADER)
+    except (OSError, UnicodeDecodeError):
+        ours = False
+    for name in ("table.md", "table.csv", "quality.png"):
+        if not ours and (folder / name).exists():
+            raise ConfigError(
+                f"output.dir: {folder} holds {name}, which no comparison wrote; give another folder with output.dir=DIR"
+            )
+
+
+def _metrics(cell: Cell) -> dict[str, Any]:
+    try:
+        found = json.loads((cell.folder.path / "metrics.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _figure(spread: tuple[float, float, float] | None, decimals: int | None) -> str:
+    if spread is None:
+        return "–"
+    middle, least, most = (f"{each:.3g}" if decimals is None else f"{each:.{decimals}f}" for each in spread)
+    return middle if least == most else f"{middle} ({least} to {most})"

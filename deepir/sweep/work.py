@@ -1,0 +1,41 @@
+"""What a worker does: one cell."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from deepir.errors import DeepIRError
+from deepir.registry import load_plugin
+from deepir.stored import resume, run_into
+from deepir.sweep.cells import Cell
+
+#: torch's seed and the package's log belong to the process: it does one run at a time.
+ALONE = threading.Lock()
+
+
+def finish(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
+    """Run a cell, or go on with it where a lost worker left it; what is wrong with it, in one line, or None."""
+    with ALONE:
+        try:
+            for each in plugins:
+                load_plugin(each)
+            _forget_peak_memory()
+            state = cell.folder.state()
+            if state == "interrupted":
+                resume(cell.folder.path, plugins=plugins)
+            elif state == "new":
+                run_into(cell.config, cell.folder.path, plugins=plugins)
+        except DeepIRError as error:
+            return " ".join(str(error).split())
+        except Exception as error:  # whatever it is, it ends this cell only
+            return " ".join(f"{type(error).__name__}: {error}".split())
+    return None
+
+
+def _forget_peak_memory() -> None:
+    """Linux then counts this process's peak anew; elsewhere it is that of all cells so far."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

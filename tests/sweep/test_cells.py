@@ -1,0 +1,129 @@
+"""Which runs there are, and what is wrong with them before anything runs."""
+
+import shlex
+
+import numpy as np
+import pytest
+from documentation import ROOT, blocks
+
+from deepir.errors import ConfigError, DataError
+from deepir.stored import run_into
+from deepir.sweep.axes import listed
+from deepir.sweep.cells import cells, check, check_inputs
+from deepir.sweep.sweep import prepare
+
+SMALL = "data.simulate={counts: true, shape: [40, 48], max_shift: 4}"
+
+
+@pytest.fixture
+def made(tmp_path):
+    """Cells of settings."""
+
+    def make(*settings):
+        fixed, axes = listed([SMALL, *settings])
+        return cells("nuc", fixed, axes, tmp_path, 1)
+
+    return make
+
+
+def test_there_is_a_cell_for_each_combination_in_order(made, tmp_path):
+    found = made("method=joint,average", "seed=0,1")
+    assert [cell.name for cell in found] == [
+        f"method={method},seed={seed}" for method in ("joint", "average") for seed in (0, 1)
+    ]
+    assert [(cell.config.method, cell.config.seed) for cell in found][1] == ("joint", 1)
+    assert found[1].folder.path == tmp_path / found[1].name
+
+
+def test_numbers_of_frames_are_the_first_of_one_burst(made):
+    three, seven = made("data.frames=3,7")
+    assert {cell.config.data.simulate["n_frames"] for cell in (three, seven)} == {7}
+    check([three, seven])
+
+
+def test_a_number_of_frames_that_is_simulated_stays(made):
+    (cell, _) = made("data.frames=3,4", "data.simulate.n_frames=6")
+    assert cell.config.data.simulate["n_frames"] == 6
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("prior=tv,tvv", "did you mean 'tv'"),
+        ("seed=0,x", "'seed=x'"),
+        ("sede=0,1", "did you mean 'seed'"),
+        ("method=joint,avrage", r"method=avrage: .*did you mean 'average'"),
+        ("data.simulate.motion=rigid,rigit", r"motion=rigit: .*did you mean 'rigid'"),
+        ("data.simulate.scene=camera,camra", "did you mean 'camera'"),
+        ("data.simulate.noise=1,2", "no option 'noise'"),
+        ("physics.sensor.gain=column,colum", "did you mean 'column'"),
+        ("data.frames=3,2:3", "frame 0"),
+        ("data.path=a.npz,b.npz", "path or simulate, not both"),
+        ("data.crop=[0,20,0,20],[0,99,0,9]", "not inside"),
+        ("data.simulate.scene=sky:1,sky-1,sky.1", "sky-1"),
+    ],
+)
+def test_a_wrong_value_is_found_before_anything_runs(made, tmp_path, setting, says):
+    with pytest.raises((ConfigError, DataError), match=says):
+        check(made("seed=0,1", setting))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_values_that_would_share_a_folder_are_refused(made):
+    with pytest.raises(ConfigError, match="two cells would have this folder"):
+        made("data.simulate.shape=[40,48],[40 48]")
+
+
+def test_a_finished_cell_of_another_configuration_is_refused(made):
+    cell, _ = made("method=average,joint")
+    run_into(cell.config, cell.folder.path)
+    assert cell.state() == "finished"
+    assert made("method=average,joint", "threads=2")[0].state() == "finished"
+    with pytest.raises(ConfigError, match=r"holds a run with solver.max_iterations=None, not 3.*--overwrite"):
+        made("method=average,joint", "solver.max_iterations=3")[0].state()
+
+
+def test_a_finished_cell_of_other_data_is_refused(tmp_path, burst):
+    np.savez(tmp_path / "burst.npz", frames=burst.frames)
+    settings = [f"data.path={tmp_path}/burst.npz", "method=average,joint"]
+    fixed, axes = listed(settings)
+    found = cells("nuc", fixed, axes, tmp_path, 1)
+    run_into(found[0].config, found[0].folder.path)
+    check_inputs(found)
+    np.savez(tmp_path / "burst.npz", frames=burst.frames[::-1])
+    with pytest.raises(ConfigError, match=r"burst.npz has changed"):
+        check_inputs(found)
+
+
+@pytest.mark.parametrize(
+    ("given", "count", "cores", "workers", "threads"),
+    [((), 3, 4, 3, 1), ((), 2, 8, 2, 4), (("threads=2",), 6, 4, 2, 2), ((), 9, 4, 4, 1)],
+)
+def test_runs_share_out_the_cores(tmp_path, monkeypatch, given, count, cores, workers, threads):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("deepir.sweep.cluster.cores", lambda: cores)
+    fixed, axes = listed([SMALL, "method=average", *given, f"seed={','.join(map(str, range(count)))}"])
+    sweep = prepare("nuc", fixed, axes, folder=tmp_path)
+    assert sweep.workers == workers
+    assert {cell.config.threads for cell in sweep.cells} == {threads}
+
+
+def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"pip install 'deepir\[compare\]'"):
+        prepare("nuc", [], [], folder=tmp_path)
+
+
+def test_the_comparison_that_is_documented_is_one(tmp_path):
+    text = next(text for _, text in blocks(ROOT / "docs/ablations.md", "sh") if "compare" in text)
+    _, _, name, *settings = shlex.split(text)
+    fixed, axes = listed(settings)
+    assert len(cells(name, fixed, axes, tmp_path, 1)) == 36
+
+
+def test_a_run_that_takes_its_worker_down_each_time_is_given_up():
+    distributed = pytest.importorskip("distributed")
+    from deepir.sweep.cluster import _failure
+
+    assert "its workers died" in _failure(distributed.KilledWorker("a", None, 3))
+    assert _failure(ValueError("not\nthis")) == "ValueError: not this"

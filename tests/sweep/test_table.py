@@ -1,0 +1,84 @@
+"""What came out, in numbers and pictures."""
+
+import csv
+
+import pytest
+from PIL import Image
+
+from deepir.errors import ConfigError
+from deepir.sweep.plots import write_plots
+from deepir.sweep.table import Row, check_free, grouped, lines, markdown, write_csv, write_markdown
+
+
+def row(prior, frames, seed, psnr=None, error=""):
+    values = {"prior": prior, "data.frames": str(frames), "seed": str(seed)}
+    metrics = {"psnr_aligned": psnr, "seconds": 1.0 + seed, "frames": frames, "prior": prior}
+    return Row(f"{prior}{frames}{seed}", values, metrics if psnr else {}, error)
+
+
+@pytest.fixture
+def rows():
+    return [
+        row(prior, frames, seed, 30 + frames + seed**2)
+        for prior in ("tv", "dip")
+        for frames in (3, 5)
+        for seed in (0, 1, 2)
+    ]
+
+
+def test_cells_that_differ_in_seeds_are_one_line_with_median_and_range(rows):
+    heads, body = lines(rows)
+    assert heads == ["prior", "data.frames", "finished", "PSNR (dB)", "radiometric error", "seconds"]
+    assert body[0] == ["tv", "3", "3/3", "34.00 (33.00 to 37.00)", "–", "2 (1 to 3)"]
+    assert [line[:2] for line in body] == [["tv", "3"], ["tv", "5"], ["dip", "3"], ["dip", "5"]]
+
+
+def test_what_failed_is_counted_and_explained(rows):
+    rows[0] = row("tv", 3, 0, error="it | did not work")
+    assert lines(rows)[1][0][2:4] == ["2/3", "35.50 (34.00 to 37.00)"]
+    assert "Failed:\n\n- `tv30`: it | did not work\n" in markdown(rows, "deepir compare")
+
+
+def test_without_truth_the_held_out_error_is_shown():
+    rows = [Row("a", {"prior": "tv"}, {"held_out_rmse": 4.0, "seconds": 2.0})]
+    assert lines(rows) == (["prior", "finished", "held-out error", "seconds"], [["tv", "1/1", "4", "2"]])
+
+
+def test_the_csv_has_a_line_for_each_cell_and_each_column_once(rows, tmp_path):
+    write_csv(tmp_path / "table.csv", [*rows, row("tv", 5, 3, error="no, not this")])
+    with (tmp_path / "table.csv").open() as file:
+        found = list(csv.DictReader(file))
+        assert found[0].keys() == {
+            "prior",
+            "data.frames",
+            "seed",
+            "psnr_aligned",
+            "seconds",
+            "frames",
+            "error",
+        }
+    assert len(found) == len(rows) + 1
+    assert found[-1]["error"] == "no, not this"
+    assert found[1]["psnr_aligned"] == "34"
+
+
+def test_groups_leave_out_the_axes_that_are_averaged(rows):
+    assert len(grouped(rows)) == 4
+    assert [len(group.rows) for group in grouped(rows, ("seed", "data.frames"))] == [6, 6]
+
+
+def test_plots_are_drawn_and_those_of_one_point_are_not(rows, tmp_path):
+    path = tmp_path / "quality.png"
+    write_plots(path, rows)
+    with Image.open(path) as picture:
+        assert picture.width > 1000
+    write_plots(path, rows[:3])
+    assert not path.exists()
+
+
+def test_a_table_that_no_sweep_wrote_is_safe(rows, tmp_path):
+    (tmp_path / "table.csv").write_text("mine")
+    with pytest.raises(ConfigError, match=r"table.csv, which no comparison wrote"):
+        check_free(tmp_path)
+    write_markdown(tmp_path / "table.md", rows, "deepir compare")
+    check_free(tmp_path)
