@@ -22,6 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.elimination import COLUMN, PIXEL, ROW
+from deepir.noise import typical_noise
 from deepir.operators import Sensor, Warp
 from deepir.operators.warp import coords
 from deepir.penalties.penalty import squared_gradient
@@ -30,6 +31,7 @@ from deepir.priors.motion import Motion
 from deepir.priors.pixels import Pixels
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
+from deepir.thin import thinned
 
 POINTS = 40  # along each axis, where the frames are sampled for the dense system
 PLACES = 5  # along each axis, at which the motion is taken
@@ -38,10 +40,15 @@ RIDGE = 1e-4  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
 #: to run to where a weak prior has its optimum: pattern in the scene.
 FLOOR = 0.3
+SLOW = 8  # times as many waves along an axis as slow ones
+CELLS = 64  # along each axis, in which the mean over all waves is taken
 
 
 class Curvature:
-    """An approximate inverse Hessian for some parameters of a problem, the scene's pixels among them."""
+    """An approximate inverse Hessian for some parameters of a problem, the scene's pixels among them.
+
+    Slow waves are cosines, the `SLOW`-th part of all along each axis; the others curve about alike.
+    """
 
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
@@ -54,22 +61,38 @@ class Curvature:
         self.basis = Shading(tuple(parameters[self.scene].shape)).to(problem.data.device)
         drift = next((f for f in mine if isinstance(f, Drift) and f.sigma > 0), None)
         self.tensors = _tensors(problem, mine, self.basis, drift, eliminated)
+        #: Along each axis, cosines and then polynomials.
+        self.along = [
+            torch.cat((_cosines(polynomials.shape[1], count).to(polynomials), polynomials)).to(
+                parameters[self.scene]
+            )
+            for polynomials, count in zip(
+                (self.basis.in_y, self.basis.in_x), self.tensors["waves"].shape, strict=True
+            )
+        ]
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
         """The approximate inverse Hessian times a flat gradient."""
-        given = slope.split(self.sizes)
-        found = [each * scale for each, scale in zip(given, self.tensors["scales"], strict=True)]
-        scene = given[self.scene].reshape(self.basis.shape[-2:])
-        waves = torch.fft.irfft2(torch.fft.rfft2(scene) * self.tensors["waves"], s=scene.shape)
-        slow = self.basis.sums(scene.double())
+        found = torch.empty_like(slope)
+        given, into = slope.split(self.sizes), found.split(self.sizes)
+        for each, out, scale in zip(given, into, self.tensors["scales"], strict=True):
+            torch.mul(each, scale, out=out)
+        in_y, in_x = (each.to(slope) for each in self.along)
+        sums = in_y @ given[self.scene].reshape(in_y.shape[1], -1) @ in_x.T
+        waves = self.tensors["waves"]
+        of_y, of_x = self.basis.of_y + len(waves), self.basis.of_x + waves.shape[1]
+        slow = sums[of_y, of_x].double()
         if self.drift is not None:
             slow = torch.cat((slow, given[self.drift].double()))
         slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(self.basis.white)])
-        found[self.scene] = (waves + self.basis.spread(slow)).to(slope).flatten()
+        spectrum = torch.zeros_like(sums)
+        spectrum[: len(waves), : waves.shape[1]] = waves * sums[: len(waves), : waves.shape[1]]
+        spectrum[of_y, of_x] = slow.to(slope)
+        into[self.scene].view(in_y.shape[1], -1).addmm_(in_y.T, spectrum @ in_x)
         if self.drift is not None:
-            found[self.drift] = levels.to(slope)
-        return torch.cat(found)
+            into[self.drift].copy_(levels)
+        return found
 
 
 def curvature(
@@ -88,7 +111,8 @@ def modelled(problem: Problem) -> bool:
     stages = [type(stage) for _, stage in problem.operator.named()]
     if not isinstance(problem.fields["scene"], Pixels) or stages != [Warp, Sensor] or len(problem.data) < 2:
         return False
-    level, spread = torch.var_mean(problem.data[problem.precision > 0])[::-1]
+    data, precision = thinned(problem.data, problem.precision)
+    level, spread = torch.var_mean(data[precision > 0])[::-1]
     return bool(level.abs() > PEDESTAL * spread.sqrt())
 
 
@@ -96,18 +120,14 @@ def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
     """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`."""
     if not modelled(problem):
         return None
-    values = problem.values()
-    motion = values[problem.slots["warp.motion"]].double()
-    precision = float(problem.precision[problem.precision > 0].median())
-    shared = _shared(problem, eliminated, precision, len(motion), values["scene"].shape[-2:])
-    found = _waves(problem, motion, precision, shared.to(motion.device), values["scene"])
+    scene = problem.values()["scene"]
+    found = _waves(problem, eliminated, scene, *_frequencies(scene.shape[-2:], scene.device))
     return found.clamp(min=RIDGE * float(found.mean()))
 
 
 def spline_response(problem: Problem) -> Tensor:
     """Squared response, along each wave, of the spline at the pixels to its coefficients."""
-    y, x = _frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
-    return ((2 + y.cos()) / 3 * (2 + x.cos()) / 3).square()
+    return _response(*_frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
 
 
 @torch.no_grad()
@@ -118,31 +138,45 @@ def _tensors(
     drift: Drift | None,
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
-    """`waves` (H, W / 2 + 1), inverse curvatures; `slow`, that of polynomials and levels; `scales` of all others."""
+    """`waves`, inverse curvatures of slow ones less that of the others; `slow`, that of polynomials and levels; `scales`
+    of all others.
+    """
     values = problem.values()
     motion = values[problem.slots["warp.motion"]].double()
     scene: Any = problem.fields["scene"]
     unit = float(scene.scale) ** 2
-    precision = float(problem.precision[problem.precision > 0].median())
-    shared = _shared(problem, eliminated, precision, len(motion), scene.values.shape[-2:])
-    waves = unit * _waves(problem, motion, precision, shared.to(motion.device), values["scene"])
-    waves = waves.clamp(min=FLOOR * float(waves.mean()))
-    waves[0, 0] = waves.mean()  # the level, which no burst shows, is to stay where it is
+    precision = typical_noise(problem.precision) ** -2
+    middles = torch.arange(0.5, CELLS, dtype=torch.float64, device=motion.device) * math.pi / CELLS
+    y, x = (
+        torch.arange(-(-side // SLOW), dtype=torch.float64, device=motion.device) * math.pi / side
+        for side in scene.shape[-2:]
+    )
+    mean, waves = (
+        # A cosine is two waves.
+        sum(_waves(problem, eliminated, values["scene"], sign * of_y[:, None], of_x) for sign in (1, -1)) / 2
+        for of_y, of_x in ((middles, middles), (y, x))
+    )
+    mean = float(mean.mean())
+    waves = waves.clamp(min=FLOOR * mean)
+    waves[0, 0] = mean  # the level, which no burst shows, is to stay where it is
+    rest = 1 / (unit * mean)
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
     scales = []
     for field in fields:
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
-        scales.append(1 / known if known > 0 else float((1 / waves).mean()))
+        scales.append(1 / known if known > 0 else rest)
     slow = _slow(problem, motion, precision, basis, drift)
     if not eliminated:
         slow = torch.zeros_like(slow)
-    return {"waves": (1 / waves).to(scene.values), "slow": slow, "scales": torch.tensor(scales)}
+    waves = (1 / (unit * waves) - rest).to(scene.values)
+    return {"waves": waves, "slow": slow, "scales": torch.tensor(scales)}
 
 
 def _variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int, ...], float]:
     """Variance of the free pattern in the data's units, by the axes along which it is constant."""
-    level = float(problem.data[problem.precision > 0].mean())
+    data, counts = thinned(problem.data, problem.precision)
+    level = float(data[counts > 0].mean())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0}
     for slot, unit in (("sensor.gain", level), ("sensor.offset", 1.0)):
         name = problem.slots[slot]
@@ -152,41 +186,55 @@ def _variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int,
     return found
 
 
-def _shared(
-    problem: Problem, eliminated: Collection[str], precision: float, count: int, size: Sequence[int]
-) -> Tensor:
-    """`n + 1 / (w V)` for each wave: a pattern constant along columns is all in the waves that are so, too."""
-    variance = _variances(problem, eliminated)
-    height, width = size
-    each = torch.full((height, width // 2 + 1), variance[PIXEL], dtype=torch.float64)
-    # In part also in their neighbours: the camera moves over them.
-    y, x = height * torch.fft.fftfreq(height), torch.arange(width // 2 + 1)
-    each += height * variance[COLUMN] / (math.pi * (1 + y.double().square()))[:, None]
-    each += width * variance[ROW] / (math.pi * (1 + x.double().square()))
-    return count + 1 / (precision * each).clamp(min=1e-9)
-
-
-def _waves(problem: Problem, motion: Tensor, precision: float, shared: Tensor, scene: Tensor) -> Tensor:
-    """Curvature along each wave of a real Fourier transform, in units of the scene."""
-    y, x = _frequencies(scene.shape[-2:], motion.device)
-    common = _common(motion, problem.data.shape[-2:], y, x)
-    data = precision * spline_response(problem) * (len(motion) - common / shared)
+def _waves(problem: Problem, eliminated: Collection[str], scene: Tensor, y: Tensor, x: Tensor) -> Tensor:
+    """Curvature along waves of frequencies y (ny, 1) and x (nx,), radians a px, (ny, nx), in units of the scene."""
+    motion = problem.values()[problem.slots["warp.motion"]].double()
+    precision = typical_noise(problem.precision) ** -2
+    told = torch.full((), float(len(motion)), device=motion.device)
+    if eliminated:
+        shared = _shared(problem, eliminated, precision, len(motion), scene.shape[-2:], y, x)
+        told = told - _common(motion, problem.data.shape[-2:], y, x) / shared
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
     of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
-    return data + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+    y, x = y.float(), x.float()
+    return precision * _response(y, x) * told + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+
+
+def _response(y: Tensor, x: Tensor) -> Tensor:
+    return ((2 + y.cos()) / 3 * (2 + x.cos()) / 3).square()
+
+
+def _shared(
+    problem: Problem,
+    eliminated: Collection[str],
+    precision: float,
+    count: int,
+    size: Sequence[int],
+    y: Tensor,
+    x: Tensor,
+) -> Tensor:
+    """`n + 1 / (w V)` for each wave: a pattern constant along columns is all in the waves that are so, too."""
+    variance, (height, width) = _variances(problem, eliminated), size
+    # In part also in their neighbours: the camera moves over them.
+    columns = height * variance[COLUMN] / (math.pi * (1 + (y * height / (2 * math.pi)).square()))
+    rows = width * variance[ROW] / (math.pi * (1 + (x * width / (2 * math.pi)).square()))
+    each = (variance[PIXEL] + columns).float() + rows.float()
+    return count + 1 / (precision * each).clamp(min=1e-9)
 
 
 def _common(motion: Tensor, size: Sequence[int], y: Tensor, x: Tensor) -> Tensor:
     """`|Σ_j exp(i k d_j)|²`, the mean over the frame: where the camera turns, d differs from place to place."""
-    total = torch.zeros((), dtype=y.dtype, device=y.device)
+    total = torch.zeros(len(y), len(x), device=y.device)
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
     for at in torch.cartesian_prod(parts * size[1], parts * size[0]):
         moved = motion @ torch.cat((at, at.new_ones(1)))
         shift = moved[:, :2] / moved[:, 2:] - at
-        phases = (y * shift[:, 1], x * shift[:, :1])  # (H, N) and (N, W / 2 + 1)
-        along_y, along_x = (torch.polar(torch.ones_like(each), each) for each in phases)
-        total = total + (along_y @ along_x).abs().square()
+        along_y, along_x = y * shift[:, 1], x * shift[:, :1]  # (ny, N) and (N, nx)
+        cos, sin = along_y.cos().float(), along_y.sin().float()
+        both = torch.cat((along_x.cos(), along_x.sin())).float()
+        real, imaginary = torch.cat((cos, -sin), 1) @ both, torch.cat((sin, cos), 1) @ both
+        total.addcmul_(real, real).addcmul_(imaginary, imaginary)
     return total / PLACES**2
 
 
@@ -195,6 +243,14 @@ def _frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Ten
     height, width = size
     y = 2 * math.pi * torch.fft.fftfreq(height, dtype=torch.float64, device=device)[:, None]
     return y, 2 * math.pi * torch.fft.rfftfreq(width, dtype=torch.float64, device=device)
+
+
+def _cosines(side: int, count: int) -> Tensor:
+    """The slowest cosines of an axis, orthonormal, (count, side), float64."""
+    place = torch.arange(0.5, side, dtype=torch.float64) * math.pi / side
+    waves = (2 / side) ** 0.5 * (torch.arange(count, dtype=torch.float64)[:, None] * place).cos()
+    waves[0] /= 2**0.5
+    return waves
 
 
 def _slow(problem: Problem, motion: Tensor, precision: float, basis: Shading, drift: Drift | None) -> Tensor:

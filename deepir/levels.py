@@ -9,8 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.noise import typical_noise
 from deepir.priors.motion import Motion
 from deepir.problem import Problem
+from deepir.thin import thinned
 
 #: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
 DRIFT = 0.25
@@ -23,8 +25,9 @@ OUTLIER = 5.0  # standard deviations at which a sample is cut off
 @torch.no_grad()
 def level_residuals(problem: Problem) -> Tensor:
     """How far each frame as a whole is above its prediction, (N, 1, 1, 1): the median over its usable samples."""
-    rest = (problem.data - problem.predict(problem.values())).where(problem.precision > 0, torch.nan)
-    return rest.flatten(1).nanmedian(1).values.nan_to_num()[:, None, None, None]
+    data, precision, expected = thinned(problem.data, problem.precision, problem.predict(problem.values()))
+    rest = (data - expected).where(precision > 0, torch.nan)
+    return rest.nanmedian(1).values.nan_to_num()[:, None, None, None]
 
 
 @torch.no_grad()
@@ -33,7 +36,8 @@ def tilt(problem: Problem) -> float:
     usable = problem.precision > 0
     rest = problem.data - problem.predict(problem.values())
     rest = rest - (rest * usable).sum(0) / usable.sum(0).clamp(min=1)
-    limit = OUTLIER * 1.5 * rest[usable].abs().median()
+    some, counts = thinned(rest, usable)
+    limit = OUTLIER * 1.5 * some[counts].abs().median()
     rest = (rest - level_residuals(problem)).clamp(-limit, limit) * usable
     slopes = []
     for axis in (-1, -2):
@@ -71,7 +75,7 @@ def drift_strength(problem: Problem, levels: Tensor) -> float:
         drift = float((rest.square().sum() / (len(levels) - 3)).sqrt())
     elif tilt(problem) > TILTED * strength:
         return 0.0
-    noise = float(problem.precision[problem.precision > 0].rsqrt().median())
+    noise = typical_noise(problem.precision)
     return strength if drift > max(DRIFT * noise, CHANCE * chance(problem)) else 0.0
 
 
@@ -102,7 +106,7 @@ def drift_message(problem: Problem) -> list[str]:
         ]
     level = level_residuals(problem)
     drift = float((level - level.mean()).abs().max())
-    noise = float(problem.precision[problem.precision > 0].rsqrt().median())
+    noise = typical_noise(problem.precision)
     if drift < DRIFT * noise:
         return []
     return [

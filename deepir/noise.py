@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.thin import thinned
+
 MAD = 1.4826  # standard deviation of a Gaussian per median absolute deviation
 
 
@@ -21,3 +23,9 @@ def sample_noise(frames: Tensor, usable: Tensor) -> float:
     whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
     found = detail[whole].abs()
     return float(MAD * torch.median(found)) if found.numel() else 0.0
+
+
+def typical_noise(precision: Tensor) -> float:
+    """Median standard deviation of the samples (N, C, h, w) that count; NaN if none does."""
+    (some,) = thinned(precision)
+    return float(some[some > 0].median().rsqrt())

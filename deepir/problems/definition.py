@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -72,22 +73,39 @@ def start_scene(problem: Problem) -> None:
     for drift in drifts:
         drift.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
         drift.sigma.fill_(1.0)  # for the turns
-    for turn in range(LEVEL_TURNS if free else 1):
-        for field in free if turn else ():
+    average, weight = problem.backproject(problem.values())
+    fill = nearest_known(weight > 0.3 * weight.max())
+    problem.fields["scene"].init_from(fill(average))
+
+    def average_again() -> None:
+        problem.fields["scene"].init_from(fill(problem.backproject(problem.values(), weight)[0]))
+
+    for _ in range(LEVEL_TURNS - 1 if free else 0):
+        for field in free:
             field.init_from(field() + level_residuals(problem))
-        average, weight = problem.backproject(problem.values())
-        problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
+        average_again()
     for drift in drifts:
         drift.sigma.fill_(drift_strength(problem, drift()))
     if drifts and not any(drift.sigma > 0 for drift in drifts):
-        average, weight = problem.backproject(problem.values())
-        problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
+        average_again()
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
     """Replace unknown pixels by the nearest known one, (S, C, H, W)."""
+    return nearest_known(known)(image)
+
+
+def nearest_known(known: Tensor) -> Callable[[Tensor], Tensor]:
+    """What `filled` does to an image, for many of them."""
     holes = (~known).cpu().numpy()
     if not holes.any():
-        return image
+        return lambda image: image
     index = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
-    return torch.from_numpy(np.ascontiguousarray(image.cpu().numpy()[tuple(index)])).to(image)
+    nearest = np.ravel_multi_index(tuple(each[holes] for each in index), holes.shape)
+    source, into = (torch.from_numpy(each).to(known.device) for each in (nearest, np.flatnonzero(holes)))
+
+    def fill(image: Tensor) -> Tensor:
+        whole = image.flatten()
+        return whole.index_copy(0, into, whole[source]).reshape(image.shape)
+
+    return fill
