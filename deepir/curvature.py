@@ -40,15 +40,10 @@ RIDGE = 1e-4  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
 #: to run to where a weak prior has its optimum: pattern in the scene.
 FLOOR = 0.3
-SLOW = 8  # times as many waves along an axis as slow ones
-CELLS = 64  # along each axis, in which the mean over all waves is taken
 
 
 class Curvature:
-    """An approximate inverse Hessian for some parameters of a problem, the scene's pixels among them.
-
-    Slow waves are cosines, the `SLOW`-th part of all along each axis; the others curve about alike.
-    """
+    """An approximate inverse Hessian for some parameters of a problem, the scene's pixels among them."""
 
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
@@ -61,15 +56,7 @@ class Curvature:
         self.basis = Shading(tuple(parameters[self.scene].shape)).to(problem.data.device)
         drift = next((f for f in mine if isinstance(f, Drift) and f.sigma > 0), None)
         self.tensors = _tensors(problem, mine, self.basis, drift, eliminated)
-        #: Along each axis, cosines and then polynomials.
-        self.along = [
-            torch.cat((_cosines(polynomials.shape[1], count).to(polynomials), polynomials)).to(
-                parameters[self.scene]
-            )
-            for polynomials, count in zip(
-                (self.basis.in_y, self.basis.in_x), self.tensors["waves"].shape, strict=True
-            )
-        ]
+        self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
@@ -78,18 +65,19 @@ class Curvature:
         given, into = slope.split(self.sizes), found.split(self.sizes)
         for each, out, scale in zip(given, into, self.tensors["scales"], strict=True):
             torch.mul(each, scale, out=out)
-        in_y, in_x = (each.to(slope) for each in self.along)
-        sums = in_y @ given[self.scene].reshape(in_y.shape[1], -1) @ in_x.T
-        waves = self.tensors["waves"]
-        of_y, of_x = self.basis.of_y + len(waves), self.basis.of_x + waves.shape[1]
+        scene = given[self.scene].reshape(self.basis.shape[-2:])
+        spectrum = torch.fft.rfft2(scene)
+        torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
+        waves = torch.fft.irfft2(spectrum, s=scene.shape)
+        in_y, in_x, (of_y, of_x) = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
+        sums = in_y @ scene @ in_x.T
         slow = sums[of_y, of_x].double()
         if self.drift is not None:
             slow = torch.cat((slow, given[self.drift].double()))
-        slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(self.basis.white)])
-        spectrum = torch.zeros_like(sums)
-        spectrum[: len(waves), : waves.shape[1]] = waves * sums[: len(waves), : waves.shape[1]]
-        spectrum[of_y, of_x] = slow.to(slope)
-        into[self.scene].view(in_y.shape[1], -1).addmm_(in_y.T, spectrum @ in_x)
+        slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(of_y)])
+        table = torch.zeros_like(sums)
+        table[of_y, of_x] = slow.to(scene)
+        torch.addmm(waves, in_y.T, table @ in_x, out=into[self.scene].view(scene.shape))
         if self.drift is not None:
             into[self.drift].copy_(levels)
         return found
@@ -138,39 +126,25 @@ def _tensors(
     drift: Drift | None,
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
-    """`waves`, inverse curvatures of slow ones less that of the others; `slow`, that of polynomials and levels; `scales`
-    of all others.
-    """
+    """`waves` (H, W / 2 + 1), inverse curvatures; `slow`, that of polynomials and levels; `scales` of all others."""
     values = problem.values()
     motion = values[problem.slots["warp.motion"]].double()
     scene: Any = problem.fields["scene"]
     unit = float(scene.scale) ** 2
     precision = typical_noise(problem.precision) ** -2
-    middles = torch.arange(0.5, CELLS, dtype=torch.float64, device=motion.device) * math.pi / CELLS
-    y, x = (
-        torch.arange(-(-side // SLOW), dtype=torch.float64, device=motion.device) * math.pi / side
-        for side in scene.shape[-2:]
-    )
-    mean, waves = (
-        # A cosine is two waves.
-        sum(_waves(problem, eliminated, values["scene"], sign * of_y[:, None], of_x) for sign in (1, -1)) / 2
-        for of_y, of_x in ((middles, middles), (y, x))
-    )
-    mean = float(mean.mean())
-    waves = waves.clamp(min=FLOOR * mean)
-    waves[0, 0] = mean  # the level, which no burst shows, is to stay where it is
-    rest = 1 / (unit * mean)
+    waves = unit * _waves(problem, eliminated, values["scene"], *_frequencies(scene.shape[-2:], motion.device))
+    mean = float(waves.mean())
+    waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
     scales = []
     for field in fields:
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
-        scales.append(1 / known if known > 0 else rest)
+        scales.append(1 / known if known > 0 else 1 / mean)
     slow = _slow(problem, motion, precision, basis, drift)
     if not eliminated:
         slow = torch.zeros_like(slow)
-    waves = (1 / (unit * waves) - rest).to(scene.values)
-    return {"waves": waves, "slow": slow, "scales": torch.tensor(scales)}
+    return {"waves": waves.reciprocal_().to(scene.values), "slow": slow, "scales": torch.tensor(scales)}
 
 
 def _variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int, ...], float]:
@@ -243,14 +217,6 @@ def _frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Ten
     height, width = size
     y = 2 * math.pi * torch.fft.fftfreq(height, dtype=torch.float64, device=device)[:, None]
     return y, 2 * math.pi * torch.fft.rfftfreq(width, dtype=torch.float64, device=device)
-
-
-def _cosines(side: int, count: int) -> Tensor:
-    """The slowest cosines of an axis, orthonormal, (count, side), float64."""
-    place = torch.arange(0.5, side, dtype=torch.float64) * math.pi / side
-    waves = (2 / side) ** 0.5 * (torch.arange(count, dtype=torch.float64)[:, None] * place).cos()
-    waves[0] /= 2**0.5
-    return waves
 
 
 def _slow(problem: Problem, motion: Tensor, precision: float, basis: Shading, drift: Drift | None) -> Tensor:

@@ -15,6 +15,7 @@ import torch
 
 import deepir
 from deepir import burst as bursts
+from deepir import memory
 from deepir.build import build
 from deepir.config import Config, load
 from deepir.errors import ConfigError
@@ -95,7 +96,8 @@ def execute(
     start = time.perf_counter()
     try:
         method = lookup("method", config.method)
-        result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
+        with memory.kept():
+            result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     finally:
         torch.set_num_threads(threads)
     seconds = time.perf_counter() - start
