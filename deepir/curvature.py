@@ -24,7 +24,6 @@ from torch import Tensor, nn
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.noise import typical_noise
 from deepir.operators import Sensor, Warp
-from deepir.operators.warp import coords
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
@@ -224,9 +223,13 @@ def _slow(problem: Problem, motion: Tensor, precision: float, basis: Shading, dr
     warp: Any = problem.operator.named()[0][1]
     scene: Any = problem.fields["scene"]
     height, width = warp.size
-    stride = max(height // POINTS, 1), max(width // POINTS, 1)
-    points = coords(warp.place @ motion, warp.size)[:, :: stride[0], :: stride[1]].flatten(1, 2)
-    seen = basis.at(points[..., 1], points[..., 0]) * float(scene.scale)
+    y, x = (
+        torch.arange(0, side, max(side // POINTS, 1), dtype=motion.dtype, device=motion.device)
+        - (side - 1) / 2
+        for side in (height, width)
+    )
+    points = torch.cartesian_prod(x, y, torch.ones_like(x[:1])) @ (warp.place @ motion).mT
+    seen = basis.at(*(points[..., i] / points[..., 2] for i in (1, 0))) * float(scene.scale)
     if drift is not None:
         levels = torch.eye(len(motion), dtype=seen.dtype, device=seen.device) - 1 / len(motion)
         levels = float(drift.step) * levels[:, None].expand(-1, seen.shape[1], -1)

@@ -17,6 +17,7 @@ from deepir.problem import Problem
 from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import start_parts, weigh_scene
+from deepir.thin import thinned
 
 LEVEL_TURNS = 4  # of scene and level, for the start of a free level
 
@@ -57,7 +58,8 @@ def start_precision(problem: Problem) -> None:
         return
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
-    spread = float(problem.data[usable].std())
+    data, counts = thinned(problem.data, usable)
+    spread = float(data[counts].std())
     sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
     problem.precision.copy_(usable / sigma**2)
 
@@ -70,8 +72,9 @@ def start_scene(problem: Problem) -> None:
     """
     free = [problem.fields[name] for name in level_names(problem) if name in problem.free()]
     drifts = [field for field in free if isinstance(field, Drift) and not field.given]
+    data, precision = thinned(problem.data, problem.precision)
     for drift in drifts:
-        drift.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
+        drift.step.copy_(data[precision > 0].std() / problem.data[0].numel() ** 0.5)
         drift.sigma.fill_(1.0)  # for the turns
     average, weight = problem.backproject(problem.values())
     fill = nearest_known(weight > 0.3 * weight.max())
