@@ -68,7 +68,11 @@ class Curvature:
         spectrum = torch.fft.rfft2(scene)
         torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
         waves = torch.fft.irfft2(spectrum, s=scene.shape)
-        in_y, in_x, (of_y, of_x) = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
+        in_y, in_x, (of_y, of_x) = (
+            self.in_y.to(scene),
+            self.in_x.to(scene),
+            (self.basis.of_y, self.basis.of_x),
+        )
         sums = in_y @ scene @ in_x.T
         slow = sums[of_y, of_x].double()
         if self.drift is not None:
@@ -131,7 +135,9 @@ def _tensors(
     scene: Any = problem.fields["scene"]
     unit = float(scene.scale) ** 2
     precision = typical_noise(problem.precision) ** -2
-    waves = unit * _waves(problem, eliminated, values["scene"], *_frequencies(scene.shape[-2:], motion.device))
+    waves = unit * _waves(
+        problem, eliminated, values["scene"], *_frequencies(scene.shape[-2:], motion.device)
+    )
     mean = float(waves.mean())
     waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2

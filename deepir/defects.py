@@ -67,18 +67,18 @@ def _around(images: Tensor) -> Tensor:
 
 
 def _median(image: Tensor) -> Tensor:
-    """The median of each 3 x 3 neighbourhood, (1, 1, h, w): of columns in order (Paeth 1990, Graphics Gems)."""
+    """The median of each 3 x 3 neighbourhood, (1, 1, h, w): its columns are put in order, then those of a rank."""
     padded = F.pad(image, (1, 1, 1, 1), mode="replicate")
     above, here, below = (padded[..., i : i + image.shape[-2], :] for i in range(3))
     low, high = torch.minimum(above, here), torch.maximum(above, here)
     lowest, highest = torch.minimum(low, below), torch.maximum(high, below)
     middle = torch.maximum(low, torch.minimum(high, below))
-    lowest, middle, highest = (
+    low_ones, middles, high_ones = (
         [each[..., j : j + image.shape[-1]] for j in range(3)] for each in (lowest, middle, highest)
     )
-    most = torch.maximum(torch.maximum(lowest[0], lowest[1]), lowest[2])
-    least = torch.minimum(torch.minimum(highest[0], highest[1]), highest[2])
-    return _middle(most, _middle(*middle), least)
+    most = torch.maximum(torch.maximum(low_ones[0], low_ones[1]), low_ones[2])
+    least = torch.minimum(torch.minimum(high_ones[0], high_ones[1]), high_ones[2])
+    return _middle(most, _middle(*middles), least)
 
 
 def _middle(a: Tensor, b: Tensor, c: Tensor) -> Tensor:

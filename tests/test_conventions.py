@@ -184,14 +184,17 @@ def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_
     )
     assert MARGIN == 8
     assert room.min() >= MARGIN - 1e-9
-    assert room.min() < MARGIN + 1
-    assert (room < MARGIN + 1).all()
+    assert (room[:2] < MARGIN + 1).all()
+    for more, side in zip(
+        room[2:] - MARGIN, (width, height), strict=True
+    ):  # up to a size of a quick transform
+        assert more < 2 + 0.1 * side
 
 
 def test_the_canvas_holds_the_blurs_radius_too():
     # The warp's output is larger than the frame by the radius: footprints are those of what the blur reads.
     size = Chain({"blur": Blur(radius=3)}).in_size((20, 30))
-    assert _canvas(None, size, 1.0) == ((20 + 6 + 16, 30 + 6 + 16), (8, 8))
+    assert _canvas(None, size, 1.0) == ((20 + 6 + 16, 30 + 6 + 16 + 2), (8, 8))
 
 
 def test_validity_comes_from_geometry():

@@ -34,11 +34,16 @@ def _locate(t, y, height, width, at, ends, fx, fy):
     its start.
     """
     count = len(fx)
-    x, v, depth, nearness = _project(t, -(count - 1) / 2, y)
+    x, v, _, nearness = _project(t, -(count - 1) / 2, y)
     x, v = x + (width - 1) / 2, v + (height - 1) / 2
     dx, dv = t[0, 0] * nearness, t[1, 0] * nearness
     last_x, last_v = x + dx * (count - 1), v + dv * (count - 1)
-    inside = min(x, last_x) > 1 and max(x, last_x) < width - 2 and min(v, last_v) > 1 and max(v, last_v) < height - 2
+    inside = (
+        min(x, last_x) > 1
+        and max(x, last_x) < width - 2
+        and min(v, last_v) > 1
+        and max(v, last_v) < height - 2
+    )
     if t[2, 0] == 0 and inside:
         _locate_on_line(x, v, dx, dv, width, at, ends, fx, fy)
         return
@@ -70,7 +75,7 @@ def _locate_on_line(x, v, dx, dv, width, at, ends, fx, fy):
         left, top = np.int64(here), np.int64(down)
         f, g = here - left, down - top
         # By rounding perhaps one too many: the weights go on smoothly.
-        end = min(j + 1 + np.int64(min(_within(f, drift, count), _within(g, dv, count))), count)
+        end = j + 1 + np.int64(_within(f, drift, _within(g, dv, count - j - 1)))
         at[j], ends[j] = (top - 1) * width + left - 1, end
         step, fall = fx.dtype.type(drift), fx.dtype.type(dv)
         start, upper, of_x, of_y = fx.dtype.type(f), fx.dtype.type(g), fx[j:end], fy[j:end]
