@@ -10,7 +10,7 @@ ENOUGH = 40_000  # samples of each frame
 
 
 def thinned(*frames: Tensor) -> list[Tensor]:
-    """The same samples of each of the `frames` (N, C, h, w), (N, m): all, or about `ENOUGH` a frame, from all columns."""
+    """The same samples of each of the `frames` (N, C, h, w), as (N, m): all, or about `ENOUGH`, from all columns."""
     *_, height, width = frames[0].shape
     step = max(1, height * width // ENOUGH)
     while math.gcd(step, width) > 1:  # it would meet the same columns again and again

@@ -75,7 +75,7 @@ def _locate_on_line(x, v, dx, dv, width, at, ends, fx, fy):
         left, top = np.int64(here), np.int64(down)
         f, g = here - left, down - top
         # By rounding perhaps one too many: the weights go on smoothly.
-        end = j + 1 + np.int64(_within(f, drift, _within(g, dv, count - j - 1)))
+        end = j + 1 + int(_within(f, drift, _within(g, dv, count - j - 1)))
         at[j], ends[j] = (top - 1) * width + left - 1, end
         step, fall = fx.dtype.type(drift), fx.dtype.type(dv)
         start, upper, of_x, of_y = fx.dtype.type(f), fx.dtype.type(g), fx[j:end], fy[j:end]
