@@ -197,6 +197,15 @@ def test_the_canvas_holds_the_blurs_radius_too():
     assert _canvas(None, size, 1.0) == ((20 + 6 + 16, 30 + 6 + 16 + 2), (8, 8))
 
 
+def test_validity_that_the_corners_tell_is_that_of_all_samples():
+    operator = Warp((20, 30), (40, 46), (10, 8))
+    for x, angle in ((0.0, 0.0), (3.0, 0.1), (9.0, 0.0), (0.0, 0.5)):
+        motion = homography(x=x, angle=angle)[None]
+        reach = torch.tensor([(46 - 3) / 2, (40 - 3) / 2]) + 1e-4
+        each = (operator._points(motion).abs() <= reach).all(-1)[:, None]
+        assert torch.equal(operator.valid(torch.ones(1, 1, 40, 46), motion=motion) > 0, each)
+
+
 def test_validity_comes_from_geometry():
     operator = Warp((10, 10), (14, 12), (2, 1))
     for content in (torch.zeros(14, 12), torch.full((14, 12), 5.0)):
