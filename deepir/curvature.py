@@ -68,18 +68,13 @@ class Curvature:
         spectrum = torch.fft.rfft2(scene)
         torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
         waves = torch.fft.irfft2(spectrum, s=scene.shape)
-        in_y, in_x, (of_y, of_x) = (
-            self.in_y.to(scene),
-            self.in_x.to(scene),
-            (self.basis.of_y, self.basis.of_x),
-        )
-        sums = in_y @ scene @ in_x.T
-        slow = sums[of_y, of_x].double()
+        in_y, in_x, terms = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
+        slow = (in_y @ scene @ in_x.T)[terms].double()
         if self.drift is not None:
             slow = torch.cat((slow, given[self.drift].double()))
-        slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(of_y)])
-        table = torch.zeros_like(sums)
-        table[of_y, of_x] = slow.to(scene)
+        slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(terms[0])])
+        table = scene.new_zeros(len(in_y), len(in_x))
+        table[terms] = slow.to(scene)
         torch.addmm(waves, in_y.T, table @ in_x, out=into[self.scene].view(scene.shape))
         if self.drift is not None:
             into[self.drift].copy_(levels)
