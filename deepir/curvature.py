@@ -22,6 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.elimination import COLUMN, PIXEL, ROW
+from deepir.noise import typical_noise
 from deepir.operators import Sensor, Warp
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
@@ -52,22 +53,30 @@ class Curvature:
         slow = Slow(problem, tuple(parameters[self.scene].shape))
         self.basis = slow.scene
         self.tensors = _tensors(problem, mine, slow, drift, eliminated)
+        self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
         """The approximate inverse Hessian times a flat gradient."""
-        given = slope.split(self.sizes)
-        found = [each * scale for each, scale in zip(given, self.tensors["scales"], strict=True)]
+        found = torch.empty_like(slope)
+        given, into = slope.split(self.sizes), found.split(self.sizes)
+        for each, out, scale in zip(given, into, self.tensors["scales"], strict=True):
+            torch.mul(each, scale, out=out)
         scene = given[self.scene].reshape(self.basis.shape[-2:])
-        waves = torch.fft.irfft2(torch.fft.rfft2(scene) * self.tensors["waves"], s=scene.shape)
-        slow = self.basis.sums(scene.double())
+        spectrum = torch.fft.rfft2(scene)
+        torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
+        waves = torch.fft.irfft2(spectrum, s=scene.shape)
+        in_y, in_x, terms = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
+        slow = (in_y @ scene @ in_x.T)[terms].double()
         if self.drift is not None:
             slow = torch.cat((slow, given[self.drift].double()))
-        slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(self.basis.white)])
-        found[self.scene] = (waves + self.basis.spread(slow)).to(slope).flatten()
+        slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(terms[0])])
+        table = scene.new_zeros(len(in_y), len(in_x))
+        table[terms] = slow.to(scene)
+        torch.addmm(waves, in_y.T, table @ in_x, out=into[self.scene].view(scene.shape))
         if self.drift is not None:
-            found[self.drift] = levels.to(slope)
-        return torch.cat(found)
+            into[self.drift].copy_(levels)
+        return found
 
 
 def curvature(
@@ -88,18 +97,14 @@ def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
     """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`."""
     if not modelled(problem):
         return None
-    values = problem.values()
-    motion = values[problem.slots["warp.motion"]].double()
-    precision = float(problem.precision[problem.precision > 0].median())
-    shared = _shared(problem, eliminated, precision, len(motion), values["scene"].shape[-2:])
-    found = _waves(problem, motion, precision, shared.to(motion.device), values["scene"])
+    scene = problem.values()["scene"]
+    found = _waves(problem, eliminated, scene, *_frequencies(scene.shape[-2:], scene.device))
     return found.clamp(min=RIDGE * float(found.mean()))
 
 
 def spline_response(problem: Problem) -> Tensor:
     """Squared response, along each wave, of the spline at the pixels to its coefficients."""
-    y, x = _frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
-    return ((2 + y.cos()) / 3 * (2 + x.cos()) / 3).square()
+    return _response(*_frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
 
 
 @torch.no_grad()
@@ -115,58 +120,73 @@ def _tensors(
     motion = values[problem.slots["warp.motion"]].double()
     scene: Any = problem.fields["scene"]
     unit = float(scene.scale) ** 2
-    precision = float(problem.precision[problem.precision > 0].median())
-    shared = _shared(problem, eliminated, precision, len(motion), scene.values.shape[-2:])
-    waves = unit * _waves(problem, motion, precision, shared.to(motion.device), values["scene"])
-    waves = waves.clamp(min=FLOOR * float(waves.mean()))
-    waves[0, 0] = waves.mean()  # the level, which no burst shows, is to stay where it is
+    precision = typical_noise(problem.precision) ** -2
+    waves = unit * _waves(
+        problem, eliminated, values["scene"], *_frequencies(scene.shape[-2:], motion.device)
+    )
+    mean = float(waves.mean())
+    waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
     scales = []
     for field in fields:
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
-        scales.append(1 / known if known > 0 else float((1 / waves).mean()))
+        scales.append(1 / known if known > 0 else 1 / mean)
     inverse = _slow(problem, slow, drift, eliminated)
     if not eliminated:
         inverse = torch.zeros_like(inverse)
-    return {"waves": (1 / waves).to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
+    return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
 
 
-def _shared(
-    problem: Problem, eliminated: Collection[str], precision: float, count: int, size: Sequence[int]
-) -> Tensor:
-    """`n + 1 / (w V)` for each wave: a pattern constant along columns is all in the waves that are so, too."""
-    variance = variances(problem, eliminated)
-    height, width = size
-    each = torch.full((height, width // 2 + 1), variance[PIXEL], dtype=torch.float64)
-    # In part also in their neighbours: the camera moves over them.
-    y, x = height * torch.fft.fftfreq(height), torch.arange(width // 2 + 1)
-    each += height * variance[COLUMN] / (math.pi * (1 + y.double().square()))[:, None]
-    each += width * variance[ROW] / (math.pi * (1 + x.double().square()))
-    return count + 1 / (precision * each).clamp(min=1e-9)
-
-
-def _waves(problem: Problem, motion: Tensor, precision: float, shared: Tensor, scene: Tensor) -> Tensor:
-    """Curvature along each wave of a real Fourier transform, in units of the scene."""
-    y, x = _frequencies(scene.shape[-2:], motion.device)
-    common = _common(motion, problem.data.shape[-2:], y, x)
-    data = precision * spline_response(problem) * (len(motion) - common / shared)
+def _waves(problem: Problem, eliminated: Collection[str], scene: Tensor, y: Tensor, x: Tensor) -> Tensor:
+    """Curvature along waves of frequencies y (ny, 1) and x (nx,), radians a px, (ny, nx), in units of the scene."""
+    motion = problem.values()[problem.slots["warp.motion"]].double()
+    precision = typical_noise(problem.precision) ** -2
+    told = torch.full((), float(len(motion)), device=motion.device)
+    if eliminated:
+        shared = _shared(problem, eliminated, precision, len(motion), scene.shape[-2:], y, x)
+        told = told - _common(motion, problem.data.shape[-2:], y, x) / shared
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
     of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
-    return data + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+    y, x = y.float(), x.float()
+    return precision * _response(y, x) * told + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+
+
+def _response(y: Tensor, x: Tensor) -> Tensor:
+    return ((2 + y.cos()) / 3 * (2 + x.cos()) / 3).square()
+
+
+def _shared(
+    problem: Problem,
+    eliminated: Collection[str],
+    precision: float,
+    count: int,
+    size: Sequence[int],
+    y: Tensor,
+    x: Tensor,
+) -> Tensor:
+    """`n + 1 / (w V)` for each wave: a pattern constant along columns is all in the waves that are so, too."""
+    variance, (height, width) = variances(problem, eliminated), size
+    # In part also in their neighbours: the camera moves over them.
+    columns = height * variance[COLUMN] / (math.pi * (1 + (y * height / (2 * math.pi)).square()))
+    rows = width * variance[ROW] / (math.pi * (1 + (x * width / (2 * math.pi)).square()))
+    each = (variance[PIXEL] + columns).float() + rows.float()
+    return count + 1 / (precision * each).clamp(min=1e-9)
 
 
 def _common(motion: Tensor, size: Sequence[int], y: Tensor, x: Tensor) -> Tensor:
     """`|Σ_j exp(i k d_j)|²`, the mean over the frame: where the camera turns, d differs from place to place."""
-    total = torch.zeros((), dtype=y.dtype, device=y.device)
+    total = torch.zeros(len(y), len(x), device=y.device)
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
     for at in torch.cartesian_prod(parts * size[1], parts * size[0]):
         moved = motion @ torch.cat((at, at.new_ones(1)))
         shift = moved[:, :2] / moved[:, 2:] - at
-        phases = (y * shift[:, 1], x * shift[:, :1])  # (H, N) and (N, W / 2 + 1)
-        along_y, along_x = (torch.polar(torch.ones_like(each), each) for each in phases)
-        total = total + (along_y @ along_x).abs().square()
+        along_y, along_x = y * shift[:, 1], x * shift[:, :1]  # (ny, N) and (N, nx)
+        cos, sin = along_y.cos().float(), along_y.sin().float()
+        both = torch.cat((along_x.cos(), along_x.sin())).float()
+        real, imaginary = torch.cat((cos, -sin), 1) @ both, torch.cat((sin, cos), 1) @ both
+        total.addcmul_(real, real).addcmul_(imaginary, imaginary)
     return total / PLACES**2
 
 

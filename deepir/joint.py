@@ -16,6 +16,7 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
+from deepir.noise import typical_noise
 from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.problems.definition import Definition
@@ -219,12 +220,11 @@ def _result(
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
     result.uncertainty = maps | {"scene": maps["scene"][y0:y1, x0:x1]}
     result.messages += cost_message(cost, len(problem.data))
-    good = problem.precision > 0
     result.metrics = {
         "iterations": solution.iterations,
         "evaluations": solution.evaluations,
         "stop_reason": solution.reason,
-        "noise_sigma": float(problem.precision[good].rsqrt().median()),
+        "noise_sigma": typical_noise(problem.precision),
         "held_out_rmse": solution.held_out,
         "pattern_cost_db": None if math.isnan(cost) else cost,
         "strengths": strengths(problem),

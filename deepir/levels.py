@@ -5,7 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.noise import typical_noise
 from deepir.problem import Problem
+from deepir.thin import thinned
 
 #: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
 DRIFT = 0.25
@@ -14,8 +16,9 @@ DRIFT = 0.25
 @torch.no_grad()
 def level_residuals(problem: Problem) -> Tensor:
     """How far each frame as a whole is above its prediction, (N, 1, 1, 1): the median over its usable samples."""
-    rest = (problem.data - problem.predict(problem.values())).where(problem.precision > 0, torch.nan)
-    return rest.flatten(1).nanmedian(1).values.nan_to_num()[:, None, None, None]
+    data, precision, expected = thinned(problem.data, problem.precision, problem.predict(problem.values()))
+    rest = (data - expected).where(precision > 0, torch.nan)
+    return rest.nanmedian(1).values.nan_to_num()[:, None, None, None]
 
 
 def drift_message(problem: Problem) -> list[str]:
@@ -29,7 +32,7 @@ def drift_message(problem: Problem) -> list[str]:
         ]
     level = level_residuals(problem)
     drift = float((level - level.mean()).abs().max())
-    noise = float(problem.precision[problem.precision > 0].rsqrt().median())
+    noise = typical_noise(problem.precision)
     if drift < DRIFT * noise:
         return []
     return [

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.thin import thinned
+
 MAD = 1.4826  # standard deviation of a Gaussian per median absolute deviation
 
 
@@ -19,5 +21,12 @@ def sample_noise(frames: Tensor, usable: Tensor) -> float:
         frames, usable = (frames[1:] - frames[:-1]) / 2**0.5, usable[1:] & usable[:-1]
     detail = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
     whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
-    found = detail[whole].abs()
+    some, counts = thinned(detail[:, None], whole[:, None])
+    found = some[counts].abs()
     return float(MAD * torch.median(found)) if found.numel() else 0.0
+
+
+def typical_noise(precision: Tensor) -> float:
+    """Median standard deviation of the samples (N, C, h, w) that count; NaN if none does."""
+    (some,) = thinned(precision)
+    return float(some[some > 0].median().rsqrt())

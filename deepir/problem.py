@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -147,16 +147,16 @@ class Problem(nn.Module):
 
         With `y = A x + b`, and ones where a sample counts in W: `A' W (y - b) / A' W A 1`.
         """
-        scene, slots = values["scene"], self._slot_values(values)
-        at_zero = self.operator(torch.zeros_like(scene), **slots)
-        of_ones = self.operator(torch.ones_like(scene), **slots) - at_zero
-        counts = (self.precision > 0).to(self.data)
-        total, weight = (
-            # Without a warp, one prediction stands for all frames.
-            self.operator.adjoint((counts * each).sum_to_size(at_zero.shape), tuple(scene.shape), **slots)
-            for each in (self.data - at_zero, of_ones)
-        )
+        zero = torch.zeros_like(values["scene"])
+        at_zero = self.predict(values | {"scene": zero})
+        weight = self._back(self.predict(values | {"scene": zero + 1}) - at_zero, at_zero.shape, values)
+        total = self._back(self.data - at_zero, at_zero.shape, values)
         return total / weight.clamp(min=1e-6), weight
+
+    def _back(self, frames: Tensor, shape: Sequence[int], values: Values) -> Tensor:
+        """`A' W` of frames; without a warp, one prediction of that shape stands for all of them."""
+        counted = torch.where(self.precision > 0, frames, 0).sum_to_size(shape)
+        return self.operator.adjoint(counted, tuple(values["scene"].shape), **self._slot_values(values))
 
     @torch.no_grad()
     def eliminate(

@@ -15,6 +15,7 @@ import torch
 
 import deepir
 from deepir import burst as bursts
+from deepir import memory, threads
 from deepir.build import build
 from deepir.config import Config, load
 from deepir.errors import ConfigError
@@ -90,14 +91,10 @@ def execute(
 ) -> Result:
     """Run the method on data in memory; adds time, memory and scores to the metrics."""
     torch.manual_seed(config.seed)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(config.threads or threads)
     start = time.perf_counter()
-    try:
-        method = lookup("method", config.method)
+    method = lookup("method", config.method)
+    with threads.for_loops(config.threads), memory.kept():
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
-    finally:
-        torch.set_num_threads(threads)
     seconds = time.perf_counter() - start
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}

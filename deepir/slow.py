@@ -27,6 +27,7 @@ from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
 from deepir.priors.shading import Shading
 from deepir.problem import Problem, Values
+from deepir.thin import thinned
 
 POINTS = 40  # along each axis, where the polynomials are sampled
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
@@ -96,7 +97,8 @@ class Slow:
 
 def variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int, ...], float]:
     """Variance of the free pattern in the data's units, by the axes along which it is constant."""
-    level = float(problem.data[problem.precision > 0].square().mean().sqrt())
+    data, precision = thinned(problem.data, problem.precision)
+    level = float(data[precision > 0].square().mean().sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
@@ -173,8 +175,9 @@ class _Evidence:
         self.expected = expected(variance, self.slow.frame)
         self.slow.doubt(self._chance(variance))
         residual = _slow_residual(problem, values, self.slow.frame)
-        middle = residual.median()
-        limit = OUTLIER * float((residual - middle).abs().median())
+        (some,) = thinned(residual[:, None])
+        middle = some.median()
+        limit = OUTLIER * float((some - middle).abs().median())
         self.count, self.free = len(residual), len(self.slow.scene.white) + 1
         self.normal = self.slow.normal(levels=True)
         self.rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels=True)

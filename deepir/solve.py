@@ -176,7 +176,7 @@ def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, S
     at.iteration, at.total = at.iteration + 1, at.total + 1
     at.evaluations += sum(o.take_count() for o, _ in optimisers)
     row = {"stage": stage.name, "iteration": at.iteration, "loss": loss}
-    if problem.held_out.any() and not stage.use_held_out and at.iteration % 10 == 0:
+    if at.iteration % 10 == 0 and not stage.use_held_out and problem.held_out.any():
         row["held_out"] = held_out_error(problem)
     at.history.append(row)
 
@@ -200,11 +200,11 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
 @torch.no_grad()
 def held_out_error(problem: Problem) -> float:
     """Root mean square error at the held-out samples, in the data's units; NaN without any."""
-    held = problem.held_out & (problem.precision > 0)
-    if not held.any():
+    held = (problem.held_out & (problem.precision > 0)).flatten().nonzero()[:, 0]
+    if not len(held):
         return math.nan
-    error = (problem.predict(problem.values()) - problem.data)[held]
-    return float(error.square().mean().sqrt())
+    prediction, data = (each.flatten()[held] for each in (problem.predict(problem.values()), problem.data))
+    return float((prediction - data).square().mean().sqrt())
 
 
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:

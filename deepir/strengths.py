@@ -18,6 +18,7 @@ from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.slow import estimate_slow
+from deepir.thin import thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
@@ -47,9 +48,10 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     if problem.known_noise:
         return
     prediction = problem.predict(problem.values())
-    usable = problem.precision > 0
-    residual, signal = (prediction - problem.data)[usable].abs(), prediction[usable].clamp(min=0)
-    held, bins = problem.held_out[usable], _bins(signal)
+    some, data, precision, held = thinned(prediction, problem.data, problem.precision, problem.held_out)
+    counts = precision > 0
+    residual, signal, held = (some - data)[counts].abs(), some[counts].clamp(min=0), held[counts]
+    bins = _bins(signal)
     # Data that are rounded more coarsely than they are noisy may leave no residual at all.
     rounding = (torch.finfo(problem.data.dtype).eps * float(signal.max())) ** 2
     rows, seen = [], []
@@ -65,17 +67,24 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     relative = design / unit / variance[:, None]  # errors are in proportion to the variance
     share, _ = nnls(relative, np.ones(len(rows)))
     read, photon = share / unit
-    found = read + photon * prediction.clamp(min=0)
-    found = found.clamp(min=0.1 * variance.min())
-    misfit = usable * (prediction - problem.data).square() / found
+    least = float(0.1 * variance.min())
+    usable, misfit = problem.precision > 0, torch.empty_like(prediction)
+    # A frame at a time: what is needed on the way stays in the cache.
+    for k, (seen_k, data_k) in enumerate(zip(prediction, problem.data, strict=True)):
+        torch.sub(seen_k, data_k, out=misfit[k]).square_().mul_(usable[k])
+        seen_k.clamp_(min=0).mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
+        misfit[k].div_(seen_k)
     if settled:
-        usable = usable & ~defective(misfit, usable)
-    problem.precision.copy_(usable / (found * (1 + misfit / OUTLIER**2 + crowded(misfit, usable))))
+        usable &= ~defective(misfit, usable)
+    for k, variance_k in enumerate(prediction):
+        doubt = crowded(misfit[k : k + 1], usable[k : k + 1])[0]
+        doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)
+        torch.div(usable[k], doubt, out=problem.precision[k])
 
 
 def _bins(values: Tensor) -> Tensor:
     """Number of the quantile bin of each value."""
-    some = values[:: max(1, len(values) // 100_000)]
+    some = values[:: max(1, len(values) // 20_000)]
     edges = torch.quantile(some, torch.linspace(0, 1, BINS + 1).to(some))
     return torch.bucketize(values, edges[1:-1])
 
@@ -97,16 +106,18 @@ def start_parts(problem: Problem) -> None:
     rest = problem.data - problem.predict(problem.values())
     usable = problem.precision > 0
     pattern = (rest * usable).sum(0, keepdim=True) / usable.sum(0, keepdim=True).clamp(min=1)
-    level = float(problem.data[usable].mean().abs())
+    data, counts = thinned(problem.data, usable)
+    level = float(data[counts].mean().abs())
     for slot, unit in (("gain", level), ("offset", 1.0)):
         for part in _all_parts(problem, slot):
             if not (part.given or isinstance(part, Shading)):
                 part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
-    rest, usable = rest - pattern, problem.precision > 0
-    if not problem.known_noise and (spread := _spread(rest[usable])) > 0:  # one frame leaves nothing
-        problem.precision.div_(1 + (rest / (OUTLIER * spread)).square())
+    rest = rest.sub_(pattern)
+    some, precision = thinned(rest, problem.precision)
+    if not problem.known_noise and (spread := _spread(some[precision > 0])) > 0:  # one frame leaves nothing
+        problem.precision.div_(rest.div_(OUTLIER * spread).square_().add_(1))
 
 
 def _share(pattern: Tensor, part: Part) -> Tensor:

@@ -13,9 +13,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import torch
 from numba import njit
 from torch import Tensor
+
+from deepir.threads import count as available
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -36,13 +37,13 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def spread(loop: Callable[..., None], count: int, *arguments: Tensor | float) -> None:
-    """`loop(first, last, *arguments)` on as many parts of `range(count)` as torch has threads.
+    """`loop(first, last, *arguments)` on as many parts of `range(count)` as there are threads.
 
     On threads of Python's own, which sleep until they are needed. Of numba's, one pool does not outlive a fork, and
     the other takes the process down when two threads use it at once.
     """
     arrays = [each.numpy() if isinstance(each, Tensor) else each for each in arguments]
-    threads = min(torch.get_num_threads(), max(count, 1))
+    threads = min(available(), max(count, 1))
     mine, *others = itertools.pairwise(count * i // threads for i in range(threads + 1))
     waiting = [_pool(os.getpid()).submit(loop, *part, *arrays) for part in others]
     loop(*mine, *arrays)

@@ -12,6 +12,9 @@ import numpy as np
 from deepir.loops import compiled
 from deepir.operators.warp import NEAR
 
+#: Not Python's integers, which with float32 make float64.
+ONE, TWO, THREE, FOUR = np.float32(1), np.float32(2), np.float32(3), np.float32(4)
+
 
 @compiled
 def _project(t, x, y):
@@ -24,10 +27,28 @@ def _project(t, x, y):
 
 
 @compiled
-def _locate(t, y, height, width, at, fx, fy):
-    """Where the samples of a row look: index of the first of 16 coefficients, and how far beyond the sixth."""
-    for j in range(len(at)):
-        x, v, _, _ = _project(t, j - (len(at) - 1) / 2, y)
+def _locate(t, y, height, width, at, ends, fx, fy):
+    """Where the samples of a row look: index of the first of 16 coefficients, and how far beyond the sixth.
+
+    From one sample of `ends` to the next the coefficients lie side by side: such a run needs no gather. `at` is set at
+    its start.
+    """
+    count = len(fx)
+    x, v, _, nearness = _project(t, -(count - 1) / 2, y)
+    x, v = x + (width - 1) / 2, v + (height - 1) / 2
+    dx, dv = t[0, 0] * nearness, t[1, 0] * nearness
+    last_x, last_v = x + dx * (count - 1), v + dv * (count - 1)
+    inside = (
+        min(x, last_x) > 1
+        and max(x, last_x) < width - 2
+        and min(v, last_v) > 1
+        and max(v, last_v) < height - 2
+    )
+    if t[2, 0] == 0 and inside:
+        _locate_on_line(x, v, dx, dv, width, at, ends, fx, fy)
+        return
+    for j in range(count):
+        x, v, _, _ = _project(t, j - (count - 1) / 2, y)
         x, v = x + (width - 1) / 2, v + (height - 1) / 2
         # In this order a NaN, too, ends up inside.
         x = x if x > 1 else 1.0
@@ -37,49 +58,74 @@ def _locate(t, y, height, width, at, fx, fy):
         left, top = min(np.int32(x), np.int32(width - 3)), min(np.int32(v), np.int32(height - 3))
         at[j] = (top - np.int32(1)) * np.int32(width) + left - np.int32(1)
         fx[j], fy[j] = x - left, v - top
+    j = 0
+    while j < count:
+        start, end = at[j] - j, j + 1
+        while end < count and at[end] - end == start:
+            end += 1
+        ends[j], j = end, end
+
+
+@compiled
+def _locate_on_line(x, v, dx, dv, width, at, ends, fx, fy):
+    """The same where the points lie on a line, from (x, v) on, inside the canvas: run by run."""
+    j, count, drift = 0, len(fx), dx - 1
+    while j < count:
+        here, down = x + dx * j, v + dv * j
+        left, top = np.int64(here), np.int64(down)
+        f, g = here - left, down - top
+        # By rounding perhaps one too many: the weights go on smoothly.
+        end = j + 1 + int(_within(f, drift, _within(g, dv, count - j - 1)))
+        at[j], ends[j] = (top - 1) * width + left - 1, end
+        step, fall = fx.dtype.type(drift), fx.dtype.type(dv)
+        start, upper, of_x, of_y = fx.dtype.type(f), fx.dtype.type(g), fx[j:end], fy[j:end]
+        for m in range(end - j):
+            at_m = fx.dtype.type(m)
+            of_x[m] = start + step * at_m
+            of_y[m] = upper + fall * at_m
+        j = end
+
+
+@compiled
+def _within(f, step, most):
+    """How many steps, at most so many, a fraction stays one."""
+    return min((1 - f if step > 0 else f) / abs(step), most) if step != 0 else float(most)
 
 
 @compiled
 def _weights(f, out):
     """The spline's weights `out` (4, n) of the coefficients around points that are `f` beyond the second."""
     sixth = f.dtype.type(1 / 6)
+    first, second, third, fourth = out[0], out[1], out[2], out[3]
     for j in range(len(f)):
         t = f[j]
-        s = 1 - t
-        out[0, j] = s * s * s * sixth
-        out[1, j] = (4 - 3 * t * t * (2 - t)) * sixth
-        out[2, j] = (4 - 3 * s * s * (2 - s)) * sixth
-        out[3, j] = t * t * t * sixth
+        s = ONE - t
+        first[j] = s * s * s * sixth
+        second[j] = (FOUR - THREE * t * t * (TWO - t)) * sixth
+        third[j] = (FOUR - THREE * s * s * (TWO - s)) * sixth
+        fourth[j] = t * t * t * sixth
 
 
 @compiled
 def _slopes(f, out):
     """Derivatives of the weights by `f`."""
     half = f.dtype.type(1 / 2)
+    first, second, third, fourth = out[0], out[1], out[2], out[3]
     for j in range(len(f)):
         t = f[j]
-        s = 1 - t
-        out[0, j] = -s * s * half
-        out[1, j] = t * (3 * t - 4) * half
-        out[2, j] = s * (4 - 3 * s) * half
-        out[3, j] = t * t * half
+        s = ONE - t
+        first[j] = -s * s * half
+        second[j] = t * (THREE * t - FOUR) * half
+        third[j] = s * (FOUR - THREE * s) * half
+        fourth[j] = t * t * half
 
 
 @compiled
-def _run(at, j):
-    """The end of the run of samples from `j` on whose coefficients lie side by side: they need no gather."""
-    start, end = at[j] - j, j + 1
-    while end < len(at) and at[end] - end == start:
-        end += 1
-    return end
-
-
-@compiled
-def _combine(flat, width, at, wx, wy, out):
+def _combine(flat, width, at, ends, wx, wy, out):
     """`out = Σ wx wy c` over the 16 coefficients `c` of each sample."""
     j = 0
     while j < len(at):
-        end = _run(at, j)
+        end = ends[j]
         first = flat[at[j] :]
         second, third, fourth = first[width:], first[2 * width :], first[3 * width :]
         x0, x1, x2, x3 = wx[0, j:end], wx[1, j:end], wx[2, j:end], wx[3, j:end]
@@ -98,22 +144,24 @@ def _combine(flat, width, at, wx, wy, out):
 def pull(first, last, scene, motion, out):
     """Rows [first, last) of each frame: `out` (N, C, h, w) from the coefficients `scene` (1 or N, C, Hc, Wc)."""
     (frames, channels, h, w), (height, width) = out.shape, scene.shape[2:]
-    at, fx, fy = np.empty(w, np.int32), np.empty(w, out.dtype), np.empty(w, out.dtype)
+    at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
+    fx, fy = np.empty(w, out.dtype), np.empty(w, out.dtype)
     wx, wy = np.empty((4, w), out.dtype), np.empty((4, w), out.dtype)
     for k in range(frames):
         for i in range(first, last):
-            _locate(motion[k], i - (h - 1) / 2, height, width, at, fx, fy)
+            _locate(motion[k], i - (h - 1) / 2, height, width, at, ends, fx, fy)
             _weights(fx, wx)
             _weights(fy, wy)
             for c in range(channels):
-                _combine(scene[k % len(scene), c].ravel(), width, at, wx, wy, out[k, c, i])
+                _combine(scene[k % len(scene), c].ravel(), width, at, ends, wx, wy, out[k, c, i])
 
 
 @compiled
 def push(first, last, gradient, motion, scene):
     """Rows [first, last) of the canvas `scene`, which is added to: the adjoint of `pull`."""
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
-    at, fx, fy = np.empty(w, np.int32), np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
+    fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
     # Room for three at both ends, so that each coefficient is written to once for all samples of a run.
     wx, wy, part = (
         np.zeros((4, w + 6), scene.dtype),
@@ -130,14 +178,14 @@ def push(first, last, gradient, motion, scene):
             low, high = max(min(y0, y1) + middle, 1.0), min(max(y0, y1) + middle, height - 2.0)
             if min(z0, z1) > NEAR and (max(high, 1.0) < first - 3 or min(low, height - 2.0) > last + 2):
                 continue  # the whole row looks elsewhere
-            _locate(t, y, height, width, at, fx, fy)
+            _locate(t, y, height, width, at, ends, fx, fy)
             _weights(fx, wx[:, 3 : w + 3])
             _weights(fy, wy)
             for c in range(channels):
                 flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
                 j = 0
                 while j < w:
-                    end = _run(at, j)
+                    end = ends[j]
                     top, n = at[j] // width, end - j
                     g = row[j:end]
                     part[3 + n : 6 + n] = 0
@@ -158,7 +206,8 @@ def push(first, last, gradient, motion, scene):
 def turn(first, last, gradient, scene, motion, sums):
     """The gradient of rows [first, last) in each row of the homographies: `sums` (N, h, 3, 2) of it, and of it by x."""
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
-    at, fx, fy = np.empty(w, np.int32), np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
+    fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
     wx, wy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
     dx, dy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
     slope_x, slope_y = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
@@ -166,15 +215,15 @@ def turn(first, last, gradient, scene, motion, sums):
         t = motion[k]
         for i in range(first, last):
             y = i - (h - 1) / 2
-            _locate(t, y, height, width, at, fx, fy)
+            _locate(t, y, height, width, at, ends, fx, fy)
             _weights(fx, wx)
             _weights(fy, wy)
             _slopes(fx, dx)
             _slopes(fy, dy)
             for c in range(channels):
                 flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
-                _combine(flat, width, at, dx, wy, slope_x)
-                _combine(flat, width, at, wx, dy, slope_y)
+                _combine(flat, width, at, ends, dx, wy, slope_x)
+                _combine(flat, width, at, ends, wx, dy, slope_y)
                 ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 for j in range(w):
                     x = j - (w - 1) / 2

@@ -72,11 +72,21 @@ class Warp(Operator):
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
         reach = torch.tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)], device=mask.device)
+        if motion.ndim == 3 and self._within(motion, reach) and bool((mask == 1).all()):
+            return mask.new_ones(len(motion), mask.shape[1], *self.size)
         masks = mask.expand(len(motion), -1, -1, -1)
         # A frame at a time: the points take four times a frame's room.
         return torch.cat(
             [self._valid(masks[k : k + 1], motion[k : k + 1], reach) for k in range(len(motion))]
         )
+
+    def _within(self, motion: Tensor, reach: Tensor) -> bool:
+        """Whether all points are in the canvas: straight lines stay straight, so that the frames' corners tell."""
+        x, y = ((side - 1) / 2 for side in reversed(self.size))
+        corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64).to(motion)
+        moved = self.place.to(motion) @ _finite(motion) @ corners
+        points = moved[:, :2] / moved[:, 2:]
+        return bool((moved[:, 2] > NEAR).all() and (points.abs() <= reach[:, None]).all())
 
     def _valid(self, mask: Tensor, motion: Tensor, reach: Tensor) -> Tensor:
         inside = (self._points(motion).abs() <= reach).all(-1)[:, None]

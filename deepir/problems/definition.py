@@ -15,6 +15,7 @@ from deepir.registry import register
 from deepir.slow import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.strengths import start_parts, weigh_scene
+from deepir.thin import thinned
 
 
 class Definition:
@@ -54,7 +55,8 @@ def start_precision(problem: Problem) -> None:
         return
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
-    spread = float(problem.data[usable].std())
+    data, counts = thinned(problem.data, usable)
+    spread = float(data[counts].std())
     sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
     problem.precision.copy_(usable / sigma**2)
 
@@ -72,4 +74,7 @@ def filled(image: Tensor, known: Tensor) -> Tensor:
     if not holes.any():
         return image
     index = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
-    return torch.from_numpy(np.ascontiguousarray(image.cpu().numpy()[tuple(index)])).to(image)
+    nearest = np.ravel_multi_index(tuple(each[holes] for each in index), holes.shape)
+    source, into = (torch.from_numpy(each).to(known.device) for each in (nearest, np.flatnonzero(holes)))
+    whole = image.flatten()
+    return whole.index_copy(0, into, whole[source]).reshape(image.shape)

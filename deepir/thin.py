@@ -1,0 +1,18 @@
+"""A few of a burst's samples: enough for a median or a mean."""
+
+from __future__ import annotations
+
+import math
+
+from torch import Tensor
+
+ENOUGH = 40_000  # samples of each frame
+
+
+def thinned(*frames: Tensor) -> list[Tensor]:
+    """The same samples of each of the `frames` (N, C, h, w), as (N, m): all, or about `ENOUGH`, from all columns."""
+    *_, height, width = frames[0].shape
+    step = max(1, height * width // ENOUGH)
+    while math.gcd(step, width) > 1:  # it would meet the same columns again and again
+        step += 1
+    return [each.flatten(1)[:, ::step] for each in frames]

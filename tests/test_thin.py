@@ -1,0 +1,33 @@
+"""A few samples stand for all."""
+
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deepir.noise import typical_noise
+from deepir.thin import ENOUGH, thinned
+
+
+@given(height=st.integers(200, 600), width=st.integers(200, 800))
+def test_they_are_enough_and_from_all_columns(height, width):
+    column = torch.arange(width).expand(1, 1, height, width)
+    (some,) = thinned(column)
+    assert some.shape[1] >= min(ENOUGH, height * width) / 6  # a step that shares no factor with the width
+    assert len(some.unique()) == width
+
+
+def test_they_are_the_same_of_each():
+    frames = torch.rand(2, 1, 300, 400)
+    one, other = thinned(frames, 2 * frames)
+    assert torch.equal(2 * one, other)
+
+
+def test_a_small_burst_is_taken_whole():
+    frames = torch.rand(3, 1, 160, 192)
+    assert torch.equal(thinned(frames)[0], frames.flatten(1))
+
+
+def test_samples_that_do_not_count_are_no_noise():
+    precision = torch.full((2, 1, 30, 40), 0.25)
+    precision[:, :, ::2] = 0
+    assert typical_noise(precision) == 2
