@@ -123,7 +123,8 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
         return
     evidence = _Evidence(problem, problem.closed_form())
     smooth, drift = evidence.most_likely(smooth=bool(shadings), drift=bool(drifts))
-    smooth = smooth if len(problem.data) >= ENOUGH else 0.0
+    if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
+        smooth = drift = 0.0
     for part in shadings:
         part.sigma.fill_(smooth)
     for field in drifts:
