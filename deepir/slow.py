@@ -33,6 +33,7 @@ POINTS = 40  # along each axis, where the polynomials are sampled
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 ENOUGH = 4  # frames to tell shading from the scene
 CERTAIN = 5.0  # nats by which shading or drift have to make the frames likelier
+RARE = 15.0  # the same of a drift where it may be shading, which is far more common
 SMOOTH = (-1, 1)  # no axes: the polynomials of a shading
 
 
@@ -199,16 +200,19 @@ class _Evidence:
         return columns + 2 * float(moved[1]) / height * variance[ROW] / height
 
     def most_likely(self, *, smooth: bool, drift: bool) -> tuple[float, float]:
-        """Strengths of shading and drift; zero for what does not make the frames likelier by `CERTAIN` nats."""
+        """Strengths of shading and drift; zero for what makes the frames not by `CERTAIN` nats, or `RARE`, likelier."""
         scale = float(self.slow.problem.data[self.slow.problem.precision > 0].std())
-        best, found = self.nats(0.0, 0.0), (0.0, 0.0)
+        none, found = self.nats(0.0, 0.0), {}
         for mine in product(*((False, True) if each else (False,) for each in (smooth, drift))):
-            if not any(mine):
-                continue
-            nats, at = min(self._descend(mine, start * scale) for start in (0.003, 0.03))
-            if nats + CERTAIN * sum(mine) < best:
-                best, found = nats + CERTAIN * sum(mine), at
-        return found
+            if any(mine):
+                found[mine] = min(self._descend(mine, start * scale) for start in (0.003, 0.03))
+        shaded = (True, False) in found and found[True, False][0] + CERTAIN < none
+        asked = CERTAIN, (RARE if shaded else CERTAIN)
+        weighed = [
+            (nats + sum(each for each, used in zip(asked, mine, strict=True) if used), at)
+            for mine, (nats, at) in found.items()
+        ]
+        return min([(none, (0.0, 0.0)), *weighed])[1]
 
     def _descend(self, free: tuple[bool, ...], start: float) -> tuple[float, tuple[float, float]]:
         def at(x: np.ndarray) -> tuple[float, float]:
