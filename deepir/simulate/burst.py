@@ -11,7 +11,7 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.scenes import procedural
 from deepir.simulate.events import observe
-from deepir.simulate.optics import move, reach_of, scale_of
+from deepir.simulate.optics import at_rest, move, reach_of, scale_of
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
 
@@ -20,9 +20,8 @@ from deepir.simulate.settings import DEFAULT, Settings
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    scene: (
-        np.ndarray
-    )  # (H, W), frame 0 without pattern, level, noise and walker (with the optics and the pixel's box)
+    #: Frame 0 without pattern, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
+    scene: np.ndarray  # (Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
@@ -63,7 +62,7 @@ def simulate(scene: np.ndarray | None = None, settings: Settings = DEFAULT, *, s
 
     Args:
         scene: Picture (height, width) in [0, 1], finer than the detector; None: `procedural(seed)`, twice as
-            fine.
+            fine as the truth's scene.
         settings: The camera and its motion.
         seed: The same seed gives the same burst.
 
@@ -76,7 +75,7 @@ def simulate(scene: np.ndarray | None = None, settings: Settings = DEFAULT, *, s
     motion = move(settings, motion_rng)
     reach = reach_of(motion, settings)
     if scene is None:
-        height, width = np.ceil((settings.scale or 2.0) * 2 * reach).astype(int) + 5
+        height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
         scene = procedural(seed, (int(height), int(width)))
     picture = np.asarray(scene, float)
     if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
@@ -85,6 +84,8 @@ def simulate(scene: np.ndarray | None = None, settings: Settings = DEFAULT, *, s
         )
     scale = scale_of(picture.shape, reach, settings)
     flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
+    if settings.factor > 1:
+        static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
     flux, static = settings.range * flux + dark, settings.range * static + dark
 
