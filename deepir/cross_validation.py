@@ -25,17 +25,17 @@ def start_trials(problem: Problem) -> None:
 
 
 def trials(problem: Problem) -> list[Stage]:
-    """The stages of the search; none where every weight is given."""
-    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    if all(penalty.given is not None for penalty in penalties):
+    """The stages of the search; none where a weight is given, or there is none."""
+    penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
+    if not penalties or any(penalty.given is not None for penalty in penalties):
         return []
     return [Stage(f"weight {i + 1}", (Step(("scene",)),), ITERATIONS, prepare=_try) for i in range(TRIALS)]
 
 
-def weigh_by_trials(problem: Problem) -> None:
-    """Set the weights to what the trials say is best; without any, to what is given or suits the noise."""
+def weigh_by_trials(problem: Problem, factor: float = 1.0) -> None:
+    """Set the weights: `factor` times what the trials say; without any, times what is given or suits the noise."""
     tried = _conclude(problem)
-    weigh_scene(problem, 2 ** best_power(tried) if tried else 1.0)
+    weigh_scene(problem, factor * (2 ** best_power(tried) if tried else 1.0))
 
 
 def _try(problem: Problem) -> None:

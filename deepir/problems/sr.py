@@ -12,7 +12,7 @@ from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
 
-#: Weight of the scene's penalties while the sensor is estimated, to what suits the noise.
+#: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
 
 
@@ -39,18 +39,20 @@ class SR(Definition):
         self.messages = few_frames(len(problem.data), factor_of(problem))
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """The sensor in two rounds; the scene's weights; the motion; the sensor again; the scene on all samples."""
+        """The sensor; the scene's weights; motion and sensor by turns; the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        still = tuple(name for name in free if name != "motion")
-        eliminate = (Step(closed, "eliminate"),) if closed else ()
-        moving = tuple(name for name in ("scene", "motion") if name in free)
+        still = (Step(tuple(name for name in free if name != "motion")),)
+        moving = (Step(tuple(name for name in ("scene", "motion") if name in free)),)
+        sensor = (*still, Step(closed, "eliminate")) if closed else still
         return [
-            Stage("sensor 1", (Step(still), *eliminate), 25),
-            Stage("sensor 2", (Step(still), *eliminate), 25, prepare=_update),
+            Stage("sensor 1", sensor, 25),
+            Stage("sensor 2", sensor, 25, prepare=_update),
             *trials(problem),
-            Stage("motion", (Step(moving),), 20, prepare=weigh_by_trials),
-            Stage("sensor 3", (Step(still), *eliminate), 20, prepare=_update),
+            Stage("motion 1", moving, 20, prepare=weigh_by_trials),
+            Stage("sensor 3", sensor, 25, prepare=_update),
+            Stage("motion 2", moving, 20, prepare=weigh_by_trials),
+            Stage("sensor 4", sensor, 25, prepare=_update),
             Stage("scene", (Step(("scene",)),), 40, prepare=_finish, use_held_out=True),
         ]
 
@@ -76,7 +78,7 @@ def _update(problem: Problem) -> None:
     update_noise(problem)
     keep_gauge(problem)
     update_parts(problem)
-    weigh_scene(problem, WEAK)
+    weigh_by_trials(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
