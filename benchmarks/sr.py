@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--prior", default="tv", help="of the scene")
     parser.add_argument("--fresh", action="store_true", help="take no oracle from runs/bench-nuc")
     parser.add_argument("--picture", action="append", help="only this one; 'thermal' needs DEEPIR_DATA")
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--threads", type=int, default=2, help="the machine's, for the seconds")
     parser.add_argument("--panels", type=Path, help="write a picture of the thermal burst here")
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
