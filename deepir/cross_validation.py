@@ -17,6 +17,8 @@ from deepir.strengths import weigh_scene
 TRIALS = 7
 ITERATIONS = 10  # of a trial, which begins where the one before it ended
 COARSE, FINE = 2.0, 1.0  # steps of the search, in powers of two
+#: Largest power: while the sensor is not quite known, a scene too smooth may predict best, and then it never will be.
+MOST = 3.0
 
 
 def start_trials(problem: Problem) -> None:
@@ -68,9 +70,10 @@ def next_power(tried: dict[float, float]) -> float:
     best = min(tried, key=tried.__getitem__)
     if best == min(tried):
         return best - COARSE
-    if best == max(tried):
-        return best + COARSE
-    return next((power for power in (best + FINE, best - FINE) if power not in tried), best)
+    if best == max(tried) and best < MOST:
+        return min(best + COARSE, MOST)
+    beside = (min(best + FINE, MOST), best - FINE)
+    return next((power for power in beside if power not in tried), best)
 
 
 def best_power(tried: dict[float, float]) -> float:

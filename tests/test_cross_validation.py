@@ -5,19 +5,35 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepir.cross_validation import TRIALS, best_power, next_power, start_trials, trials, weigh_by_trials
+from deepir.cross_validation import (
+    MOST,
+    TRIALS,
+    best_power,
+    next_power,
+    start_trials,
+    trials,
+    weigh_by_trials,
+)
 from deepir.penalties.tv import TV
 from deepir.solve import solve
 from deepir.strengths import hold_out
 
 
-@given(st.floats(-6, 6), st.floats(0.1, 100))
-def test_the_least_of_a_parabola_is_found(least, bend):
+def search(misfit):
     tried = {}
     for _ in range(TRIALS):
         power = next_power(tried)
-        tried[power] = bend * (power - least) ** 2
-    assert best_power(tried) == pytest.approx(least, abs=1e-6)
+        tried[power] = misfit(power)
+    return best_power(tried)
+
+
+@given(st.floats(-6, MOST - 0.6), st.floats(0.1, 100))
+def test_the_least_of_a_parabola_is_found(least, bend):
+    assert search(lambda power: bend * (power - least) ** 2) == pytest.approx(least, abs=1e-6)
+
+
+def test_the_scene_is_never_made_too_smooth():
+    assert search(lambda power: -power) == MOST
 
 
 def test_the_search_stays_where_all_neighbours_are_worse():

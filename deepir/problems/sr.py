@@ -21,7 +21,7 @@ class SR(Definition):
     """A scene finer than the detector, gain, offset and motion from a jittered burst.
 
     As in `nuc`, the sensor is estimated under a weak prior on the scene. The motion is not: with few frames a
-    scene so free explains any motion. It waits for the prior's weight, which held-out samples tell.
+    scene so free explains any motion. How strong the prior is to be, held-out samples say.
     """
 
     frames = 2
@@ -39,18 +39,18 @@ class SR(Definition):
         self.messages = few_frames(len(problem.data), factor_of(problem))
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """The sensor; the scene's weights; motion and sensor by turns; the scene on all samples."""
+        """Sensor and motion by turns, with the search for the scene's weights between; the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = (Step(tuple(name for name in free if name != "motion")),)
         moving = (Step(tuple(name for name in ("scene", "motion") if name in free)),)
         sensor = (*still, Step(closed, "eliminate")) if closed else still
         return [
-            Stage("sensor 1", sensor, 25),
-            Stage("sensor 2", sensor, 25, prepare=_update),
-            *trials(problem),
+            Stage("sensor 1", sensor, 40),
+            Stage("sensor 2", sensor, 40, prepare=_update),
             Stage("motion 1", moving, 20, prepare=weigh_by_trials),
             Stage("sensor 3", sensor, 25, prepare=_update),
+            *trials(problem),
             Stage("motion 2", moving, 20, prepare=weigh_by_trials),
             Stage("sensor 4", sensor, 25, prepare=_update),
             Stage("scene", (Step(("scene",)),), 40, prepare=_finish, use_held_out=True),
