@@ -1,7 +1,7 @@
 """Quality of super-resolution against an oracle, and seconds: `make bench-sr`.
 
 The oracle is that of nuc_oracle.py: total variation that is given the true sensor, motion and noise, and the weight
-that is best on the truth. Pictures and seeds are ones by which no constant was chosen.
+that is best on the truth. Constants were tuned on other pictures and seeds.
 """
 
 from __future__ import annotations
