@@ -26,16 +26,13 @@ STEP = 1.6  # nats: at weight one, a step of so many sigma costs one
 
 def config(factor: int) -> Config:
     """Warp, integration over `factor` x `factor` px of the scene, and a known sensor."""
-    return load(
-        {
-            "prior": "tv",
-            "physics": {
-                "warp": {"motion": {"type": "rigid", "init": "register"}},
-                "downsample": {"factor": factor},
-                "sensor": {"gain": "constant", "offset": "constant", "level": "constant"},
-            },
-        }
-    )
+    integration = {"downsample": {"factor": factor}} if factor > 1 else {}
+    physics = {
+        "warp": {"motion": {"type": "rigid", "init": "register"}},
+        **integration,
+        "sensor": {"gain": "constant", "offset": "constant", "level": "constant"},
+    }
+    return load({"prior": "tv", "physics": physics})
 
 
 def oracle(sim: Simulation, picture: np.ndarray) -> float:
