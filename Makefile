@@ -29,10 +29,13 @@ lint: setup  ## ruff and mypy
 bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
 	$(BIN)/python benchmarks/nuc.py --output docs/bench-nuc.md
 
+bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
+	$(BIN)/python benchmarks/sr.py
+
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint bench-nuc bench-real clean
+.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-real clean

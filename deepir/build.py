@@ -67,12 +67,12 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
             )
         settings = _slot_settings(slots[stage].get(own), neutral, where)
         size = getattr(operator.stages[stage], "size", burst.size)
-        fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, where)
+        fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, geometry.ratio, where)
         penalties[names[slot]] = _penalties(settings, where)
         _start(fields[names[slot]], settings, motion, geometry, where)
         _demand_sense(own, fields[names[slot]], where)
     settings = _slot_settings(config.scene, None, "scene")
-    fields["scene"] = _field(settings, scene_shape, 0.0, scene_shape[-2:], "scene")
+    fields["scene"] = _field(settings, scene_shape, 0.0, scene_shape[-2:], geometry.ratio, "scene")
     penalties["scene"] = _penalties(settings, "scene")
     if settings.get("init", "average") != "average":
         raise ConfigError(f"scene.init = {settings['init']!r}: a scene starts at the registered 'average'")
@@ -203,11 +203,11 @@ def _slot_settings(given: Any, neutral: float | None, where: str) -> dict[str, A
 
 
 def _field(
-    settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, size: Any, where: str
+    settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, size: Any, ratio: float, where: str
 ) -> Field:
     options = {k: v for k, v in settings.items() if k not in SLOT_KEYS}
     kind = str(settings["type"])
-    context = {"shape": shape, "neutral": neutral, "size": size}
+    context = {"shape": shape, "neutral": neutral, "size": size, "ratio": ratio}
     if "+" not in kind:
         field = _fitting(kind, options, where, context)
     else:

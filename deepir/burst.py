@@ -61,8 +61,9 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
     truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
     if data.crop is not None:
+        size = mask.shape
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
-        truth = {k: crop(v, data.crop) if v.ndim == 2 and v.shape != (3, 3) else v for k, v in truth.items()}
+        truth = {k: _cropped(v, data.crop, size) for k, v in truth.items()}
     bad, valid = validate(stack, source, needs=needs)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
@@ -81,3 +82,10 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
         )
     stack = to_float32(select_frames(simulation.frames, data.frames, source))
     return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth(simulation)
+
+
+def _cropped(truth: Array, box: list[int], size: tuple[int, ...]) -> Array:
+    """A map of the truth cut as its frames are, whose `size` it has, or a multiple of it; anything else as it is."""
+    factor = truth.shape[0] // size[0] if truth.ndim == 2 else 0
+    fits = factor > 0 and truth.shape == tuple(factor * side for side in size)
+    return crop(truth, [factor * edge for edge in box]) if fits else truth

@@ -154,8 +154,9 @@ def shading_message(problem: Problem) -> list[str]:
 
 
 def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
-    """Shadings of the offset and drifts whose strengths are to be found; none where no warp moves the scene."""
-    if not isinstance(problem.operator.named()[0][1], Warp) or len(problem.data) < 2:
+    """Shadings of the offset and drifts whose strengths are to be found; none where no warp makes the frames' pixels."""
+    first = problem.operator.named()[0][1]
+    if not isinstance(first, Warp) or first.size != problem.data.shape[-2:] or len(problem.data) < 2:
         return [], []
     closed, free = problem.closed_form(), problem.free()
     offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]

@@ -35,8 +35,8 @@ def test_each_kind_has_its_components():
         },
         "penalty": {"huber_tv", "l1", "ridge", "smooth", "tv"},
         "fidelity": {"gaussian", "huber", "l1", "poisson"},
-        "problem": {"generic", "nuc"},
-        "method": {"average", "joint"},
+        "problem": {"generic", "nuc", "sr"},
+        "method": {"average", "bicubic", "joint"},
     }
     assert HOMES.keys() == wanted.keys()
     for kind, names in wanted.items():

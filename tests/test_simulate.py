@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from skimage.measure import block_reduce
 
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import ADC_MAX, Settings, render, simulate
@@ -107,6 +108,24 @@ def test_positive_angles_turn_x_towards_y():
     np.testing.assert_allclose(motion[:, 0, 1], -np.sin(angle))
     assert np.ptp(np.rad2deg(angle)) > 4
     assert np.abs(np.rad2deg(angle)).max() <= 6
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_a_finer_truth_averages_to_what_the_detector_sees(factor):
+    sim = simulate(settings=ideal(shape=(32, 40), factor=factor, psf_sigma=0.4), seed=2)
+    assert sim.truth.scene.shape == (32 * factor, 40 * factor)
+    blocks = block_reduce(sim.truth.scene, (factor, factor), np.mean)
+    np.testing.assert_allclose(blocks, sim.frames[0], atol=2e-4)
+    np.testing.assert_array_equal(
+        simulate(settings=ideal(shape=(32, 40), scale=6.0), seed=2).frames,
+        simulate(settings=ideal(shape=(32, 40), scale=6.0, factor=factor), seed=2).frames,
+    )
+
+
+@pytest.mark.parametrize("changes", [{"factor": 0}, {"factor": 9}, {"factor": 4, "scale": 3.0}])
+def test_a_truth_finer_than_the_picture_is_refused(changes):
+    with pytest.raises(ConfigError, match=r"simulate\.(factor|scale)"):
+        ideal(**changes)
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -20,12 +20,17 @@ from deepir.result import Result, neutral
 from deepir.solve import Progress
 
 
-def pulled_back(frames: np.ndarray, valid: np.ndarray, motion: np.ndarray) -> torch.Tensor:
-    """The mean of frames (N, h, w) on frame 0's grid, by cubic spline interpolation; what none shows is filled in."""
-    height, width = frames.shape[1:]
-    y, x = np.mgrid[:height, :width]
-    centre = np.array([[(width - 1) / 2], [(height - 1) / 2], [0]])
-    points = np.stack([x.ravel(), y.ravel(), np.ones(x.size)]) - centre
+def pulled_back(
+    frames: np.ndarray, valid: np.ndarray, motion: np.ndarray, ratio: float = 1.0
+) -> torch.Tensor:
+    """The mean of frames (N, h, w) on a grid `ratio` times as fine as frame 0's, by cubic spline interpolation.
+
+    What no frame shows is filled in.
+    """
+    height, width = (round(ratio * side) for side in frames.shape[1:])
+    y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in (height, width))
+    points = np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
+    centre = np.array([[(side - 1) / 2] for side in (*frames.shape[:0:-1], 1)])
     total, count = np.zeros((2, height, width))
     for frame, good, back in zip(frames, valid, np.linalg.inv(motion), strict=True):
         at = back @ points
@@ -51,8 +56,9 @@ def average(
     motion, used, messages = registered(burst, config, definition)
     kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
     problem, geometry = build(config, kept, None if motion is None else motion[used])
-    if motion is not None and geometry.ratio == 1:
-        scene = pulled_back(kept.frames, kept.valid & ~kept.bad_pixels, motion[used].numpy())
+    if motion is not None:
+        good = kept.valid & ~kept.bad_pixels
+        scene = pulled_back(kept.frames, good, motion[used].numpy(), geometry.ratio)
     else:
         with torch.no_grad():
             mean, weight = problem.backproject(problem.values())

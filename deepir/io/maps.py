@@ -40,16 +40,19 @@ def read_truth(
     """The truth of simulated or calibrated data: the arrays by name, float32.
 
     An `.npz` has `scene` and whatever else is known: gain, offset, motion ... (only numbers are kept).
-    Anything else is a picture of the scene. A scene is `(h, w)`, or `(N, h, w)` where each frame has its own.
-    Raises `DataError` where there is no scene, or it is not `shape`.
+    Anything else is a picture of the scene. A scene is `(Q h, Q w)`, Q a whole number, or `(N, Q h, Q w)` where each
+    frame has its own. Raises `DataError` where there is no scene, or it does not fit `shape`.
     """
     file = Path(path).expanduser()
     arrays = {"scene": readers.read(file)} if readers.find(file) is not npz else _arrays(file)
     if "scene" not in arrays:
         raise DataError(f"{file}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")
     scene = stack(arrays["scene"], f"{file}[scene]")
-    if scene.shape[1:] != shape:
-        raise DataError(f"{file}: the scene is {_size(scene.shape)}, expected {_size(shape)}")
+    factor = max(1, scene.shape[1] // shape[0])
+    if scene.shape[1:] != (factor * shape[0], factor * shape[1]):
+        raise DataError(
+            f"{file}: the scene is {_size(scene.shape)}, expected {_size(shape)}, or both sides a multiple of it"
+        )
     arrays["scene"] = scene[0] if len(scene) == 1 else scene
     return {name: to_float32(array) for name, array in arrays.items() if array.dtype.kind in "uif"}
 

@@ -9,6 +9,8 @@ from torch import Tensor
 from deepir.operators.base import Operator, Shape
 from deepir.registry import register
 
+MOST = 8  # finer than this, the box of a pixel leaves nothing to be seen
+
 
 @register("operator", "downsample")
 class Downsample(Operator):
@@ -19,9 +21,10 @@ class Downsample(Operator):
 
     def __init__(self, *, factor: int = 2) -> None:
         super().__init__()
-        if factor < 1:
-            raise ValueError(f"factor must be at least 1, not {factor}")
+        if not 1 <= factor <= MOST:
+            raise ValueError(f"factor must be 1 to {MOST}, not {factor}")
         self.factor = factor
+        self.noise_gain = float(factor)  # the information of a sample is shared by factor² unknowns
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """Both sides divided by `factor`; they must be multiples of it."""

@@ -11,24 +11,27 @@ from torch import Tensor, nn
 from deepir.priors.field import Field, Shape
 from deepir.registry import register
 
-#: What a parameter that all pixels feel moves for a step of one, times the frame's side: see `Field`. The
-#: misfit's curvature in a shift is about HW times that in a pixel of the scene, weighted by the scene's
-#: squared gradient.
+#: What a parameter that all samples feel moves for a step of one, times the detector's side in its own px: see
+#: `Field`. The misfit's curvature in a shift is about their number times that in a pixel of the scene, weighted by
+#: the scene's squared gradient.
 STEP = 10.0
 
 
 class Motion(Field):
     """Pull homographies (N, 3, 3); frame 0 is the identity, always.
 
-    Parameters are displacements in px at the edge of the frame, whose (h, w) is `size`.
+    Parameters are displacements in px at the edge of the frame, whose (h, w) is `size`, `ratio` px for each of the
+    detector's.
     """
 
     count: ClassVar[int]
 
-    def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int]) -> None:
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
+    ) -> None:
         super().__init__(shape, neutral)
         self.radius = math.hypot(*size) / 2
-        self.step = STEP / math.sqrt(size[0] * size[1])
+        self.step = STEP * ratio / math.sqrt(size[0] * size[1])
         self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.count))
 
     def forward(self) -> Tensor:

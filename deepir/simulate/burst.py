@@ -12,7 +12,7 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.scenes import procedural
 from deepir.simulate.events import observe
-from deepir.simulate.optics import move, reach_of, scale_of
+from deepir.simulate.optics import at_rest, move, reach_of, scale_of
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
@@ -22,9 +22,8 @@ from deepir.simulate.settings import DEFAULT, Settings
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    scene: (
-        np.ndarray
-    )  # (H, W), frame 0 without pattern, level, noise and walker (with the optics and the pixel's box)
+    #: Frame 0 without pattern, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
+    scene: np.ndarray  # (Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
@@ -65,7 +64,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
 
     Args:
         scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a
-            given shape, twice as fine. None: `procedural(seed)`.
+            given shape, twice as fine as the truth's scene. None: `procedural(seed)`.
         settings: The camera and its motion.
         seed: The same seed gives the same burst.
 
@@ -79,7 +78,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene
     if callable(scene):
-        height, width = np.ceil((settings.scale or 2.0) * 2 * reach).astype(int) + 5
+        height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
         scene = scene((int(height), int(width)))
     picture = np.asarray(scene, float)
     if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
@@ -88,6 +87,8 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         )
     scale = scale_of(picture.shape, reach, settings)
     flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
+    if settings.factor > 1:
+        static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
     flux, static = settings.range * flux + dark, settings.range * static + dark
 

@@ -46,6 +46,13 @@ def render(
     return frames
 
 
+def at_rest(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
+    """What a detector behind the same optics, `factor` times as fine, sees of frame 0, (Q H, Q W)."""
+    fine, (height, width) = settings.factor, settings.shape
+    blur = settings.psf_sigma * fine  # in px of the finer detector
+    return render(picture, np.eye(3)[None], (fine * height, fine * width), scale / fine, blur)[0]
+
+
 def move(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """Homographies (N, 3, 3): shift after rotation (about the centre) after stretch, shear and keystone."""
     draws = rng.uniform(-1, 1, (settings.n_frames, 9))
@@ -77,12 +84,12 @@ def reach_of(motion: np.ndarray, settings: Settings) -> np.ndarray:
 def scale_of(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:
     """The setting, or the largest that fits; two picture px at each side are left to the spline."""
     largest = float(np.min((np.array(shape) - 5) / (2 * reach)))
-    scale = settings.scale or largest
-    if scale > largest or scale < 1.2:
-        need = np.ceil(2 * reach * (settings.scale or 1.2)).astype(int) + 5
+    scale, least = settings.scale or largest, settings.least_scale
+    if scale > largest or scale < least:
+        need = np.ceil(2 * reach * (settings.scale or least)).astype(int) + 5
         raise DataError(
             f"scene: {shape[0]} x {shape[1]} px is too small: the frames and their motion need {need[0]} x "
-            f"{need[1]} px at {settings.scale or 1.2:g} picture px per detector px; "
+            f"{need[1]} px at {settings.scale or least:g} picture px per detector px; "
             "take a larger picture, or less of simulate.shape, max_shift or max_rotation"
         )
     return scale

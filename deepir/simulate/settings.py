@@ -33,6 +33,7 @@ class Settings:
     scale: float | None = (
         None  # picture px per detector px, >= 1.2; None: the largest at which all frames fit
     )
+    factor: int = 1  # the truth's scene is on a grid so many times finer than the detector's
     motion: str = "rigid"  # shift, rigid, affine (+ 1 % stretch and shear), homography (+ 1 % keystone)
     max_shift: float = 10.0  # shifts are uniform in +- this along each axis, px
     max_rotation: float = 0.0  # rotations about the frame's centre are uniform in +- this, degrees
@@ -74,8 +75,11 @@ class Settings:
             raise ConfigError(
                 "simulate: at least one frame (n_frames) of at least 8 x 8 px (shape) is needed"
             )
-        if self.scale is not None and self.scale < 1.2:
-            raise ConfigError(f"simulate.scale = {self.scale}: must be 1.2 or more: finer than the detector")
+        if not 1 <= self.factor <= 8:
+            raise ConfigError(f"simulate.factor = {self.factor}: a whole number from 1 to 8 is needed")
+        if self.scale is not None and self.scale < self.least_scale:
+            than = "finer than the detector" if self.factor == 1 else "as fine as the truth (simulate.factor)"
+            raise ConfigError(f"simulate.scale = {self.scale}: must be {self.least_scale:g} or more: {than}")
         if self.motion == "shift" and self.max_rotation:
             raise ConfigError("simulate.max_rotation: motion 'shift' does not rotate; take motion: rigid")
         if (bad := self.dead_pixels + self.stuck_pixels + self.noisy_pixels) > 0.5:
@@ -90,6 +94,11 @@ class Settings:
                 f"simulate.failed_frame = {self.failed_frame}: the frames are numbered 1 to {self.n_frames - 1}, "
                 "without the reference; 0: none fails"
             )
+
+    @property
+    def least_scale(self) -> float:
+        """Picture px per detector px that are needed: finer than the detector, and as fine as the truth."""
+        return max(1.2, self.factor)
 
     @property
     def range(self) -> float:

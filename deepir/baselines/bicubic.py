@@ -1,0 +1,39 @@
+"""Enlarge one frame: what a viewer does."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+from scipy import ndimage
+
+from deepir.build import build
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.problems.definition import filled
+from deepir.registry import register
+from deepir.result import Result, neutral
+from deepir.solve import Progress
+
+
+@register("method", "bicubic")
+def bicubic(
+    burst: Burst,
+    config: Config,
+    *,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Path | None = None,
+) -> Result:
+    """Enlarge the first frame by a cubic spline; gain and offset stay as they are."""
+    first = dataclasses.replace(burst, frames=burst.frames[:1], valid=burst.valid[:1])
+    _, geometry = build(config, first)
+    frame, good = (torch.from_numpy(each)[None] for each in (first.frames, first.valid & ~burst.bad_pixels))
+    whole = filled(frame, good)[0, 0].numpy()
+    scene = ndimage.zoom(whole, geometry.ratio, order=3, mode="mirror", grid_mode=True)
+    result = neutral(scene, len(burst.frames), burst.size, burst.bad_pixels)
+    result.frames_used[1:] = False
+    result.motion[1:] = float("nan")
+    result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
+    return result

@@ -1,0 +1,86 @@
+"""Super-resolution."""
+
+from __future__ import annotations
+
+import math
+
+from deepir.cross_validation import start_trials, trials, weigh_by_trials
+from deepir.operators import Downsample
+from deepir.problem import Problem
+from deepir.problems.definition import Definition, start_precision, start_scene
+from deepir.registry import register
+from deepir.solve import Stage, Step
+from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
+
+#: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
+WEAK = 0.2
+
+
+@register("problem", "sr")
+class SR(Definition):
+    """A scene finer than the detector, gain, offset and motion from a jittered burst.
+
+    As in `nuc`, the sensor is estimated under a weak prior on the scene. The motion is not: with few frames a
+    scene so free explains any motion. How strong the prior is to be, held-out samples say.
+    """
+
+    frames = 2
+    motion = True
+    operators = ("warp", "downsample", "sensor")
+
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """Noise and patterns as the raw frames show them; scene: registered average."""
+        start_precision(problem)
+        start_scene(problem)
+        start_parts(problem)
+        hold_out(problem, seed)
+        weigh_scene(problem, WEAK)
+        start_trials(problem)
+        self.messages = few_frames(len(problem.data), factor_of(problem))
+
+    def plan(self, problem: Problem) -> list[Stage]:
+        """Sensor and motion by turns, with the search for the scene's weights between; the scene on all samples."""
+        closed = tuple(problem.closed_form())
+        free = tuple(name for name in problem.free() if name not in closed)
+        still = (Step(tuple(name for name in free if name != "motion")),)
+        moving = (Step(tuple(name for name in ("scene", "motion") if name in free)),)
+        sensor = (*still, Step(closed, "eliminate")) if closed else still
+        return [
+            Stage("sensor 1", sensor, 40),
+            Stage("sensor 2", sensor, 40, prepare=_update),
+            Stage("motion 1", moving, 20, prepare=weigh_by_trials),
+            Stage("sensor 3", sensor, 25, prepare=_update),
+            *trials(problem),
+            Stage("motion 2", moving, 20, prepare=weigh_by_trials),
+            Stage("sensor 4", sensor, 25, prepare=_update),
+            Stage("scene", (Step(("scene",)),), 40, prepare=_finish, use_held_out=True),
+        ]
+
+
+def factor_of(problem: Problem) -> int:
+    """How many px of the scene a detector's pixel is wide."""
+    stages = [stage for _, stage in problem.operator.named()]
+    return math.prod(stage.factor for stage in stages if isinstance(stage, Downsample))
+
+
+def few_frames(count: int, factor: int) -> list[str]:
+    """A line if the frames have fewer samples than the scene has pixels."""
+    if count >= factor**2:
+        return []
+    return [
+        f"{count} frames for factor {factor}: the scene has {factor**2} px for each of the detector's, and each frame "
+        "shows one sample of them; fine detail is in part the prior's. "
+        f"Take {factor**2} frames, or physics.downsample.factor={max(2, math.isqrt(count))}"
+    ]
+
+
+def _update(problem: Problem) -> None:
+    update_noise(problem)
+    keep_gauge(problem)
+    update_parts(problem)
+    weigh_by_trials(problem, WEAK)
+
+
+def _finish(problem: Problem) -> None:
+    update_noise(problem, settled=True)
+    weigh_by_trials(problem)
