@@ -154,7 +154,7 @@ def shading_message(problem: Problem) -> list[str]:
 
 
 def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
-    """Shadings of the offset and drifts whose strengths are to be found; none where no warp makes the frames' pixels."""
+    """Shadings of the offset and drifts whose strengths are to be found; none unless a warp makes the frames."""
     first = problem.operator.named()[0][1]
     if not isinstance(first, Warp) or first.size != problem.data.shape[-2:] or len(problem.data) < 2:
         return [], []
