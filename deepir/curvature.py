@@ -31,6 +31,7 @@ from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
 from deepir.slow import SMOOTH, Slow, expected, variances
 
+LINES = 0.1  # standard deviation of lines' gains up to which they are about additive
 PLACES = 5  # along each axis, at which the motion is taken
 RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
@@ -88,9 +89,15 @@ def curvature(
 
 
 def modelled(problem: Problem) -> bool:
-    """Whether there is a model: for pixels that a moving sensor sees."""
+    """Whether the model holds: for pixels that a moving sensor sees, whose lines' gains do not differ by much.
+
+    Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone.
+    """
     stages = [type(stage) for _, stage in problem.operator.named()]
-    return isinstance(problem.fields["scene"], Pixels) and stages == [Warp, Sensor] and len(problem.data) > 1
+    if not isinstance(problem.fields["scene"], Pixels) or stages != [Warp, Sensor] or len(problem.data) < 2:
+        return False
+    gains = problem.fields[problem.slots["sensor.gain"]].parts()
+    return not any(part.along in (COLUMN, ROW) and part.sigma > LINES for part in gains)
 
 
 def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:

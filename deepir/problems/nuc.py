@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deepir.curvature import modelled
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
@@ -36,16 +37,20 @@ class NUC(Definition):
         weigh_scene(problem, WEAK)
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples."""
+        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
+
+        Where the curvature is modelled they need fewer iterations.
+        """
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name != "motion")
         eliminate = (Step(closed, "eliminate"),) if closed else ()
+        short, last = (8, 20) if modelled(problem) else (25, 35)
         return [
-            Stage("sensor 1", (Step(still), *eliminate), 8),
-            Stage("sensor 2", (Step(still), *eliminate), 8, prepare=_update),
+            Stage("sensor 1", (Step(still), *eliminate), short),
+            Stage("sensor 2", (Step(still), *eliminate), short, prepare=_update),
             Stage("sensor 3", (Step(free), *eliminate), 30, prepare=_update),
-            Stage("scene", (Step(("scene",)),), 20, prepare=_finish, use_held_out=True),
+            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
         ]
 
 
