@@ -10,18 +10,17 @@ all else held, say `½ x' A x - s' x` nats. With `x` integrated out, minus the l
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
 ENOUGH = 20_000  # of the pixels are asked
-#: Nats, and medians of the nats, that a value may gain of its strength: beyond, it is an outlier and is not asked.
+#: Squared prior standard deviations, and medians of them, beyond which a value is an outlier, and is not asked.
 OUTLIER, MEDIANS = 20.0, 12.0
 #: What is known of gains before: as much as so large a share of the values says, at such a strength.
 SHARE, GAIN = 0.05, 0.02
+PASSES = 2
 LEAST = 1e-3  # a strength changes by no more than such a factor, downwards
 
 
@@ -40,35 +39,40 @@ def likeliest(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, f
     step = max(information.shape[1] // ENOUGH, 1)
     (aa, ab, bb), (x, y) = information[:, ::step], means[:, ::step]
     prior = torch.where(sigma > 0, sigma.square().reciprocal(), 0.0)
-    s, t = aa * x + ab * y + prior[0] * x, ab * x + bb * y + prior[1] * y
-    whole = aa * bb - ab * ab
+    values = aa, ab, bb, aa * x + ab * y + prior[0] * x, ab * x + bb * y + prior[1] * y
+    low, high = LEAST * sigma, most.clamp(min=LEAST * sigma)
+    found = sigma.clamp(max=high)
+    for _ in range(PASSES):  # who is an outlier depends on the strengths
+        typical = _typical(values, *found.square().unbind())
+        some = tuple(each[typical] for each in values)
 
-    def gained(u: Tensor, v: Tensor, system: Tensor) -> Tensor:
-        return (u * (1 + v * bb) * s * s + v * (1 + u * aa) * t * t - 2 * u * v * ab * s * t) / system
+        def cost(logarithms: np.ndarray, some: tuple[Tensor, ...] = some, found: Tensor = found) -> float:
+            trial = found.clone()
+            trial[free] = torch.from_numpy(np.exp(logarithms)).to(found)
+            u, v = trial.square().unbind()
+            system, gained = _nats(some, u, v)
+            nats = (system.log() - gained).mean()
+            return float(nats + SHARE * (u.log() + GAIN**2 / u)) if 0 in free else float(nats)
 
-    def system(u: Tensor, v: Tensor) -> Tensor:
-        return 1 + u * aa + v * bb + u * v * whole
-
-    u, v = sigma.square()
-    nats = gained(u, v, system(u, v))
-    typical = nats <= max(OUTLIER, MEDIANS * float(nats.median()))
-    aa, ab, bb, s, t, whole = (each[typical] for each in (aa, ab, bb, s, t, whole))
-
-    def cost(logarithms: np.ndarray) -> float:
-        trial = sigma.clone()
-        trial[free] = torch.from_numpy(np.exp(logarithms)).to(sigma)
-        u, v = trial.square()
-        each = system(u, v)
-        nats = (each.log() - gained(u, v, each)).mean()
-        return float(nats + SHARE * (u.log() + GAIN**2 / u)) if 0 in free else float(nats)
-
-    bounds = [
-        (math.log(LEAST * float(sigma[i])), math.log(max(float(most[i]), LEAST * float(sigma[i]))))
-        for i in free
-    ]
-    start = [min(math.log(float(sigma[i])), high) for i, (_, high) in zip(free, bounds, strict=True)]
-    found = sigma.clone()
-    found[free] = torch.from_numpy(np.exp(minimize(cost, start, method="L-BFGS-B", bounds=bounds).x)).to(
-        sigma
-    )
+        bounds = torch.stack((low, high), 1)[free].log().tolist()
+        best = minimize(cost, found[free].log().numpy(), method="L-BFGS-B", bounds=bounds).x
+        found = found.clone()
+        found[free] = torch.from_numpy(np.exp(best)).to(found)
     return found
+
+
+def _nats(values: tuple[Tensor, ...], u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """`det(1 + A V)` and `s' V (1 + A V)^-1 s` of each value (aa, ab, bb, s)."""
+    aa, ab, bb, s, t = values
+    system = 1 + u * aa + v * bb + u * v * (aa * bb - ab * ab)
+    gained = u * (1 + v * bb) * s * s + v * (1 + u * aa) * t * t - 2 * u * v * ab * s * t
+    return system, gained / system
+
+
+def _typical(values: tuple[Tensor, ...], u: Tensor, v: Tensor) -> Tensor:
+    """Those whose posterior means are not too many of their prior standard deviations."""
+    aa, ab, bb, s, t = values
+    system, _ = _nats(values, u, v)
+    x, y = (s + v * (bb * s - ab * t)) / system, (t + u * (aa * t - ab * s)) / system
+    squares = u * x * x + v * y * y
+    return squares <= max(OUTLIER, MEDIANS * float(squares.median()))

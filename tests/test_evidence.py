@@ -1,0 +1,55 @@
+"""Strengths by their marginal likelihood, against strengths that are known."""
+
+import pytest
+import torch
+
+from deepir.evidence import likeliest
+
+COUNT = 4000
+
+
+def burst(sigma, noise=1.0, seed=0):
+    """Information (3, K) and posterior means (2, K) of values of strengths `sigma`, the means at strengths of one."""
+    generator = torch.Generator().manual_seed(seed)
+    root = torch.randn(COUNT, 2, 2, dtype=torch.float64, generator=generator) / noise
+    system = root @ root.mT
+    values = torch.tensor(sigma, dtype=torch.float64) * torch.randn(
+        COUNT, 2, dtype=torch.float64, generator=generator
+    )
+    chance = torch.randn(COUNT, 2, dtype=torch.float64, generator=generator)
+    seen = (system @ values[..., None] + root @ chance[..., None])[..., 0]
+    means = torch.linalg.solve(system + torch.eye(2), seen)
+    return torch.stack((system[:, 0, 0], system[:, 0, 1], system[:, 1, 1])), means.T
+
+
+ONE, MUCH = torch.ones(2, dtype=torch.float64), torch.full((2,), 9.0, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("sigma", [(0.3, 2.0), (3.0, 0.5)])
+def test_strengths_are_found(sigma):
+    found = likeliest(*burst(sigma, noise=0.3), ONE, MUCH, [0, 1])
+    assert found.tolist() == pytest.approx(sigma, rel=0.15)  # a weak prior of gains is in it
+
+
+def test_a_strength_of_nothing_is_next_to_nothing():
+    found = likeliest(*burst((1.0, 0.0), noise=0.3), ONE, MUCH, [0, 1])
+    assert found[1] < 0.05
+
+
+def test_what_is_given_and_what_is_not_there_stay():
+    information, means = burst((0.3, 2.0), noise=0.3)
+    assert likeliest(information, means, ONE, MUCH, [1])[0] == 1
+    none = torch.tensor([0.0, 1.0], dtype=torch.float64)
+    assert likeliest(information, torch.stack((0 * means[0], means[1])), none, MUCH, [0, 1])[0] == 0
+
+
+def test_a_few_outliers_change_little():
+    information, means = burst((0.3, 2.0), noise=0.3)
+    spoilt = means.clone()
+    spoilt[:, ::100] *= 300
+    sound, found = (likeliest(information, each, ONE, MUCH, [0, 1]) for each in (means, spoilt))
+    assert found.tolist() == pytest.approx(sound.tolist(), rel=0.1)
+
+
+def test_it_stays_below_its_bound():
+    assert likeliest(*burst((0.3, 2.0)), ONE, torch.tensor([9.0, 1.5]).double(), [0, 1])[1] <= 1.5 + 1e-9
