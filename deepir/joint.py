@@ -161,13 +161,21 @@ def _demand_strengths(problem: Problem) -> None:
 
 def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
     """The stages of `solver.plan`, or else the problem's own; `ConfigError` where they do not fit the unknowns."""
-    given, cap, contest = config.solver.plan, config.solver.max_iterations, Contest(problem, config) if config.scene.get("fit") else None
+    given, cap, contest = (
+        config.solver.plan,
+        config.solver.max_iterations,
+        Contest(problem, config) if config.scene.get("fit") else None,
+    )
     if given is None:
         stages, where = definition.plan(problem), f"problem '{config.problem}' (or take problem=generic)"
     else:
         where = "solver.plan"
         stages = [
-            Stage(s.name, tuple(Step(**p.model_dump() | {"group": tuple(p.group)}) for p in s.steps), s.iterations)
+            Stage(
+                s.name,
+                tuple(Step(**p.model_dump() | {"group": tuple(p.group)}) for p in s.steps),
+                s.iterations,
+            )
             for s in given
         ]
     if contest is not None:

@@ -208,9 +208,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
     evaluate = objective(problem, stage)
     steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
-    found = [
-        (OPTIMISERS[s.method](problem, s.group, evaluate, lr=s.lr, average=s.average), s) for s in steps
-    ]
+    found = [(OPTIMISERS[s.method](problem, s.group, evaluate, lr=s.lr, average=s.average), s) for s in steps]
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, step in found:
         if step.method == "lbfgs":

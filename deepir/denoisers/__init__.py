@@ -1,1 +1,1 @@
-"""Denoisers for the penalty `red`: `(picture (S, C, H, W), noise) -> picture`. One a file; a new file is found by itself."""
+"""Denoisers for the penalty `red`, `(picture (S, C, H, W), noise) -> picture`; a new file is found by itself."""

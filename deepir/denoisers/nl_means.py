@@ -19,7 +19,12 @@ def nl_means(picture: Tensor, noise: float) -> Tensor:
 
     low = picture.min()
     span = float((picture.max() - low).clamp(min=1e-30))  # it works with values of about one
-    options = {"patch_size": PATCH, "patch_distance": REACH, "h": FILTER * noise / span, "sigma": noise / span}
+    options = {
+        "patch_size": PATCH,
+        "patch_distance": REACH,
+        "h": FILTER * noise / span,
+        "sigma": noise / span,
+    }
     planes = ((picture - low) / span).reshape(-1, *picture.shape[-2:]).double().cpu().numpy()
     found = np.stack([denoise_nl_means(plane, fast_mode=True, **options) for plane in planes])
     return torch.from_numpy(found).to(picture).reshape(picture.shape) * span + low

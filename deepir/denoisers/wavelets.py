@@ -26,7 +26,12 @@ def wavelets(picture: Tensor, noise: float) -> Tensor:
     options = {"sigma": noise, "method": "BayesShrink", "mode": "soft", "rescale_sigma": False}
     planes = picture.reshape(-1, *picture.shape[-2:]).double().cpu().numpy()
     try:
-        found = [cycle_spin(plane, denoise_wavelet, max_shifts=SHIFTS, workers=1, func_kw=options) for plane in planes]
+        found = [
+            cycle_spin(plane, denoise_wavelet, max_shifts=SHIFTS, workers=1, func_kw=options)
+            for plane in planes
+        ]
     except ImportError:
-        raise ConfigError("denoiser 'wavelets': it needs PyWavelets: pip install 'deepir[wavelets]'") from None
+        raise ConfigError(
+            "denoiser 'wavelets': it needs PyWavelets: pip install 'deepir[wavelets]'"
+        ) from None
     return torch.from_numpy(np.stack(found)).to(picture).reshape(picture.shape)

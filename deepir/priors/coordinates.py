@@ -16,9 +16,9 @@ class Coordinates(Network):
     points: Tensor
 
     def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, half: bool = False
+        self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, bf16: bool = False
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, half=half)
+        super().__init__(shape, neutral, residual=residual, bf16=bf16)
         far = max(*shape[-2:], 2) - 1
         y, x = (torch.arange(side) * 2 - (side - 1) for side in shape[-2:])
         grid = torch.stack(torch.meshgrid(x / far, y / far, indexing="xy"), -1)

@@ -24,7 +24,7 @@ class DeepDecoder(Network):
         width: Channels.
         blocks: How many, the last of which does not double the size.
         residual: Whether it draws what is added to what the scene starts at.
-        half: Whether convolutions are computed in bfloat16.
+        bf16: Whether convolutions are computed in bfloat16.
     """
 
     def __init__(
@@ -35,9 +35,9 @@ class DeepDecoder(Network):
         width: int = 64,
         blocks: int = 6,
         residual: bool = False,
-        half: bool = False,
+        bf16: bool = False,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, half=half)
+        super().__init__(shape, neutral, residual=residual, bf16=bf16)
         if width < 1 or blocks < 2:
             raise ValueError("width must be at least 1, and blocks 2")
         unit = 2 ** (blocks - 1)
@@ -48,7 +48,7 @@ class DeepDecoder(Network):
         self.last = nn.Conv2d(width, 1, 1, bias=False)
         if residual:  # it begins at what it starts from
             nn.init.zeros_(self.last.weight)
-        self.to(memory_format=torch.channels_last)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def draw(self) -> Tensor:
         """What the network makes of its noise."""

@@ -33,9 +33,10 @@ class DIP(Network):
         sigmoid: Whether the network's values are limited to what a sigmoid can give: four deviations about the mean.
         up: How sizes are doubled.
         pad: What lies beyond the edges.
-        half: Whether convolutions are computed in bfloat16.
+        bf16: Whether convolutions are computed in bfloat16.
     """
 
+    noise: Tensor
     drawn: Tensor
 
     def __init__(
@@ -53,9 +54,9 @@ class DIP(Network):
         sigmoid: bool = False,
         up: Literal["bilinear", "nearest"] = "bilinear",
         pad: Literal["reflect", "zeros"] = "reflect",
-        half: bool = False,
+        bf16: bool = False,
     ) -> None:
-        super().__init__(shape, neutral, residual=picture, half=half)
+        super().__init__(shape, neutral, residual=picture, bf16=bf16)
         if min(width, scales, skip, inputs) < 1:
             raise ValueError("width, scales, skip and inputs must be at least 1")
         self.perturb, self.sigmoid = perturb, sigmoid
@@ -68,7 +69,7 @@ class DIP(Network):
         if picture:  # it begins at what it starts from
             nn.init.zeros_(self.net.last.weight)
             nn.init.zeros_(self.net.last.bias)  # type: ignore[arg-type]
-        self.to(memory_format=torch.channels_last)
+        self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def draw(self) -> Tensor:
         """What the network makes of its input."""
@@ -93,5 +94,3 @@ class DIP(Network):
     def example(cls) -> DIP:
         """A small network for 11 x 9 px."""
         return cls((1, 1, 11, 9), width=4, scales=2, inputs=2)
-
-

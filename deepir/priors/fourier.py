@@ -30,7 +30,7 @@ class Waves(nn.Module):
 
 @register("field", "fourier")
 class Fourier(Coordinates):
-    """Rectified layers over random waves (Tancik et al. 2020, "Fourier features let networks learn high frequency ...").
+    """Rectified layers over random waves (Tancik et al. 2020, "Fourier features let networks learn ...").
 
     Args:
         shape: Of the scene, (1, 1, H, W).
@@ -40,7 +40,7 @@ class Fourier(Coordinates):
         width: Of the layers.
         depth: Layers with a rectifier.
         residual: Whether it draws what is added to what the scene starts at.
-        half: Whether layers are computed in bfloat16.
+        bf16: Whether layers are computed in bfloat16.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class Fourier(Coordinates):
         width: int = 256,
         depth: int = 3,
         residual: bool = False,
-        half: bool = False,
+        bf16: bool = False,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, half=half)
+        super().__init__(shape, neutral, residual=residual, bf16=bf16)
         if min(count, width, depth) < 1 or not 0 < bandwidth < float("inf"):
             raise ValueError("count, width and depth must be at least 1, and bandwidth a positive number")
         layers: list[nn.Module] = [Waves(count, bandwidth)]

@@ -26,7 +26,7 @@ class Grid(Network):
         features: Of each grid's nodes.
         width: Of the mixing network.
         residual: Whether it draws what is added to what the scene starts at.
-        half: Whether the mixing network is computed in bfloat16.
+        bf16: Whether the mixing network is computed in bfloat16.
     """
 
     def __init__(
@@ -38,9 +38,9 @@ class Grid(Network):
         features: int = 4,
         width: int = 16,
         residual: bool = False,
-        half: bool = False,
+        bf16: bool = False,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, half=half)
+        super().__init__(shape, neutral, residual=residual, bf16=bf16)
         if min(levels, features, width) < 1:
             raise ValueError("levels, features and width must be at least 1")
         sizes = [[max(-(-side // 2**level), 2) for side in shape[-2:]] for level in range(levels)]

@@ -23,10 +23,10 @@ class Network(Field):
     exact = False
 
     def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, half: bool = False
+        self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, bf16: bool = False
     ) -> None:
         super().__init__(shape, neutral)
-        self.residual, self.half = residual, half
+        self.residual, self.bf16 = residual, bf16
         self.register_buffer("center", torch.tensor(float(neutral)))
         self.register_buffer("scale", torch.tensor(1.0))
         #: What the field starts from, in the network's units.
@@ -56,6 +56,6 @@ class Network(Field):
     @contextmanager
     def _computing(self) -> Iterator[None]:
         """In bfloat16 where that is wanted; normalisation, sums and parameters stay float32."""
-        wanted = self.half and self.center.dtype == torch.float32
+        wanted = self.bf16 and self.center.dtype == torch.float32
         with torch.autocast(self.center.device.type, torch.bfloat16, enabled=wanted):
             yield

@@ -33,7 +33,7 @@ class Siren(Coordinates):
         depth: Layers with a sine.
         omega: Factor of each sine's argument.
         residual: Whether it draws what is added to what the scene starts at.
-        half: Whether layers are computed in bfloat16.
+        bf16: Whether layers are computed in bfloat16.
     """
 
     def __init__(
@@ -45,9 +45,9 @@ class Siren(Coordinates):
         depth: int = 4,
         omega: float = 30.0,
         residual: bool = False,
-        half: bool = False,
+        bf16: bool = False,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, half=half)
+        super().__init__(shape, neutral, residual=residual, bf16=bf16)
         if min(width, depth) < 1 or not 0 < omega < float("inf"):
             raise ValueError("width and depth must be at least 1, and omega a positive number")
         layers: list[nn.Module] = [Sine(2 if i == 0 else width, width, omega) for i in range(depth)]

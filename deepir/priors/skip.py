@@ -6,18 +6,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+Pad = Literal["reflect", "zeros"]
 SLOPE = 0.2  # of the leaky rectifier
 
 
 class Convolution(nn.Sequential):
     """Padded convolution, batch normalisation with the batch's statistics, leaky rectifier."""
 
-    def __init__(self, inputs: int, outputs: int, size: int, *, stride: int = 1, pad: str = "reflect") -> None:
+    def __init__(
+        self, inputs: int, outputs: int, size: int, *, stride: int = 1, pad: Pad = "reflect"
+    ) -> None:
         super().__init__(
             nn.Conv2d(inputs, outputs, size, stride, (size - 1) // 2, padding_mode=pad),
             nn.BatchNorm2d(outputs, track_running_stats=False),
@@ -37,7 +41,7 @@ class Skip(nn.Module):
     """
 
     def __init__(
-        self, inputs: int, widths: Sequence[int], *, skip: int = 4, up: str = "bilinear", pad: str = "reflect"
+        self, inputs: int, widths: Sequence[int], *, skip: int = 4, up: str = "bilinear", pad: Pad = "reflect"
     ) -> None:
         super().__init__()
         self.up = up
@@ -48,9 +52,7 @@ class Skip(nn.Module):
             for a, w in zip(before, widths, strict=True)
         )
         self.skips = nn.ModuleList(Convolution(a, skip, 1) for a in before)
-        self.join = nn.ModuleList(
-            nn.BatchNorm2d(b + skip, track_running_stats=False) for b in below
-        )
+        self.join = nn.ModuleList(nn.BatchNorm2d(b + skip, track_running_stats=False) for b in below)
         self.rise = nn.ModuleList(
             nn.Sequential(Convolution(b + skip, w, 3, pad=pad), Convolution(w, w, 1))
             for b, w in zip(below, widths, strict=True)
@@ -63,7 +65,9 @@ class Skip(nn.Module):
         for down in self.down:
             levels.append(down(levels[-1]))
         deep = levels.pop()
-        for skip, join, rise, level in zip(*map(reversed, (self.skips, self.join, self.rise, levels)), strict=True):
+        for i in reversed(range(len(levels))):
             deep = F.interpolate(deep, scale_factor=2, mode=self.up)
-            deep = rise(join(torch.cat((skip(level), deep), 1)))
-        return self.last(deep)
+            joined = self.join[i](torch.cat((self.skips[i](levels[i]), deep), 1))
+            deep = self.rise[i](joined)
+        picture: Tensor = self.last(deep)
+        return picture

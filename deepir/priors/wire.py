@@ -13,7 +13,9 @@ from deepir.registry import register
 class Gabor(nn.Module):
     """A complex linear layer, then `exp(j omega z - |s z|²)`; real and imaginary parts lie side by side."""
 
-    def __init__(self, inputs: int, outputs: int, omega: float, sharpness: float, *, real: bool = False) -> None:
+    def __init__(
+        self, inputs: int, outputs: int, omega: float, sharpness: float, *, real: bool = False
+    ) -> None:
         super().__init__()
         self.omega, self.sharpness, self.real = omega, sharpness, real
         self.linear = nn.Linear(inputs, outputs if real else 2 * outputs)
@@ -47,7 +49,7 @@ class Wire(Coordinates):
         omega: Frequency of the wavelets.
         sharpness: One over their width.
         residual: Whether it draws what is added to what the scene starts at.
-        half: Whether layers are computed in bfloat16.
+        bf16: Whether layers are computed in bfloat16.
     """
 
     def __init__(
@@ -60,9 +62,9 @@ class Wire(Coordinates):
         omega: float = 10.0,
         sharpness: float = 10.0,
         residual: bool = False,
-        half: bool = False,
+        bf16: bool = False,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, half=half)
+        super().__init__(shape, neutral, residual=residual, bf16=bf16)
         if min(width, depth) < 1 or not (0 < omega < float("inf") and 0 <= sharpness < float("inf")):
             raise ValueError("width and depth must be at least 1, omega positive and sharpness not negative")
         first = Gabor(2, width, omega, sharpness, real=True)
