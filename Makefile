@@ -29,10 +29,13 @@ lint: setup  ## ruff and mypy
 bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
 	$(BIN)/python benchmarks/nuc.py --output docs/bench-nuc.md
 
+bench-priors: setup  ## quality and time of every prior
+	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
+
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint bench-nuc bench-real clean
+.PHONY: help setup demo test test-all lint bench-nuc bench-priors bench-real clean

@@ -9,7 +9,7 @@ from torch import Tensor
 from deepir.penalties.penalty import Penalty
 from deepir.registry import register
 
-SCALE = 2.0  # typical kink, in standard deviations of the noise
+SCALE = 3.2  # typical kink, in standard deviations of the noise
 
 
 @register("penalty", "hessian")

@@ -30,7 +30,7 @@ class RED(Penalty):
     target: Tensor
 
     def __init__(
-        self, shape: Shape, *, weight: float | None = None, denoiser: str = "dct", strength: float = 0.5
+        self, shape: Shape, *, weight: float | None = None, denoiser: str = "dct", strength: float = 0.35
     ) -> None:
         super().__init__(weight=weight)
         if not 0 < strength < float("inf"):
@@ -47,8 +47,8 @@ class RED(Penalty):
         self.target.copy_(self.denoise(value, self.strength * noise))
 
     def natural(self, noise: float) -> float:
-        """The denoised picture counts as much as four bursts."""
-        return 4 / noise**2
+        """The denoised picture counts as much as eight bursts."""
+        return 8 / noise**2
 
     def stiffness(self, value: Tensor) -> tuple[float, float]:
         """The weight."""

@@ -25,7 +25,7 @@ class TGV(Penalty):
     unit: Tensor
 
     def __init__(
-        self, shape: Shape, *, weight: float | None = None, ratio: float = 2.0, rounding: float = 0.1
+        self, shape: Shape, *, weight: float | None = None, ratio: float = 1.0, rounding: float = 0.1
     ) -> None:
         super().__init__(weight=weight)
         for name, option in (("ratio", ratio), ("rounding", rounding)):
