@@ -1,6 +1,6 @@
 """Quality and time of every prior on non-uniformity correction: `make bench-priors`.
 
-Bursts are of three regimes of nuc_regimes.py, half A. A prior's own start is the scene that it is fitted from, the
+Bursts are of two regimes of nuc_regimes.py, half A. A prior's own start is the scene that it is fitted from, the
 sensor already known: the result of total variation, or the registered average; a network that draws all of the scene
 starts from nothing.
 """
@@ -8,7 +8,6 @@ starts from nothing.
 from __future__ import annotations
 
 import argparse
-import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import median
@@ -16,14 +15,14 @@ from statistics import median
 import numpy as np
 import torch
 from nuc_oracle import aligned
-from nuc_regimes import REGIMES, SEEDS, picture
+from nuc_regimes import REGIMES, SEEDS
 from nuc_store import burst
 
 import deepir
 from deepir.config import load, priors
 from deepir.simulate import Simulation
 
-CHOSEN = ("columns U(.5, 1)", "counts", "rotation 6 deg")
+CHOSEN = ("columns U(.5, 1)", "counts")
 FRAMES = (3, 5, 10)
 #: What stands for the start of a prior: one that draws what is added, before its first iteration.
 STARTS = {"tv": "dip_residual", "average": "dip"}
@@ -42,7 +41,7 @@ def main() -> None:
     names = options.prior or [name for name in priors() if options.published or not published(name)]
     lines = [
         f"<!-- written by benchmarks/priors.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()}, {torch.get_num_threads()} threads; seeds {SEEDS['A'][: options.seeds]} -->"
+        f"{torch.get_num_threads()} threads; seeds {SEEDS['A'][: options.seeds]} -->"
     ]
     for line in report(names, SEEDS["A"][: options.seeds]):
         print(line, flush=True)
