@@ -217,8 +217,8 @@ def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
 
 
 def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:
-    """Whether the last ten iterations gained next to nothing; Adam's steps may go up and down."""
-    if at.iteration <= 10 or any(step.average for step in stage.steps):
+    """Whether the last ten iterations gained next to nothing; Adam, whose steps go up and down, takes them all."""
+    if at.iteration <= 10 or any(step.method == "adam" for step in stage.steps):
         return False
     losses = [row["loss"] for row in at.history[-at.iteration :]]
     return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()
