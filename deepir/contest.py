@@ -23,7 +23,7 @@ from deepir.schema import Fit
 from deepir.solve import Stage, Step
 from deepir.strengths import weigh_scene
 
-SHARPER = 8  # times that the registered average gets back what it does not predict: the spline blurs it
+ROUNDS = 8  # of the registered average
 
 
 class Contest:
@@ -57,16 +57,36 @@ class Contest:
         problem.represent("scene", self.field, self.penalties)
 
     def _start(self, problem: Problem) -> Tensor:
-        values: Any = problem.values()
-        if not self.from_average:
-            found: Tensor = values["scene"]
-            return found
-        average, weight = problem.backproject(values)
-        average = filled(average, weight > 0.3 * weight.max())
-        for _ in range(SHARPER):
-            values["scene"] = average
-            slots = {slot: values[name] for slot, name in problem.slots.items()}
-            rest = (problem.precision > 0) * (problem.data - problem.predict(values))
-            missing = problem.operator.adjoint(rest, tuple(average.shape), **slots)
-            average = average + missing / weight.clamp(min=0.3 * float(weight.max()))
-        return average
+        if self.from_average:
+            return registered_average(problem)
+        found: Tensor = problem.values()["scene"]
+        return found
+
+
+@torch.no_grad()
+def registered_average(problem: Problem) -> Tensor:
+    """The scene that the samples show that are not held out, without a prior; all other unknowns as they are.
+
+    The first round averages what the frames show, which the spline blurs; the others give back what is missing
+    (Landweber 1951).
+    """
+    values: Any = problem.values()
+    seen = (problem.fitted() > 0).to(problem.data)
+    shape = tuple(values["scene"].shape)
+    slots = {slot: values[name] for slot, name in problem.slots.items()}
+
+    def shown(scene: Tensor) -> Tensor:
+        return problem.predict({**values, "scene": scene})
+
+    def back(frames: Tensor) -> Tensor:
+        return problem.operator.adjoint((seen * frames).sum_to_size(dark.shape), shape, **slots)
+
+    scene = torch.zeros_like(values["scene"])
+    dark = shown(scene)
+    weight = back(shown(torch.ones_like(scene)) - dark)
+    least = 0.3 * float(weight.max())
+    weight, known = weight.clamp(min=least), weight > least
+    scene = filled(back(problem.data - dark) / weight, known)
+    for _ in range(ROUNDS):
+        scene = scene + back(problem.data - shown(scene)) / weight
+    return scene
