@@ -23,7 +23,7 @@ from deepir.schema import Fit
 from deepir.solve import Stage, Step
 from deepir.strengths import weigh_scene
 
-ROUNDS = 8  # of the registered average
+ROUNDS = 30  # of the registered average
 
 
 class Contest:
