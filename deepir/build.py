@@ -27,7 +27,9 @@ from deepir.registry import lookup
 
 MARGIN = 8  # px that the canvas reaches beyond the registered footprints
 #: What a slot's configuration may hold beside its field's own options.
-SLOT_KEYS = ("type", "init", "fixed", "penalties")
+SLOT_KEYS = ("type", "init", "fixed", "penalties", "fit")
+#: The scene that finds the sensor for a prior that is fitted after it.
+FREE = {"type": "pixels", "penalties": {"tv": "auto"}}
 
 
 @dataclass(frozen=True)
@@ -68,14 +70,11 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         settings = _slot_settings(slots[stage].get(own), neutral, where)
         size = getattr(operator.stages[stage], "size", burst.size)
         fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, geometry.ratio, where)
-        penalties[names[slot]] = _penalties(settings, where)
+        penalties[names[slot]] = _penalties(settings, where, shape)
         _start(fields[names[slot]], settings, motion, geometry, where)
         _demand_sense(own, fields[names[slot]], where)
-    settings = _slot_settings(config.scene, None, "scene")
-    fields["scene"] = _field(settings, scene_shape, 0.0, scene_shape[-2:], geometry.ratio, "scene")
-    penalties["scene"] = _penalties(settings, "scene")
-    if settings.get("init", "average") != "average":
-        raise ConfigError(f"scene.init = {settings['init']!r}: a scene starts at the registered 'average'")
+    scene = FREE if config.scene.get("fit") else config.scene
+    fields["scene"], penalties["scene"] = build_scene(scene, scene_shape)
 
     data = torch.from_numpy(burst.frames)[:, None]
     usable = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None]
@@ -94,6 +93,19 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     with torch.no_grad():
         problem.precision *= problem.valid(problem.values())
     return problem, geometry
+
+
+def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field, dict[str, Penalty]]:
+    """The scene's field and its penalties, from the configuration's `scene`."""
+    settings = _slot_settings(given, None, "scene")
+    allowed = ("average", "tv") if settings.get("fit") else ("average",)
+    if settings.get("init", "average") not in allowed:
+        raise ConfigError(
+            f"scene.init = {settings['init']!r}: a scene starts at the registered 'average', or, with a 'fit' of its "
+            "own, at the result of 'tv'"
+        )
+    field = _field(settings, shape, 0.0, shape[-2:], 1.0, "scene")
+    return field, _penalties(settings, "scene", shape)
 
 
 def _operator(
@@ -239,7 +251,7 @@ def _fitting(kind: str, options: Mapping[str, Any], where: str, context: Mapping
     return field
 
 
-def _penalties(settings: Mapping[str, Any], where: str) -> dict[str, Penalty]:
+def _penalties(settings: Mapping[str, Any], where: str, shape: tuple[int, ...]) -> dict[str, Penalty]:
     found, wanted = {}, settings.get("penalties") or {}
     if not isinstance(wanted, Mapping):
         raise ConfigError(
@@ -249,7 +261,7 @@ def _penalties(settings: Mapping[str, Any], where: str) -> dict[str, Penalty]:
         if given is None:  # what a preset has, left out
             continue
         options = {"weight": given} if isinstance(given, int | float | str) else given
-        found[name] = make("penalty", name, options, f"{where}.penalties.{name}")
+        found[name] = make("penalty", name, options, f"{where}.penalties.{name}", shape=shape)
     return found
 
 

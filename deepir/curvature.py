@@ -84,8 +84,11 @@ def curvature(
     problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str] = ()
 ) -> Curvature | None:
     """For pixels that a moving sensor sees; None where the parameters or the physics are others."""
-    mine = any(p is each for p in parameters for each in problem.fields["scene"].parameters())
-    return Curvature(problem, parameters, eliminated) if mine and modelled(problem) else None
+    of_fields = {id(p) for field in problem.fields.values() for p in field.parameters()}
+    of_scene = {id(p) for p in problem.fields["scene"].parameters()}
+    mine = {id(p) for p in parameters}
+    known = mine <= of_fields and bool(mine & of_scene)  # a penalty may have unknowns of its own
+    return Curvature(problem, parameters, eliminated) if known and modelled(problem) else None
 
 
 def modelled(problem: Problem) -> bool:

@@ -14,6 +14,7 @@ from torch import Tensor
 from deepir.build import Geometry, build
 from deepir.burst import Burst
 from deepir.config import Config
+from deepir.contest import Contest
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
@@ -26,6 +27,7 @@ from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 from deepir.slow import shading_message
 from deepir.solve import Progress, Solution, Stage, Step, solve
+from deepir.strengths import hold_out
 from deepir.uncertainty import pattern_cost, uncertainty
 
 #: Motion, in px at the frame's edge, below which a burst counts as still.
@@ -55,6 +57,8 @@ def joint(
     definition.initialise(problem, config.seed)
     _demand_strengths(problem)
     stages = plan(problem, definition, config)
+    if config.scene.get("fit") and not problem.held_out.any():
+        hold_out(problem, config.seed)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     messages += definition.messages
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
@@ -159,15 +163,25 @@ def _demand_strengths(problem: Problem) -> None:
 
 def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
     """The stages of `solver.plan`, or else the problem's own; `ConfigError` where they do not fit the unknowns."""
-    given, cap = config.solver.plan, config.solver.max_iterations
+    given, cap, contest = (
+        config.solver.plan,
+        config.solver.max_iterations,
+        Contest(problem, config) if config.scene.get("fit") else None,
+    )
     if given is None:
         stages, where = definition.plan(problem), f"problem '{config.problem}' (or take problem=generic)"
     else:
         where = "solver.plan"
         stages = [
-            Stage(s.name, tuple(Step(tuple(p.group), p.method, p.lr, p.every) for p in s.steps), s.iterations)
+            Stage(
+                s.name,
+                tuple(Step(**p.model_dump() | {"group": tuple(p.group)}) for p in s.steps),
+                s.iterations,
+            )
             for s in given
         ]
+    if contest is not None:
+        stages = contest.after(stages)
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
     return [

@@ -104,8 +104,17 @@ class Problem(nn.Module):
             if (prior := field.penalty()) is not None:
                 terms[name] = prior
             for kind, penalty in self.penalties[name].items() if name in self.penalties else ():
-                terms[f"{name}.{kind}"] = penalty(values[name])
+                terms[f"{name}.{kind}"] = penalty(self.shown(name, values[name], penalty))
         return terms
+
+    def shown(self, name: str, value: Tensor, penalty: Penalty) -> Tensor:
+        """What a penalty on an unknown is of: its value, or the picture that the scene shows."""
+        return self.operator.image(value) if penalty.of_image and name == "scene" else value
+
+    def represent(self, name: str, field: Field, penalties: Mapping[str, Penalty]) -> None:
+        """Let another field of the same shape, with penalties of its own, stand for an unknown."""
+        self.fields[name] = field  # type: ignore[index]
+        self.penalties[name] = nn.ModuleDict(penalties)  # type: ignore[index]
 
     def _misfit(self, values: Values, eliminated: Collection[str], precision: Tensor) -> Tensor:
         name, last = self.operator.named()[-1]

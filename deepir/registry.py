@@ -22,6 +22,7 @@ HOMES = {
     "operator": ["deepir.operators"],
     "field": ["deepir.priors"],
     "penalty": ["deepir.penalties"],
+    "denoiser": ["deepir.denoisers"],
     "fidelity": ["deepir.fidelity"],
     "problem": ["deepir.problems"],
     "method": ["deepir.joint", "deepir.baselines"],

@@ -37,6 +37,17 @@ class StepConfig(_Strict):
     method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
     lr: float = Field(1e-2, gt=0)
     every: int = Field(1, ge=1)
+    average: float = Field(0.0, ge=0, lt=1)  # of adam's iterates: the decay
+
+
+class Fit(_Strict):
+    """`scene.fit`: how a prior is fitted to the scene once the sensor is known."""
+
+    method: Literal["lbfgs", "adam"] = "adam"
+    lr: float = Field(1e-2, gt=0)
+    iterations: int = Field(300, ge=0)  # of each round
+    rounds: int = Field(1, ge=1)  # at whose begin penalties learn from the scene what they need
+    average: float = Field(0.0, ge=0, lt=1)
 
 
 class StageConfig(_Strict):

@@ -15,6 +15,7 @@ from torch import Tensor
 from deepir import checkpoint as store
 from deepir.curvature import curvature
 from deepir.errors import DataError, SolverError
+from deepir.held_out import held_out_error
 from deepir.optimisers import OPTIMISERS, Optimiser, free_parameters
 from deepir.problem import Problem, Values
 
@@ -30,6 +31,7 @@ class Step:
     method: str = "lbfgs"
     lr: float = 1e-2  # adam only
     every: int = 1  # the step is taken at every n-th iteration
+    average: float = 0.0  # adam only: decay of the average of the iterates, see `deepir.optimisers.adam`
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class Stage:
     prepare: Callable[[Problem], None] | None = None
     use_held_out: bool = False
     tolerance: float = 1e-5  # stop when ten iterations gain less than this, in nats for each sample
+    #: Called before `prepare` to put a field in another's place; and again when a later solve goes on from here.
+    change: Callable[[Problem], None] | None = None
 
 
 @dataclass
@@ -121,10 +125,14 @@ def solve(
     while at.stage < len(plan):
         stage = plan[at.stage]
         if optimisers is None:
+            if stage.change is not None:
+                stage.change(problem)
             if stage.prepare is not None:
                 stage.prepare(problem)
             optimisers = _optimisers(problem, stage)
         reason = _run(problem, plan, optimisers, at, callbacks, save)
+        for optimiser, _ in optimisers:
+            optimiser.finish()
         if any(step.method == "eliminate" for step in stage.steps):
             with torch.no_grad():
                 objective(problem, stage)(())  # they follow the others' last step
@@ -197,20 +205,10 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     return evaluate
 
 
-@torch.no_grad()
-def held_out_error(problem: Problem) -> float:
-    """Root mean square error at the held-out samples, in the data's units; NaN without any."""
-    held = (problem.held_out & (problem.precision > 0)).flatten().nonzero()[:, 0]
-    if not len(held):
-        return math.nan
-    prediction, data = (each.flatten()[held] for each in (problem.predict(problem.values()), problem.data))
-    return float((prediction - data).square().mean().sqrt())
-
-
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
     evaluate = objective(problem, stage)
     steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
-    found = [(OPTIMISERS[step.method](problem, step.group, evaluate, lr=step.lr), step) for step in steps]
+    found = [(OPTIMISERS[s.method](problem, s.group, evaluate, lr=s.lr, average=s.average), s) for s in steps]
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, step in found:
         if step.method == "lbfgs":
@@ -219,8 +217,8 @@ def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
 
 
 def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:
-    """Whether the last ten iterations gained next to nothing; Adam's steps may go up and down."""
-    if at.iteration <= 10:
+    """Whether the last ten iterations gained next to nothing; Adam, whose steps go up and down, takes them all."""
+    if at.iteration <= 10 or any(step.method == "adam" for step in stage.steps):
         return False
     losses = [row["loss"] for row in at.history[-at.iteration :]]
     return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()
@@ -270,6 +268,9 @@ def _restore(
     tensors, position = store.load(path)
     try:
         at = _Position(**position)
+        for stage in plan[: at.stage + 1]:
+            if stage.change is not None:
+                stage.change(problem)
         for name, value in _state(problem).items():
             value.copy_(tensors[f"problem.{name}"])
         if at.stage >= len(plan):

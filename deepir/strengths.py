@@ -90,11 +90,19 @@ def _bins(values: Tensor) -> Tensor:
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
-    """Set the weights of the scene's penalties: `factor` times what is given, or what suits the noise."""
+    """Set the weights of the scene's penalties: `factor` times what is given, or what suits the noise.
+
+    What else they need they learn from the scene as it is.
+    """
     precision = problem.precision.sum(0)  # the frames' information adds up
-    noise = problem.operator.noise_gain * float(precision[precision > 0].median().rsqrt())
+    average = float(precision[precision > 0].median().rsqrt())
+    with torch.no_grad():
+        scene = problem.fields["scene"]()
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
+        noise = average * (1.0 if penalty.of_image else problem.operator.noise_gain)
         penalty.weight.fill_(factor * (penalty.natural(noise) if penalty.given is None else penalty.given))
+        with torch.no_grad():
+            penalty.adapt(problem.shown("scene", scene, penalty), noise)
 
 
 @torch.no_grad()

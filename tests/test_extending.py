@@ -108,7 +108,7 @@ def test_a_problem_as_yaml_only_runs_with_a_plugin_that_is_named(outside, pictur
 def test_an_installed_plugin_is_found_and_listed(outside):
     install(outside)
     listed = command("list", path=outside)
-    for line in ("  mask ", "  cosines ", "  curvature ", "  inpaint ", "  warp "):
+    for line in ("  mask ", "  cosines ", "  curvature ", "  box ", "  inpaint ", "  warp "):
         assert line in listed
     assert "in order; problem inpaint" in command("check", "inpaint.yaml", "problem=inpaint", path=outside)
 

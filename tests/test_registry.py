@@ -24,7 +24,11 @@ def test_each_kind_has_its_components():
             "affine",
             "column",
             "constant",
+            "deep_decoder",
+            "dip",
+            "fourier",
             "gaussian",
+            "grid",
             "homography",
             "kernel",
             "pixel",
@@ -32,8 +36,11 @@ def test_each_kind_has_its_components():
             "rigid",
             "row",
             "shift",
+            "siren",
+            "wire",
         },
-        "penalty": {"huber_tv", "l1", "ridge", "smooth", "tv"},
+        "penalty": {"hessian", "huber_tv", "l1", "red", "ridge", "smooth", "tgv", "tv"},
+        "denoiser": {"dct", "nl_means", "wavelets"},
         "fidelity": {"gaussian", "huber", "l1", "poisson"},
         "problem": {"generic", "nuc", "sr"},
         "method": {"average", "bicubic", "joint"},
@@ -65,7 +72,7 @@ def test_a_misspelt_name_gives_the_place_and_the_nearest():
         ConfigError, match=r"scene\.penalties: no penalty is called 'tvv'; did you mean 'tv'\?"
     ):
         lookup("penalty", "tvv", "scene.penalties")
-    with pytest.raises(ConfigError, match=r"no penalty is called 'zzz'; Allowed: .*huber_tv, l1, ridge"):
+    with pytest.raises(ConfigError, match=r"no penalty is called 'zzz'; Allowed: .*huber_tv, l1, red, ridge"):
         lookup("penalty", "zzz")
 
 

@@ -23,8 +23,10 @@ class LBFGS(Optimiser):
     trial whose value or slope is not finite is one that went too far.
     """
 
-    def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
-        super().__init__(problem, group, evaluate, lr=lr)
+    def __init__(
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float, average: float = 0.0
+    ) -> None:
+        super().__init__(problem, group, evaluate, lr=lr, average=average)
         self.x = self._flat(self.parameters)
         self.slope: Tensor | None = None
         self.scale = torch.ones(())  # of a known curvature

@@ -14,15 +14,20 @@ Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
 
 
 def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter]:
-    """The parameters of the group's fields that can move."""
+    """The parameters of the group's fields that can move, and those that their penalties have."""
+    penalties = problem.penalties
     mine = [p for name in group for p in problem.fields[name].parameters()]
+    mine += [p for name in group if name in penalties for p in penalties[name].parameters()]  # type: ignore[attr-defined]
     return [p for p in mine if p.requires_grad and p.numel()]
 
 
 class Optimiser:
     """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields."""
 
-    def __init__(self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float) -> None:
+    def __init__(
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float, average: float = 0.0
+    ) -> None:
+        self.problem, self.average = problem, average
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
         self.parameters = free_parameters(problem, group)
         self.value, self.done, self._count = float("nan"), False, 0
@@ -32,6 +37,9 @@ class Optimiser:
     def step(self, *, fresh: bool) -> None:
         """One iteration, sets `value`, and `done` at rest. `fresh`: others have changed since the last."""
         raise NotImplementedError
+
+    def finish(self) -> None:
+        """Leave the parameters at what the stage found."""
 
     def state(self) -> dict[str, Tensor]:
         """All that a resumed run needs, beside the fields' parameters, to take the same steps."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
 import torch
 from torch import Tensor, nn
 
@@ -14,6 +16,8 @@ class Penalty(nn.Module):
     """
 
     weight: Tensor
+    #: Whether it is of the picture that the scene shows, not of the scene's array; see `Operator.image`.
+    of_image: ClassVar[bool] = False
 
     def __init__(self, *, weight: float | None = None) -> None:
         super().__init__()
@@ -34,9 +38,20 @@ class Penalty(nn.Module):
         """The weight that suits a value with noise of this standard deviation, before it is penalised."""
         return 1.0
 
+    def adapt(self, value: Tensor, noise: float) -> None:
+        """Learn what the penalty needs from the value as it is, with noise of this standard deviation.
+
+        Called between the stages of a solve; it may change buffers, nothing else.
+        """
+
     def stiffness(self, value: Tensor) -> tuple[float, float]:
         """About how the penalty curves at `value`: per square of a change, and per squared gradient of one."""
         return 0.0, 0.0
+
+    @classmethod
+    def example(cls, **options: Any) -> Penalty:
+        """One for a value of 7 x 9 px: the test-suite collects it from the registry."""
+        return cls(**options)
 
 
 def squared_gradient(value: Tensor) -> Tensor:

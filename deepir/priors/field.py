@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from torch import Tensor, nn
 
@@ -21,6 +21,9 @@ class Field(nn.Module):
     each of them is of the same order in the data: that is what lets one L-BFGS step move scene and motion
     together.
     """
+
+    #: Whether `init_from` takes any value over that the field can represent; a network cannot.
+    exact: ClassVar[bool] = True
 
     def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
         super().__init__()

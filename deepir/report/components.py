@@ -24,6 +24,7 @@ KINDS = {
         "How an unknown is represented: `type` of the scene or of a slot. Sums are written `column+row+pixel`.",
     ),
     "penalty": ("Penalties", "Under `penalties` of the scene or of a slot; several may stack."),
+    "denoiser": ("Denoisers", "What `red` regularises by: `scene.penalties.red.denoiser`."),
     "fidelity": ("Fidelities", "How prediction and data are compared: `fidelity`."),
     "problem": ("Problems", "How a problem is started and solved: `problem`."),
     "method": ("Methods", "What runs: `method`."),
@@ -57,7 +58,7 @@ def page() -> str:
 
 def _row(name: str, component: Any, kind: str) -> list[str]:
     slots = [", ".join(f"`{slot}`" for slot in _slots(component))] if kind == "operator" else []
-    options = "" if kind in ("problem", "method") else _options(component)
+    options = "" if kind in ("problem", "method", "denoiser") else _options(component)
     return [f"`{name}`", summary(component), *slots, options]
 
 

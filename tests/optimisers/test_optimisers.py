@@ -21,6 +21,7 @@ class Point(nn.Module):
         field = nn.Module()
         field.x = nn.Parameter(torch.tensor(start, dtype=torch.float64))
         self.fields = nn.ModuleDict({"x": field})
+        self.penalties = {}
 
     @property
     def x(self):

@@ -1,0 +1,94 @@
+"""Quality and time of every prior on non-uniformity correction: `make bench-priors`.
+
+Bursts are of two regimes of nuc_regimes.py, half A. A prior's own start is the scene that it is fitted from, the
+sensor already known: the result of total variation, or the registered average; a network that draws all of the scene
+starts from nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import torch
+from nuc_oracle import aligned
+from nuc_regimes import REGIMES, SEEDS
+from nuc_store import burst
+
+import deepir
+from deepir.config import load, priors
+from deepir.simulate import Simulation
+
+CHOSEN = ("columns U(.5, 1)", "counts")
+FRAMES = (3, 5, 10)
+#: What stands for the start of a prior: one that draws what is added, before its first iteration.
+STARTS = {"tv": "dip_residual", "average": "dip"}
+HEADER = (
+    "| prior | start | " + " | ".join(f"{n} frames" for n in FRAMES) + " | over TV | over own start | s |"
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=3, help="how many of the seeds to run")
+    parser.add_argument("--prior", action="append", help="only this one")
+    parser.add_argument("--published", action="store_true", help="those with published settings too: hours")
+    parser.add_argument("--output", type=Path, help="write the table to this file too")
+    options = parser.parse_args()
+    names = options.prior or [name for name in priors() if options.published or not published(name)]
+    lines = [
+        f"<!-- written by benchmarks/priors.py: deepir {deepir.__version__}, torch {torch.__version__}, "
+        f"{torch.get_num_threads()} threads; seeds {SEEDS['A'][: options.seeds]} -->"
+    ]
+    for line in report(names, SEEDS["A"][: options.seeds]):
+        print(line, flush=True)
+        lines.append(line)
+    if options.output:
+        options.output.write_text("\n".join(lines) + "\n")
+
+
+def published(name: str) -> bool:
+    """Whether a preset holds published settings."""
+    return name.endswith(("_official", "_2021"))
+
+
+def report(names: Sequence[str], seeds: Sequence[int]) -> Iterator[str]:
+    """Lines of markdown: medians over bursts of PSNR in dB, and of seconds."""
+    sims = {
+        (regime, n, seed): burst(
+            REGIMES[regime].picture("A"), REGIMES[regime].settings(n), seed, fresh=False
+        )[0]
+        for regime in CHOSEN
+        for n in FRAMES
+        for seed in seeds
+    }
+    starts = {
+        start: {key: quality(sim, prior, "scene.fit.iterations=0")[0] for key, sim in sims.items()}
+        for start, prior in STARTS.items()
+    }
+    reference = {key: quality(sim, "tv")[0] for key, sim in sims.items()}
+    yield f"{HEADER}\n|{'---|' * (len(FRAMES) + 5)}"
+    for name in ["tv", *(each for each in names if each != "tv")]:
+        found = {key: quality(sim, name) for key, sim in sims.items()}
+        scene = load("nuc", [f"prior={name}"]).scene
+        start = str(scene.get("init", "average")) if scene.get("fit") else ""
+        by_frames = [median(found[key][0] for key in found if key[1] == n) for n in FRAMES]
+        over = median(found[key][0] - reference[key] for key in found)
+        cells = [name, start, *(f"{each:.2f}" for each in by_frames), f"{over:+.2f}"]
+        begun = bool(start) and (scene.get("residual") or scene.get("picture") or scene["type"] == "pixels")
+        own = median(found[key][0] - starts[start][key] for key in found) if begun else None
+        cells += ["from nothing" if start and own is None else "" if own is None else f"{own:+.2f}"]
+        yield f"| {' | '.join([*cells, f'{median(s for _, s in found.values()):.1f}'])} |"
+
+
+def quality(sim: Simulation, prior: str, *more: str) -> tuple[float, float]:
+    """PSNR in dB after one gain and level, and seconds."""
+    result = deepir.run("nuc", f"prior={prior}", *more, frames=sim.frames)
+    return aligned(np.asarray(result.scene, float), sim), result.metrics["seconds"]
+
+
+if __name__ == "__main__":
+    main()

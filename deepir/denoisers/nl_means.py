@@ -1,0 +1,30 @@
+"""Non-local means."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.registry import register
+
+PATCH, REACH = 5, 6  # px: side of a patch, and how far others are looked for
+FILTER = 0.8  # of the noise's standard deviation: how far patches that are alike may differ
+
+
+@register("denoiser", "nl_means")
+def nl_means(picture: Tensor, noise: float) -> Tensor:
+    """Means of pixels whose surroundings are alike (Buades, Coll, Morel 2005), as scikit-image has it."""
+    from skimage.restoration import denoise_nl_means  # not above: it is slow to import
+
+    low = picture.min()
+    span = float((picture.max() - low).clamp(min=1e-30))  # it works with values of about one
+    options = {
+        "patch_size": PATCH,
+        "patch_distance": REACH,
+        "h": FILTER * noise / span,
+        "sigma": noise / span,
+    }
+    planes = ((picture - low) / span).reshape(-1, *picture.shape[-2:]).double().cpu().numpy()
+    found = np.stack([denoise_nl_means(plane, fast_mode=True, **options) for plane in planes])
+    return torch.from_numpy(found).to(picture).reshape(picture.shape) * span + low

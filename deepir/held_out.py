@@ -1,0 +1,19 @@
+"""The error at samples that no fit sees."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from deepir.problem import Problem
+
+
+@torch.no_grad()
+def held_out_error(problem: Problem) -> float:
+    """Root mean square error at the held-out samples, in the data's units; NaN without any."""
+    held = (problem.held_out & (problem.precision > 0)).flatten().nonzero()[:, 0]
+    if not len(held):
+        return math.nan
+    prediction, data = (each.flatten()[held] for each in (problem.predict(problem.values()), problem.data))
+    return float((prediction - data).square().mean().sqrt())

@@ -1,0 +1,68 @@
+"""Sinusoidal representation networks."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from deepir.priors.coordinates import Coordinates
+from deepir.priors.field import Shape
+from deepir.registry import register
+
+
+class Sine(nn.Module):
+    """A linear layer, then `sin(omega x)`."""
+
+    def __init__(self, inputs: int, outputs: int, omega: float) -> None:
+        super().__init__()
+        self.omega, self.linear = omega, nn.Linear(inputs, outputs)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """`sin(omega (W x + b))`."""
+        return torch.sin(self.omega * self.linear(x))
+
+
+@register("field", "siren")
+class Siren(Coordinates):
+    """Layers of sines of the coordinates (Sitzmann et al. 2020, "Implicit neural representations with periodic ...").
+
+    Args:
+        shape: Of the scene, (1, 1, H, W).
+        neutral: The level, until it starts somewhere.
+        width: Of the layers.
+        depth: Layers with a sine.
+        omega: Factor of each sine's argument.
+        residual: Whether it draws what is added to what the scene starts at.
+        bf16: Whether layers are computed in bfloat16.
+    """
+
+    def __init__(
+        self,
+        shape: Shape,
+        neutral: float = 0.0,
+        *,
+        width: int = 256,
+        depth: int = 4,
+        omega: float = 30.0,
+        residual: bool = False,
+        bf16: bool = False,
+    ) -> None:
+        super().__init__(shape, neutral, residual=residual, bf16=bf16)
+        if min(width, depth) < 1 or not 0 < omega < float("inf"):
+            raise ValueError("width and depth must be at least 1, and omega a positive number")
+        layers: list[nn.Module] = [Sine(2 if i == 0 else width, width, omega) for i in range(depth)]
+        self.net = nn.Sequential(*layers, nn.Linear(width, 1))
+        with torch.no_grad():
+            linear = [each for each in self.net.modules() if isinstance(each, nn.Linear)]
+            linear[0].weight.uniform_(-1 / 2, 1 / 2)
+            for each in linear[1:]:
+                bound = (6 / width) ** 0.5 / omega
+                each.weight.uniform_(-bound, bound)
+            if residual:  # it begins at what it starts from
+                linear[-1].weight.zero_()
+                linear[-1].bias.zero_()
+
+    @classmethod
+    def example(cls) -> Siren:
+        """A small one for 6 x 7 px."""
+        return cls((1, 1, 6, 7), width=8, depth=2)

@@ -1,0 +1,30 @@
+"""Every prior runs from the command line, and goes on where it was interrupted."""
+
+import numpy as np
+import pytest
+
+from deepir.config import priors
+
+
+@pytest.mark.parametrize("prior", priors())
+def test_every_prior_corrects_a_burst(nuc, folder, prior):
+    status, out, err = nuc("data.path=burst.npz", f"prior={prior}", "solver.max_iterations=2")
+    assert status == 0, err
+    assert "results: " in out
+    scene = np.load("runs/nuc/result.npz")["scene"]
+    assert scene.shape == (40, 48)
+    assert np.isfinite(scene).all()
+
+
+def test_a_wrong_fit_is_told_by_its_key(nuc):
+    status, _, err = nuc("data.path=burst.npz", "prior=grid", "scene.fit.iteration=3")
+    assert status != 0
+    assert "scene.fit" in err
+    assert "iterations" in err
+
+
+def test_a_start_that_there_is_not_is_told(nuc):
+    status, _, err = nuc("data.path=burst.npz", "prior=grid", "scene.init=noise")
+    assert status != 0
+    assert "scene.init" in err
+    assert "'tv'" in err

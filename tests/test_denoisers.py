@@ -1,0 +1,63 @@
+"""What every registered denoiser keeps to, and the penalty that is made of one."""
+
+import pytest
+import torch
+
+from deepir.penalties.red import RED
+from deepir.registry import components
+
+DENOISERS = components("denoiser")
+
+
+@pytest.fixture(params=DENOISERS)
+def denoise(request):
+    if request.param == "wavelets":
+        pytest.importorskip("pywt")
+    return DENOISERS[request.param]
+
+
+def picture():
+    """A disk on a slope, in counts."""
+    y, x = torch.meshgrid(torch.arange(40.0), torch.arange(48.0), indexing="ij")
+    return (8000 + 10 * x + 500 * ((x - 24) ** 2 + (y - 20) ** 2 < 150))[None, None]
+
+
+def test_a_third_of_the_noise_goes_at_least_and_shape_and_type_stay(denoise):
+    truth = picture()
+    found = denoise(truth + 10 * torch.randn(truth.shape), 10.0)
+    assert found.shape == truth.shape
+    assert found.dtype == truth.dtype
+    assert float((found - truth).square().mean().sqrt()) < 6.7
+
+
+def test_a_picture_without_noise_stays(denoise):
+    assert torch.allclose(denoise(picture(), 1e-3), picture(), atol=1.0)
+
+
+def test_it_knows_no_units(denoise):
+    noisy = picture() + 10 * torch.randn(1, 1, 40, 48)
+    other = denoise(noisy.double() / 1e3 - 7, 1e-2)
+    assert torch.allclose((other + 7) * 1e3, denoise(noisy.double(), 10.0), atol=0.1)
+
+
+def test_blocks_of_cosines_alone_are_kept_and_noise_is_taken_off_by_nine_tenths():
+    flat = torch.full((1, 1, 64, 64), 5.0)
+    rest = DENOISERS["dct"](flat + torch.randn(flat.shape), 1.0) - flat
+    assert float(rest.std()) < 0.2
+
+
+def test_red_is_the_distance_from_the_denoised_picture():
+    penalty, noisy = RED((1, 1, 40, 48), weight=2.0), picture() + 10 * torch.randn(1, 1, 40, 48)
+    penalty.adapt(noisy, 20.0)
+    denoised = DENOISERS["dct"](noisy, 7.0)
+    assert float(penalty(noisy)) == pytest.approx(float((noisy - denoised).square().sum()), rel=1e-5)
+    assert float(penalty(denoised)) == 0
+
+
+def test_red_is_of_the_picture_and_not_of_the_splines_coefficients(small_nuc):
+    problem = small_nuc()
+    scene = problem.fields["scene"]().detach()
+    penalty = RED(tuple(scene.shape)).double()
+    problem.represent("scene", problem.fields["scene"], {"red": penalty})
+    penalty.target.copy_(problem.operator.image(scene))
+    assert float(problem.losses(problem.values())["scene.red"].detach()) == pytest.approx(0, abs=1e-12)
