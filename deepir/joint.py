@@ -25,7 +25,7 @@ from deepir.registration import register as register_frames
 from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
-from deepir.slow import shading_message
+from deepir.slow_strengths import shading_message
 from deepir.solve import Progress, Solution, Stage, Step, solve
 from deepir.strengths import hold_out
 from deepir.uncertainty import pattern_cost, uncertainty

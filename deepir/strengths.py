@@ -17,7 +17,7 @@ from deepir.noise import MAD
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
-from deepir.slow import estimate_slow
+from deepir.slow_strengths import estimate_slow
 from deepir.thin import thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees

@@ -12,7 +12,7 @@ from torch import Tensor
 from deepir.noise import sample_noise
 from deepir.problem import Problem
 from deepir.registry import register
-from deepir.slow import estimate_slow
+from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.strengths import start_parts, weigh_scene
 from deepir.thin import thinned

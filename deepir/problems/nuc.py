@@ -6,7 +6,7 @@ from deepir.curvature import modelled
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
-from deepir.slow import estimate_slow
+from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
 
