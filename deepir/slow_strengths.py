@@ -40,7 +40,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
         if start:
             field.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
             field.init_from(evidence.levels(smooth, drift))
-    if start:
+    if start and (smooth or drift):
         scene = problem.fields["scene"]
         scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
 

@@ -21,7 +21,7 @@ from deepir.slow_strengths import estimate_slow
 from deepir.thin import thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
-OUTLIER = 3.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
+OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
 ROUNDS = 2  # of the parts' strengths at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
