@@ -66,4 +66,4 @@ def _loss(axes: Any, history: list[dict[str, Any]]) -> None:
         axes.semilogy(np.arange(start, start + len(loss)), loss - loss.min() + 1, color=colour, label=label)
         start += len(loss)
     if history:
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, loc="upper right")  # losses fall
