@@ -142,8 +142,15 @@ def _preset(name: str) -> dict[str, Any]:
     own = Path(name).expanduser()
     if name in priors():
         return _read(SHIPPED / "prior" / f"{name}.yaml")
-    if own.suffix in (".yaml", ".yml") and own.is_file():
-        return _read(own)
+    if own.suffix in (".yaml", ".yml"):
+        if not own.is_file():
+            raise ConfigError(
+                f"prior: {name}: no such file; give a .yaml file or a name: {', '.join(priors())}"
+            )
+        given = _read(own)
+        if unknown := next((key for key in given if key not in Config.model_fields), None):
+            raise ConfigError(f"{name}: no option '{unknown}'; a prior's file holds `scene:`")
+        return given
 
     from deepir.registry import components  # not above: `deepir --help` does without torch
 
@@ -162,9 +169,10 @@ def _order(config: Config, in_file: list[str], label: str) -> None:
         target = options.pop("before", None)
         if target is None:
             if name not in in_file:
+                hint = _did_you_mean(name, in_file).rstrip()
                 raise ConfigError(
-                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)}); "
-                    f"{_did_you_mean(name, in_file)}A new stage must say where it goes, for example "
+                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)})"
+                    f"{f'; {hint}' if hint else '.'} A new stage must say where it goes, for example "
                     f"physics.{name}.before={in_file[-1] if in_file else 'STAGE'}"
                 )
             continue

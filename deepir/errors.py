@@ -23,12 +23,12 @@ class SolverError(DeepIRError):
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
-    """`"; did you mean 'tv'? Allowed: ..."` for a misspelt name.
+    """`"did you mean 'tv'? Allowed: ..."` for a misspelt name.
 
     >>> nearest("tvv", ["tv", "ridge"])
     "did you mean 'tv'? Allowed: ridge, tv"
     """
     names = sorted(allowed)
     close = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean '{close[0]}'? " if close else ""
-    return f"{hint}Allowed: {', '.join(names) if names else 'nothing'}"
+    hint = f"did you mean '{close[0]}'? Allowed" if close else "allowed"
+    return f"{hint}: {', '.join(names) if names else 'nothing'}"

@@ -23,17 +23,18 @@ def level_residuals(problem: Problem) -> Tensor:
 
 def drift_message(problem: Problem) -> list[str]:
     """Say so if the frames' levels drift, whether the problem knows it or not."""
+    least = DRIFT * typical_noise(problem.precision)
     if all(name in problem.free() for name in level_names(problem)):
-        found = [float(problem.fields[name]().detach().std()) for name in level_names(problem)]
+        found = [problem.fields[name]().detach() for name in level_names(problem)]
         return [
-            f"the level of whole frames drifts, by {each:.3g}: a slope across the scene is told from that only in part"
+            f"the level of whole frames drifts, by {each.std():.3g}: "
+            "a slope across the scene is told from that only in part"
             for each in found
-            if each > 0
+            if float((each - each.mean()).abs().max()) > least
         ]
     level = level_residuals(problem)
     drift = float((level - level.mean()).abs().max())
-    noise = typical_noise(problem.precision)
-    if drift < DRIFT * noise:
+    if drift < least:
         return []
     return [
         f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with physics.sensor.level=drift"

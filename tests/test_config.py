@@ -120,6 +120,15 @@ def test_a_misspelt_key_in_a_file_names_the_file(tmp_path):
         load(path)
 
 
+def test_what_is_wrong_with_a_file_of_a_prior_names_the_file(tmp_path):
+    path = tmp_path / "smooth.yaml"
+    with pytest.raises(ConfigError, match=r"smooth\.yaml: no such file"):
+        load("nuc", [f"prior={path}"])
+    path.write_text("scen: {type: grid}\n")
+    with pytest.raises(ConfigError, match=r"smooth\.yaml: no option 'scen'; a prior's file holds `scene:`"):
+        load("nuc", [f"prior={path}"])
+
+
 def test_a_wrong_override_is_quoted():
     with pytest.raises(ConfigError, match=r"'seed=a': seed = 'a': a whole number is needed"):
         load("nuc", ["threads=1", "seed=a"])

@@ -72,7 +72,7 @@ def test_a_misspelt_name_gives_the_place_and_the_nearest():
         ConfigError, match=r"scene\.penalties: no penalty is called 'tvv'; did you mean 'tv'\?"
     ):
         lookup("penalty", "tvv", "scene.penalties")
-    with pytest.raises(ConfigError, match=r"no penalty is called 'zzz'; Allowed: .*huber_tv, l1, red, ridge"):
+    with pytest.raises(ConfigError, match=r"no penalty is called 'zzz'; allowed: .*huber_tv, l1, red, ridge"):
         lookup("penalty", "zzz")
 
 

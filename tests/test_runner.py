@@ -143,8 +143,10 @@ def test_a_drift_of_the_level_is_warned_of_and_found():
     assert np.abs(found.level - sim.truth.level).max() < 0.1 * np.ptp(sim.truth.level)
 
 
-def test_a_steady_level_is_not_warned_of():
-    assert deepir.run("nuc", frames=camera().frames, threads=1).messages == []
+@pytest.mark.parametrize("level", ["drift", "pixels", "0.0"])
+def test_a_steady_level_is_not_warned_of(level):
+    setting = f"physics.sensor.level={level}"
+    assert deepir.run("nuc", setting, frames=camera().frames, threads=1).messages == []
 
 
 def test_data_rounded_more_coarsely_than_they_are_noisy_are_solved():

@@ -34,7 +34,7 @@ def batch(
     The same command again goes on where it was interrupted.
     """
     plugins = load_plugins(plugin)
-    from deepir.errors import DataError
+    from deepir.errors import ConfigError, DataError
     from deepir.sweep.axes import bursts, listed
     from deepir.sweep.sweep import prepare
 
@@ -42,6 +42,8 @@ def batch(
     patterns = [each for each in what if each not in settings]
     if not patterns:
         raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")
+    if any(each.partition("=")[0].strip() == "data.path" for each in settings):
+        raise ConfigError("data.path: bursts are given without it, for example deepir batch nuc burst.npz")
     fixed, axes = listed(settings)
     checked = prepare(
         config,

@@ -57,9 +57,13 @@ def _loss(axes: Any, history: list[dict[str, Any]]) -> None:
     axes.set_title("loss in each stage, less its least (nats)", fontsize=10)
     axes.set_xlabel("iteration")
     start = 0
+    colours: dict[str, str] = {}
     for stage in dict.fromkeys(row["stage"] for row in history):
         loss = np.array([row["loss"] for row in history if row["stage"] == stage])
-        axes.semilogy(np.arange(start, start + len(loss)), loss - loss.min() + 1, label=stage)
+        kind = stage.rstrip(" 0123456789")  # the rounds of a stage share a colour and a name
+        label = None if kind in colours else kind
+        colour = colours.setdefault(kind, f"C{len(colours)}")
+        axes.semilogy(np.arange(start, start + len(loss)), loss - loss.min() + 1, color=colour, label=label)
         start += len(loss)
     if history:
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, loc="upper right")  # losses fall

@@ -98,18 +98,19 @@ def _one_burst(config: Config, most: int | None) -> Config:
     return config.model_copy(update={"data": data})
 
 
-def check(found: Sequence[Cell]) -> None:
+def check(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
     """Find what is wrong with any of them before anything runs, but for the files of bursts that an axis names.
 
-    Configurations that differ in seeds only are checked once, and on one burst that can be read.
+    Configurations that differ in seeds only are checked once, and on one burst that can be read; not at all
+    if one like it is `finished`.
 
     Raises:
         DeepIRError: What is wrong, and with which cell.
     """
-    checked: set[tuple[str, ...]] = set()
+    checked = {_kind(cell) for cell in finished}
     unread: dict[tuple[str, ...], DataError] = {}
     for cell in found:
-        kind = tuple(value for key, value in cell.values.items() if key not in ("seed", BURST))
+        kind = _kind(cell)
         if kind in checked:
             continue
         try:
@@ -125,6 +126,11 @@ def check(found: Sequence[Cell]) -> None:
             unread.pop(kind, None)
     if unread:
         raise next(iter(unread.values()))
+
+
+def _kind(cell: Cell) -> tuple[str, ...]:
+    """What matters to a check."""
+    return tuple(value for key, value in cell.values.items() if key not in ("seed", BURST))
 
 
 def check_inputs(found: Sequence[Cell]) -> None:

@@ -99,6 +99,7 @@ def prepare(
         for cell in found:
             cell.folder.discard([cell.folder.path])
     else:
-        check([cell for cell in found if cell.state() != "finished"])
+        finished = [cell for cell in found if cell.state() == "finished"]
+        check([cell for cell in found if cell not in finished], finished)
         check_inputs(found)
     return Sweep(base, found, count)

@@ -165,6 +165,7 @@ REFUSED = {
     "compare nuk seed=0,1": ["did you mean 'nuc'"],
     "batch nuc none*.npz": ["none*.npz: no such file"],
     "batch nuc seed=0": ["no burst", "bursts/*.tiff"],
+    "batch nuc burst.npz data.path=burst.npz": ["data.path: ", "without it"],
     "batch nuc burst.npz prior=tvv": ["did you mean 'tv'"],
     "batch nuc burst_truth.npz": ["burst_truth"],
 }

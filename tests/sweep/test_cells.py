@@ -8,7 +8,7 @@ from documentation import ROOT, blocks
 
 from deepir.errors import ConfigError, DataError
 from deepir.stored import run_into
-from deepir.sweep.axes import listed
+from deepir.sweep.axes import bursts, listed
 from deepir.sweep.cells import cells, check, check_inputs
 from deepir.sweep.sweep import prepare
 
@@ -93,6 +93,18 @@ def test_a_finished_cell_of_other_data_is_refused(tmp_path, burst):
     np.savez(tmp_path / "burst.npz", frames=burst.frames[::-1])
     with pytest.raises(ConfigError, match=r"burst.npz has changed"):
         check_inputs(found)
+
+
+def test_a_burst_that_cannot_be_read_is_left_to_its_run_once_another_is_finished(tmp_path, burst):
+    np.savez(tmp_path / "good.npz", frames=burst.frames)
+    (tmp_path / "bad.npz").write_text("hello")
+    found = cells("nuc", ["method=average"], [bursts([f"{tmp_path}/*.npz"])], tmp_path, 1)
+    check(found)
+    bad, good = found
+    with pytest.raises(DataError, match="not a format"):
+        check([bad])
+    run_into(good.config, good.folder.path)
+    check([bad], finished=[good])
 
 
 @pytest.mark.parametrize(
