@@ -65,7 +65,7 @@ def start_precision(problem: Problem) -> None:
 def start_scene(problem: Problem) -> None:
     """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
     average, weight = problem.backproject(problem.values())
-    problem.fields["scene"].init_from(filled(average, weight > 0.3 * weight.max()))
+    problem.fields["scene"].init_from(filled(average, weight > 0.5 * weight.max() / len(problem.data)))
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
