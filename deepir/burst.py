@@ -52,7 +52,7 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
         source, digest = "frames", ""
         stack = to_float32(select_frames(stacked(np.asanyarray(frames), source), data.frames, source))
     elif data.path is not None:
-        read = read_frames(data.path, key=data.key, select=data.frames)
+        read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
         stack, source, digest = read.frames, read.source, read.sha256
     elif data.simulate is not None:
         stack, source, digest, truth = _simulated(data, seed)

@@ -11,6 +11,16 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)  # a folder may be called 2021
 
 
+class Raw(_Strict):
+    """How a recording without a header is laid out."""
+
+    width: int = Field(ge=1, le=2**15)  # px
+    height: int = Field(ge=1, le=2**15)  # px
+    bits: int = Field(16, ge=1, le=16)  # that count; up to 8 take one byte a sample, more take two
+    offset: int = Field(0, ge=0)  # bytes before the first frame
+    endian: Literal["little", "big"] = "little"
+
+
 class Data(_Strict):
     """Where the frames come from."""
 
@@ -20,7 +30,8 @@ class Data(_Strict):
     mask: str | None = None  # picture or array of a frame's size; nonzero = ignore
     crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
     frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
-    key: str | None = None  # array in an .npz
+    key: str | None = None  # array in a file that holds several
+    raw: Raw | None = None  # layout of a file without a header
 
 
 class Noise(_Strict):

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
+from deepir.io import raw as headerless
 from deepir.io import readers
 from deepir.io.readers import Array, folder
+from deepir.schema import Raw
 
 Select = str | int | Sequence[int] | None
 
@@ -32,15 +34,17 @@ class Frames:
     sha256: str
 
 
-def read_frames(path: str | os.PathLike[str], *, key: str | None = None, select: Select = None) -> Frames:
+def read_frames(
+    path: str | os.PathLike[str], *, key: str | None = None, select: Select = None, raw: Raw | None = None
+) -> Frames:
     """Read `(N, h, w)` frames from a file, a folder of pictures or a glob.
 
-    Contents decide the format, not names. `key` names the array in an `.npz`. `select` takes the first n
-    frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. Raises `DataError` for whatever
-    cannot be read or is no burst of numbers.
+    Contents decide the format, not names. `key` names the array where there are several. `select` takes the first
+    n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. `raw` is the layout of a file without a
+    header. Raises `DataError` for whatever cannot be read or is no burst of numbers.
     """
     file = Path(path).expanduser()
-    stored = stack(readers.read(file, key), str(file))
+    stored = stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
     return Frames(to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest(file))
 

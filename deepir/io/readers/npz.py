@@ -5,12 +5,12 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from deepir.errors import DataError, nearest
+from deepir.errors import DataError
 from deepir.io.guards import check_size
+from deepir.io.named import choose
 from deepir.io.readers import Array, npy
 
 SUFFIXES = (".npz",)
-DEFAULT_KEY = "frames"
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -19,13 +19,11 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The array `key`, else `frames`, else the only array with two or three dimensions.
-
-    Raises `DataError`, with the arrays there are, where that is none or several.
-    """
+    """The array `key`, or the one that `choose` takes for the frames."""
     with zipfile.ZipFile(path) as archive:
         members = _members(archive, path)
-        return _read_member(archive, members[_choose(archive, members, path, key)], path)
+        shapes = {name: _shape(archive, info, path) for name, info in members.items()}
+        return _read_member(archive, members[choose(shapes, path, key)], path)
 
 
 def read_all(path: Path) -> dict[str, Array]:
@@ -46,22 +44,9 @@ def _members(archive: zipfile.ZipFile, path: Path) -> dict[str, zipfile.ZipInfo]
     return members
 
 
-def _choose(
-    archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], path: Path, key: str | None
-) -> str:
-    if key is not None and key not in members:
-        raise DataError(f"{path}: no array '{key}'; {nearest(key, members)}")
-    if key is not None or DEFAULT_KEY in members:
-        return key or DEFAULT_KEY
-    shapes = {}
-    for name, info in members.items():
-        with archive.open(info) as stream:
-            shapes[name] = npy.read_header(stream, path)[0]
-    pictures = [name for name, shape in shapes.items() if len(shape) in (2, 3)]
-    if len(pictures) != 1:
-        listing = ", ".join(f"{name} {shape}" for name, shape in sorted(shapes.items()))
-        raise DataError(f"{path}: which array is meant? Give its key (data.key). Arrays: {listing}")
-    return pictures[0]
+def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> tuple[int, ...]:
+    with archive.open(info) as stream:
+        return npy.read_header(stream, path)[0]
 
 
 def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> Array:
