@@ -25,6 +25,7 @@ FILES = (
     "result.npz",
     "uncertainty.npz",
     "scene.tiff",
+    "scene_kelvin.tiff",
     "scene_preview.png",
     "summary.png",
     "metrics.json",

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from deepir.io import write_json, write_npz, write_preview, write_tiff
+from deepir.io.radiometry import KELVIN, Radiometry, unit
 
 Array = np.ndarray[Any, Any]
 
@@ -32,6 +33,7 @@ class Result:
     history: list[dict[str, Any]] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     extra: dict[str, Array] = field(default_factory=dict)  # what only some problems have: stray, psf ...
+    radiometry: Radiometry | None = None  # with which `extra` holds `scene_kelvin`
     uncertainty: dict[str, Array] = field(default_factory=dict)  # standard deviations of scene, gain, offset
 
     def arrays(self) -> dict[str, Array]:
@@ -46,7 +48,9 @@ class Result:
         write_npz(folder / "result.npz", self.arrays())
         if self.uncertainty:
             write_npz(folder / "uncertainty.npz", self.uncertainty)
-        write_tiff(folder / "scene.tiff", self.scene)
+        write_tiff(folder / "scene.tiff", self.scene, unit(self.radiometry))
+        if "scene_kelvin" in self.extra:
+            write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit(KELVIN))
         write_preview(folder / "scene_preview.png", self.scene)
         write_summary(folder / "summary.png", self, example)
         write_json(folder / "metrics.json", self.metrics)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,9 +45,12 @@ def check(
 
 def _burst(data: Data) -> list[str]:
     from deepir.io import describe, read_frames
+    from deepir.io.radiometry import chosen
 
     frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
-    return [f"data: {frames.source}", *(f"  {line}" for line in describe(frames))]
+    kelvin = chosen(frames.radiometry, data.radiometry.model_dump(exclude_none=True))
+    lines = describe(replace(frames, radiometry=kelvin))
+    return [f"data: {frames.source}", *(f"  {line}" for line in lines)]
 
 
 def _configuration(name: str, settings: list[str]) -> None:

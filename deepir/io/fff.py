@@ -6,6 +6,7 @@ Layout and names after the public description by P. Harvey, https://exiftool.org
 from __future__ import annotations
 
 import io
+import math
 import mmap
 import struct
 from pathlib import Path
@@ -16,12 +17,22 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.io import jpeg
 from deepir.io.guards import check_size
+from deepir.io.radiometry import Planck, air
 from deepir.io.readers import Array, png
 
 MAGIC = b"FFF\0"
 RAW, CAMERA = 1, 32  # kinds of records
 HEADER, ENTRY, BEFORE_PIXELS = 64, 32, 32  # bytes
+CONSTANTS = 0x310
 MANY = 1000
+#: Where the camera's record holds what its user set.
+SETTINGS = {
+    "emissivity": 0x20,
+    "reflected": 0x28,
+    "atmosphere": 0x2C,
+    "window": 0x30,
+    "window_transmission": 0x34,
+}
 
 Records = dict[int, bytes]
 
@@ -71,6 +82,32 @@ def raw_plane(found: Records, path: Path) -> Array:
     if plane.shape != (height, width) or plane.dtype != np.uint16:
         raise DataError(f"{path}: damaged: its raw plane is {plane.shape}, its record says {(height, width)}")
     return plane
+
+
+def radiometry(found: Records) -> Planck | None:
+    """The camera's calibration and what its user set; None if the file does not hold them, or only zeros."""
+    record = found.get(CAMERA, b"")
+    if len(record) < CONSTANTS:
+        return None
+    order = byte_order(record)
+
+    def number(at: int, kind: str = "f") -> float:
+        value = struct.unpack_from(f"{order}{kind}", record, at)[0]
+        return round(value, 9) if math.isfinite(value) else 0.0
+
+    r1, b, r2, humidity = number(0x58), number(0x5C), number(0x30C), number(0x3C)
+    setting = {name: number(at) for name, at in SETTINGS.items()}
+    if min(r1, b, r2, *setting.values()) <= 0:
+        return None
+    through = air(
+        max(0.0, number(0x24)),
+        humidity / 100 if humidity > 2 else max(0.0, humidity),
+        setting["atmosphere"],
+        (number(0x70), number(0x74)),
+        (number(0x78), number(0x7C)),
+        number(0x80),
+    )
+    return Planck(r1, b, number(0x60), number(0x308, "i"), r2, transmission=through, **setting)
 
 
 def byte_order(record: bytes) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.io import raw as headerless
 from deepir.io import readers
+from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array, folder
 from deepir.schema import Raw
 
@@ -25,13 +26,15 @@ class Frames:
     """A burst as it came from a file.
 
     `frames` is `(N, h, w)` float32 in the data's units, `source` says where it is from, `dtype` is the type
-    it was stored in, and `sha256` is that of the file (where there are several, of their digests in order).
+    it was stored in, `sha256` is that of the file (where there are several, of their digests in order), and
+    `radiometry` makes kelvin of the units, if the file says how.
     """
 
     frames: np.ndarray[Any, np.dtype[np.float32]]
     source: str
     dtype: str
     sha256: str
+    radiometry: Radiometry | None = None
 
 
 def read_frames(
@@ -46,7 +49,9 @@ def read_frames(
     file = Path(path).expanduser()
     stored = stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
-    return Frames(to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest(file))
+    frames = to_float32(select_frames(stored, select, source))
+    kelvin = readers.radiometry(file) if raw is None else None
+    return Frames(frames, source, stored.dtype.name, digest(file), kelvin)
 
 
 def digest(path: str | os.PathLike[str]) -> str:

@@ -6,7 +6,11 @@ A reader is a module in this folder with
     def sniff(head: bytes, path: Path) -> bool      is it mine? by its first 64 bytes, not its name
     def read(path: Path, key: str | None) -> Array  the array as it is stored, of any shape and type
 
-and nothing else has to know of it. A reader of something general sets `GENERIC = True` and is asked last,
+and nothing else has to know of it. Where its files say what a count is in kelvin, it also has
+
+    def radiometry(path: Path) -> Radiometry | None
+
+ A reader of something general sets `GENERIC = True` and is asked last,
 so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything on
 a damaged file: `guarded` turns it into a `DataError`.
 """
@@ -26,6 +30,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 
 from deepir.errors import DataError, DeepIRError
+from deepir.io.radiometry import Radiometry
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -79,6 +84,13 @@ def read(path: Path, key: str | None = None) -> Array:
         )
     with guarded(path):
         return reader.read(path, key)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """What makes kelvin of the counts in `path`, if the file says it. Raises `DataError` as `read` does."""
+    own = getattr(find(path), "radiometry", None)
+    with guarded(path):
+        return own(path) if own else None
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from deepir.errors import DataError
 from deepir.io import fff, jpeg
+from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = (".jpg", ".jpeg")
@@ -21,6 +22,11 @@ def sniff(head: bytes, path: Path) -> bool:
 def read(path: Path, key: str | None) -> Array:
     """The raw plane `(h, w)`, uint16 counts."""
     return fff.raw_plane(_records(path), path)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """Planck's law with the camera's constants, and what its user set: emissivity, distance ..."""
+    return fff.radiometry(_records(path))
 
 
 def _records(path: Path) -> fff.Records:

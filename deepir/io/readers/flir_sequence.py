@@ -8,6 +8,7 @@ from pathlib import Path
 
 from deepir.io import fff
 from deepir.io.guards import collect
+from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = (".seq", ".csq", ".fff")
@@ -21,6 +22,12 @@ def sniff(head: bytes, path: Path) -> bool:
 def read(path: Path, key: str | None) -> Array:
     """All frames `(N, h, w)`, uint16 counts. Raises `DataError` where they differ in size."""
     return collect(stream(path, key), path)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """As the first frame says."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return fff.radiometry(fff.records(data, path)[0])
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import struct
@@ -11,8 +12,10 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from deepir.errors import DataError
+from deepir import schema
+from deepir.errors import ConfigError, DataError
 from deepir.io.guards import check_size, grey
+from deepir.io.radiometry import KELVIN, Radiometry, chosen
 from deepir.io.readers import Array
 
 SUFFIXES = (".tif", ".tiff")
@@ -46,6 +49,18 @@ def read(path: Path, key: str | None) -> Array:
     if len(sizes) > 1:
         raise DataError(f"{path}: its pages differ in size: {' and '.join(map(str, sorted(sizes)))}")
     return np.ma.concatenate(stacks) if len(stacks) > 1 else stacks[0]
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """As deepir wrote it into the description, see `deepir.io.radiometry.unit`."""
+    with tifffile.TiffFile(path, is_ome=False) as tiff:
+        try:
+            said = json.loads(tiff.pages.first.description)
+            if said.get("unit") == "K":
+                return KELVIN
+            return chosen(None, schema.Radiometry(**said["radiometry"]).model_dump(exclude_none=True))
+        except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
+            return None
 
 
 def _check(part: Any, path: Path) -> None:
