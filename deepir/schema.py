@@ -24,19 +24,19 @@ class Raw(_Strict):
 class Radiometry(_Strict):
     """Counts to kelvin, see `deepir.io.radiometry`; what is None is as the file says."""
 
-    scale: float | None = Field(None, gt=0)  # kelvin a count: 0.01 for TLinear
+    scale: float | None = Field(default=None, gt=0)  # kelvin a count: 0.01 for TLinear
     zero: float | None = None  # kelvin at zero counts
-    r1: float | None = Field(None, gt=0)  # Planck's law, in FLIR's constants
-    b: float | None = Field(None, gt=0)
+    r1: float | None = Field(default=None, gt=0)  # Planck's law, in FLIR's constants
+    b: float | None = Field(default=None, gt=0)
     f: float | None = None
     o: float | None = None
-    r2: float | None = Field(None, gt=0)
-    emissivity: float | None = Field(None, gt=0, le=1)  # of the surface
-    reflected: float | None = Field(None, gt=0)  # K, of the surroundings
-    transmission: float | None = Field(None, gt=0, le=1)  # of the air
-    atmosphere: float | None = Field(None, gt=0)  # K
-    window_transmission: float | None = Field(None, gt=0, le=1)
-    window: float | None = Field(None, gt=0)  # K
+    r2: float | None = Field(default=None, gt=0)
+    emissivity: float | None = Field(default=None, gt=0, le=1)  # of the surface
+    reflected: float | None = Field(default=None, gt=0)  # K, of the surroundings
+    transmission: float | None = Field(default=None, gt=0, le=1)  # of the air
+    atmosphere: float | None = Field(default=None, gt=0)  # K
+    window_transmission: float | None = Field(default=None, gt=0, le=1)
+    window: float | None = Field(default=None, gt=0)  # K
 
 
 class Data(_Strict):
