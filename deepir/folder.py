@@ -23,6 +23,7 @@ FILES = (
     "checkpoint.safetensors",
     "checkpoint.part",
     "result.npz",
+    "result.mat",
     "uncertainty.npz",
     "scene.tiff",
     "scene_kelvin.tiff",

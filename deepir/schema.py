@@ -99,6 +99,9 @@ class Output(_Strict):
     """Where results go."""
 
     dir: str | None = None
+    palette: Literal["white-hot", "black-hot", "ironbow", "inferno", "magma", "turbo"] = "white-hot"
+    tones: Literal["percentile", "clahe"] = "percentile"
+    mat: bool = False  # result.mat beside result.npz
 
 
 class Config(_Strict):

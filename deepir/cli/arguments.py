@@ -5,9 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from deepir.config import Config
 
 Settings = Annotated[
     list[str] | None,
@@ -33,3 +36,14 @@ def load_plugins(modules: Sequence[str] | None) -> list[str]:
     for module in modules or ():
         load_plugin(module)
     return list(modules or ())
+
+
+def recording(file: str, settings: Sequence[str], keys: Sequence[str]) -> Config:
+    """How a file is to be read, and shown; `ConfigError` for settings other than of `keys`."""
+    from deepir.config import load
+    from deepir.errors import ConfigError
+
+    for each in settings:
+        if not each.startswith(tuple(f"{key}{end}" for key in keys for end in "=.")):
+            raise ConfigError(f"{each}: of the settings only {', '.join(keys)} are taken here")
+    return load("nuc", [f"data.path={file}", *settings])

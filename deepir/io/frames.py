@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,19 @@ def read_frames(
     frames = to_float32(select_frames(stored, select, source))
     kelvin = readers.radiometry(file) if raw is None else None
     return Frames(frames, source, stored.dtype.name, digest(file), kelvin)
+
+
+def stream_frames(
+    path: str | os.PathLike[str], *, key: str | None = None, raw: Raw | None = None
+) -> Iterator[Array]:
+    """Frame after frame `(h, w)`, in the type they are stored in, of a recording that need not fit into memory.
+
+    What is given, and what is raised, is as for `read_frames`.
+    """
+    file = Path(path).expanduser()
+    pieces = readers.stream(file, key) if raw is None else headerless.stream(file, raw)
+    for piece in pieces:
+        yield from stack(piece, str(file))
 
 
 def digest(path: str | os.PathLike[str]) -> str:

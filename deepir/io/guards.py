@@ -21,17 +21,20 @@ SMALL = GIB // 4
 """Below this a wrong claim does no harm, and a very empty mask may really be that compressible."""
 
 
-def check_size(path: Path, declared: int, stored: int, *, compressed: bool = False) -> None:
+def check_size(
+    path: Path, declared: int, stored: int, *, compressed: bool = False, at_once: bool = True
+) -> None:
     """Refuse, before memory is taken, an array of `declared` bytes that `stored` bytes of file cannot hold.
 
-    Raises `DataError` where the claim is negative, more than 8 GiB, or more than the file can hold.
+    Raises `DataError` where the claim is negative, more than the file can hold, or, of what is read `at_once`,
+    more than 8 GiB.
     """
     most = max(SMALL, MOST_COMPRESSED * stored) if compressed else stored
     if not 0 <= declared <= most:
         raise DataError(
             f"{path}: damaged or truncated: it declares {declared:,} bytes of data but holds {stored:,}"
         )
-    if declared > MOST_BYTES:
+    if at_once and declared > MOST_BYTES:
         raise DataError(
             f"{path}: {declared / GIB:.1f} GiB of data; at most {MOST_BYTES // GIB} GiB are read at once. "
             "Split the file."

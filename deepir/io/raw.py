@@ -27,7 +27,8 @@ def read(path: Path, layout: Raw) -> Array:
 def stream(path: Path, layout: Raw) -> Iterator[Array]:
     """Frame after frame `(h, w)`, as `read` gives them."""
     with guarded(path):
-        yield from (significant(frame, layout) for frame in mapped(path, layout))
+        frames = mapped(path, layout)
+    yield from (significant(frame, layout) for frame in frames)
 
 
 def mapped(path: Path, layout: Raw) -> Array:

@@ -6,13 +6,14 @@ A reader is a module in this folder with
     def sniff(head: bytes, path: Path) -> bool      is it mine? by its first 64 bytes, not its name
     def read(path: Path, key: str | None) -> Array  the array as it is stored, of any shape and type
 
-and nothing else has to know of it. Where its files say what a count is in kelvin, it also has
+and nothing else has to know of it. It may also have
 
-    def radiometry(path: Path) -> Radiometry | None
+    def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in pieces of many
+    def radiometry(path: Path) -> Radiometry | None             what its files say a count is in kelvin
 
- A reader of something general sets `GENERIC = True` and is asked last,
-so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything on
-a damaged file: `guarded` turns it into a `DataError`.
+for recordings larger than the memory, and for radiometric ones. A reader of something general sets `GENERIC = True`
+and is asked last, so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything
+on a damaged file: `guarded` turns it into a `DataError`.
 """
 
 from __future__ import annotations
@@ -84,6 +85,21 @@ def read(path: Path, key: str | None = None) -> Array:
         )
     with guarded(path):
         return reader.read(path, key)
+
+
+def stream(path: Path, key: str | None = None) -> Iterator[Array]:
+    """The array stored in `path` in pieces: frames `(h, w)`, or as many at a time as `read` would give.
+
+    Raises `DataError` as `read` does, once the piece that is wrong is reached.
+    """
+    own = getattr(find(path), "stream", None)
+    pieces = own(path, key) if own else iter([read(path, key)])
+    while True:
+        with guarded(path):  # not around the loop: what is done with a piece is no business of ours
+            piece = next(pieces, None)
+        if piece is None:
+            return
+        yield piece
 
 
 def radiometry(path: Path) -> Radiometry | None:

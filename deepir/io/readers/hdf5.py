@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +32,40 @@ def read(path: Path, key: str | None) -> Array:
 
     Raises `DataError` where several could be meant, and for data kept in other files.
     """
+    with _dataset(path, key) as (data, turned):
+        check_size(path, data.nbytes, path.stat().st_size, compressed=True)
+        return _turned(data[()], turned)
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Frame after frame of the same array."""
+    with _dataset(path, key) as (data, turned):
+        if data.ndim != 3:
+            yield _turned(data[()], turned)
+        else:
+            yield from (_turned(data[k], turned) for k in range(len(data)))
+
+
+@contextmanager
+def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
+    """The array that is meant, unread, and whether it is MATLAB's."""
     library = needed("h5py", "hdf5", str(path))
-    with path.open("rb") as stream, library.File(stream, "r") as file:
-        found: dict[str, Any] = {}
-        _collect(library, file, "", found)
-        name = choose({each: data.shape for each, data in found.items()}, path, key)
-        data = found[name]
-        if data.is_virtual or data.external:
-            raise DataError(f"{path}: {name} keeps its values in other files, which are never opened")
-        check_size(path, data.nbytes, path.stat().st_size, compressed=data.chunks is not None)
-        array: Array = data[()]
-        stream.seek(0)
-        transposed = stream.read(len(MATLAB)) == MATLAB
-    return np.swapaxes(array, -1, -2) if transposed else array
+    with path.open("rb") as stream:
+        matlab = stream.read(len(MATLAB)) == MATLAB
+        with library.File(stream, "r") as file:
+            found: dict[str, Any] = {}
+            _collect(library, file, "", found)
+            name = choose({each: data.shape for each, data in found.items()}, path, key)
+            data = found[name]
+            if data.is_virtual or data.external:
+                raise DataError(f"{path}: {name} keeps its values in other files, which are never opened")
+            compressed = data.chunks is not None
+            check_size(path, data.nbytes, path.stat().st_size, compressed=compressed, at_once=False)
+            yield data, matlab
+
+
+def _turned(array: Array, matlab: bool) -> Array:
+    return np.swapaxes(array, -1, -2) if matlab else array
 
 
 def _collect(library: Any, group: Any, prefix: str, found: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from deepir.errors import DataError
@@ -21,9 +22,15 @@ def sniff(head: bytes, path: Path) -> bool:
 def read(path: Path, key: str | None) -> Array:
     """The array `key`, or the one that `choose` takes for the frames."""
     with zipfile.ZipFile(path) as archive:
-        members = _members(archive, path)
-        shapes = {name: _shape(archive, info, path) for name, info in members.items()}
-        return _read_member(archive, members[choose(shapes, path, key)], path)
+        return _read_member(archive, _chosen(archive, path, key), path)
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Frame after frame of the same array."""
+    with zipfile.ZipFile(path) as archive:
+        info = _chosen(archive, path, key, at_once=False)
+        with archive.open(info) as member:
+            yield from npy.stream_frames(member, path, info.file_size)
 
 
 def read_all(path: Path) -> dict[str, Array]:
@@ -32,7 +39,15 @@ def read_all(path: Path) -> dict[str, Array]:
         return {name: _read_member(archive, info, path) for name, info in _members(archive, path).items()}
 
 
-def _members(archive: zipfile.ZipFile, path: Path) -> dict[str, zipfile.ZipInfo]:
+def _chosen(
+    archive: zipfile.ZipFile, path: Path, key: str | None, *, at_once: bool = True
+) -> zipfile.ZipInfo:
+    members = _members(archive, path, at_once=at_once)
+    shapes = {name: _shape(archive, info, path) for name, info in members.items()}
+    return members[choose(shapes, path, key)]
+
+
+def _members(archive: zipfile.ZipFile, path: Path, *, at_once: bool = True) -> dict[str, zipfile.ZipInfo]:
     members = {
         info.filename.removesuffix(".npy"): info
         for info in archive.infolist()
@@ -40,7 +55,8 @@ def _members(archive: zipfile.ZipFile, path: Path) -> dict[str, zipfile.ZipInfo]
     }
     if not members:
         raise DataError(f"{path}: a zip archive without NumPy arrays; save the frames with np.savez")
-    check_size(path, sum(i.file_size for i in members.values()), path.stat().st_size, compressed=True)
+    declared, stored = sum(info.file_size for info in members.values()), path.stat().st_size
+    check_size(path, declared, stored, compressed=True, at_once=at_once)
     return members
 
 
