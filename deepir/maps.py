@@ -15,6 +15,9 @@ from deepir.errors import DataError
 from deepir.io import readers, write_npz
 from deepir.io.readers import npz
 
+RESPONSE = 0.5
+"""A pixel whose gain is farther from the median pixel's than this share of it is no sensor."""
+
 Array = np.ndarray[Any, Any]
 
 
@@ -144,7 +147,7 @@ def from_flats(flats: Sequence[Array]) -> Maps:
             )
         gain = np.tensordot(around, stack - stack.mean(axis=0), 1) / spread
     offset = stack.mean(axis=0) - gain * levels.mean()
-    bad = ~known
+    bad = ~known | (np.abs(gain - 1) > RESPONSE)
     for each in (gain, offset):
         pattern, good = (torch.from_numpy(array)[None, None] for array in (each, ~bad))
         bad = bad | deviating(pattern, good).numpy()[0, 0]

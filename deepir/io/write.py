@@ -86,7 +86,7 @@ def write_preview(
 
 
 def write_mat(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
-    """Write named arrays for MATLAB (version 5); frames (N, h, w) are counted along the last axis there."""
+    """Write named arrays for MATLAB (version 5), axes as they are."""
     import scipy.io
 
     with replace(path) as temporary, temporary.open("wb") as file:

@@ -1,6 +1,7 @@
 """Whatever happens to a file: frames or a `DeepIRError`, never another exception, never a warning."""
 
 import importlib.util
+import os
 import time
 
 import imagecodecs
@@ -14,6 +15,7 @@ from PIL import Image
 
 from deepir.errors import DeepIRError
 from deepir.io import read_frames, readers
+from deepir.runner import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
 
@@ -66,9 +68,10 @@ NEEDS = {"hdf5": "h5py", "video": "av"}
 #: Recordings that do not say how many frames they have: where one ends, there may have been more.
 OPEN_ENDED = ("flir_sequence, seq", "flir_sequence, csq", "video, mkv")
 LONGEST = 5.0  # seconds
+MOST = 2**30  # bytes
 
 damaged = settings(
-    max_examples=60,
+    max_examples=int(os.environ.get("DEEPIR_FUZZ", "60")),
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
@@ -90,6 +93,14 @@ def contents(tmp_path_factory):
         return written[kind]
 
     return of
+
+
+@pytest.fixture(scope="module", autouse=True)
+def modest():
+    """However much a file claims, reading none of them takes a gigabyte."""
+    before = peak_memory()
+    yield
+    assert 2**20 * (peak_memory() - before) < MOST
 
 
 def read_or_refuse(path, content):

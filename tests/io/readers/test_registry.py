@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -6,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import recordings
+from documentation import ROOT, rows
 
 from deepir.errors import DataError
 from deepir.io import read_frames, readers
@@ -95,3 +97,13 @@ def test_a_pipe_does_not_block(tmp_path):
     os.mkfifo(tmp_path / "pipe.npy")
     with pytest.raises(DataError, match="not an ordinary file"):
         read_frames(tmp_path / "pipe.npy")
+
+
+def test_the_table_of_formats_is_that_of_the_readers():
+    shown = {
+        name.strip("`"): tuple(re.findall(r"`(\.\w+)`", suffixes))
+        for name, suffixes, _ in rows(ROOT / "docs/files.md", "# Files")
+    }
+    there = {reader.__name__.rpartition(".")[2]: tuple(reader.SUFFIXES) for reader in readers.all_readers()}
+    assert shown == there
+    assert list(shown) == sorted(shown)
