@@ -11,9 +11,9 @@ import typer
 from deepir.cli.arguments import Overwrite, Settings, recording
 
 if TYPE_CHECKING:
+    from deepir.calibration import Maps
     from deepir.config import Config, Data
     from deepir.io.radiometry import Radiometry
-    from deepir.maps import Maps
 
 SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")
 
@@ -37,9 +37,9 @@ def apply(
 
     It need not fit into memory. Settings: data.key, data.raw, data.radiometry, output.palette, output.tones.
     """
+    from deepir.calibration import read
     from deepir.cli.signals import Interrupted, Interruptible, stopped
     from deepir.errors import DataError
-    from deepir.maps import read
 
     config = recording(file, settings or (), SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
@@ -58,8 +58,8 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     import itertools
 
     from deepir.io import stream_frames
-    from deepir.io.film import output_type, writer
     from deepir.io.radiometry import unit
+    from deepir.io.recording import output_type, writer
 
     data, shown = config.data, config.output
     frames = stream_frames(str(data.path), key=data.key, raw=data.raw)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,6 +37,12 @@ def load_plugins(modules: Sequence[str] | None) -> list[str]:
     for module in modules or ():
         load_plugin(module)
     return list(modules or ())
+
+
+def parted(what: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Files and settings among the arguments of a command that takes many of both."""
+    settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
+    return [each for each in what if each not in settings], settings
 
 
 def recording(file: str, settings: Sequence[str], keys: Sequence[str]) -> Config:

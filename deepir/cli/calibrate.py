@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite
+from deepir.cli.arguments import Overwrite, parted, recording
 
 if TYPE_CHECKING:
-    from deepir.maps import Maps
+    from deepir.calibration import Maps
 
 
 def calibrate(
@@ -36,8 +35,7 @@ def calibrate(
     """
     from deepir.errors import DataError
 
-    settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
-    files = [each for each in what if each not in settings]
+    files, settings = parted(what)
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
     if out.exists() and not overwrite:
@@ -58,21 +56,20 @@ def calibrate(
 
 
 def _from_flats(files: Sequence[str], settings: Sequence[str]) -> Maps:
-    from deepir import maps
-    from deepir.cli.arguments import recording
+    from deepir import calibration
     from deepir.io import stream_frames
 
     means = []
     for file in files:
         data = recording(file, settings, ("data.key", "data.raw")).data
-        means.append(maps.mean(stream_frames(file, key=data.key, raw=data.raw), file))
-    return maps.from_flats(means)
+        means.append(calibration.mean(stream_frames(file, key=data.key, raw=data.raw), file))
+    return calibration.from_flats(means)
 
 
 def _from_burst(file: str, settings: Sequence[str]) -> Maps | int:
+    from deepir.calibration import Maps
     from deepir.cli.signals import Interrupted, Interruptible, stopped
     from deepir.config import load
-    from deepir.maps import Maps
     from deepir.report.progress import on_stderr
     from deepir.runner import execute, prepare
 

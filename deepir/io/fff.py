@@ -85,7 +85,7 @@ def raw_plane(found: Records, path: Path) -> Array:
 
 
 def radiometry(found: Records) -> Planck | None:
-    """The camera's calibration and what its user set; None if the file does not hold them, or only zeros."""
+    """The camera's calibration and what its user set; None if the file does not hold them, or what cannot be."""
     record = found.get(CAMERA, b"")
     if len(record) < CONSTANTS:
         return None
@@ -97,16 +97,20 @@ def radiometry(found: Records) -> Planck | None:
 
     r1, b, r2, humidity = number(0x58), number(0x5C), number(0x30C), number(0x3C)
     setting = {name: number(at) for name, at in SETTINGS.items()}
-    if min(r1, b, r2, *setting.values()) <= 0:
+    try:
+        through = air(
+            number(0x24),
+            humidity / 100 if humidity > 2 else humidity,
+            setting["atmosphere"],
+            (number(0x70), number(0x74)),
+            (number(0x78), number(0x7C)),
+            number(0x80),
+        )
+    except (ValueError, OverflowError):  # a root or a power of nonsense
         return None
-    through = air(
-        max(0.0, number(0x24)),
-        humidity / 100 if humidity > 2 else max(0.0, humidity),
-        setting["atmosphere"],
-        (number(0x70), number(0x74)),
-        (number(0x78), number(0x7C)),
-        number(0x80),
-    )
+    shares = (setting["emissivity"], setting["window_transmission"], through)
+    if min(r1, b, r2, *setting.values(), through) <= 0 or max(shares) > 1:
+        return None
     return Planck(r1, b, number(0x60), number(0x308, "i"), r2, transmission=through, **setting)
 
 

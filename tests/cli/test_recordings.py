@@ -6,9 +6,9 @@ import recordings
 import scipy.io
 from PIL import Image
 
+from deepir.calibration import Maps
 from deepir.io import read_frames
 from deepir.io.radiometry import Planck
-from deepir.maps import Maps
 
 
 @pytest.fixture

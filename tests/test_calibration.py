@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deepir import maps
+from deepir import calibration
+from deepir.calibration import Maps
 from deepir.errors import DataError
-from deepir.maps import Maps
 
 SHAPE = (48, 64)
 
@@ -35,7 +35,7 @@ def scene():
 
 def test_two_flats_give_gain_and_offset(camera):
     gain, _, bad, see = camera
-    found = maps.from_flats([maps.mean(see(level), "flat") for level in (7000, 9000)])
+    found = calibration.from_flats([calibration.mean(see(level), "flat") for level in (7000, 9000)])
     np.testing.assert_array_equal(found.bad_pixels, bad)
     good = ~bad
     assert np.std((found.gain - gain)[good]) < 0.002
@@ -45,14 +45,14 @@ def test_two_flats_give_gain_and_offset(camera):
 
 def test_many_flats_agree_better_than_two(camera):
     gain, _, bad, see = camera
-    means = [maps.mean(see(level), "flat") for level in (7000, 7000, 7000, 9000, 9000, 9000)]
-    errors = [np.std((maps.from_flats(flats).gain - gain)[~bad]) for flats in (means[2:4], means)]
+    means = [calibration.mean(see(level), "flat") for level in (7000, 7000, 7000, 9000, 9000, 9000)]
+    errors = [np.std((calibration.from_flats(flats).gain - gain)[~bad]) for flats in (means[2:4], means)]
     assert errors[1] < 0.7 * errors[0]
 
 
 def test_one_flat_takes_away_all_of_the_pattern_at_its_temperature(camera):
     _, _, bad, see = camera
-    found = maps.from_flats([maps.mean(see(8000), "flat")])
+    found = calibration.from_flats([calibration.mean(see(8000), "flat")])
     corrected = found.correct(see(8000, 1)[0])
     assert (found.gain == 1).all()
     assert np.std(corrected[~bad]) == pytest.approx(4, rel=0.1)  # the noise
@@ -89,7 +89,7 @@ def test_markers_without_a_value_stay_without():
 def test_maps_come_back_from_their_file(tmp_path, camera):
     gain, offset, bad, _ = camera
     Maps(gain.astype(np.float32), offset.astype(np.float32), bad).save(tmp_path / "maps.npz")
-    found = maps.read(tmp_path / "maps.npz")
+    found = calibration.read(tmp_path / "maps.npz")
     np.testing.assert_allclose(found.gain, gain, rtol=1e-6)
     np.testing.assert_allclose(found.offset[~bad], offset[~bad], rtol=1e-5)
     np.testing.assert_array_equal(found.bad_pixels, bad)
@@ -99,7 +99,7 @@ def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
     gain, offset = np.ones(SHAPE), np.zeros(SHAPE)
     gain[1, 1], gain[2, 2], offset[3, 3] = 0, np.nan, np.inf
     np.savez(tmp_path / "maps.npz", gain=gain, offset=offset)
-    found = maps.read(tmp_path / "maps.npz")
+    found = calibration.read(tmp_path / "maps.npz")
     assert np.argwhere(found.bad_pixels).tolist() == [[1, 1], [2, 2], [3, 3]]
     assert np.isfinite(found.correct(np.ones(SHAPE))).all()
 
@@ -115,7 +115,7 @@ def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
 def test_maps_that_are_none_are_refused(tmp_path, arrays, message):
     np.savez(tmp_path / "maps.npz", **arrays)
     with pytest.raises(DataError, match=message):
-        maps.read(tmp_path / "maps.npz")
+        calibration.read(tmp_path / "maps.npz")
 
 
 def test_maps_of_another_camera_are_refused():
@@ -126,4 +126,4 @@ def test_maps_of_another_camera_are_refused():
 def test_flats_of_one_temperature_give_no_gain(camera):
     _, _, _, see = camera
     with pytest.raises(DataError, match="two temperatures are needed"):
-        maps.from_flats([maps.mean(see(8000), "flat") for _ in range(2)])
+        calibration.from_flats([calibration.mean(see(8000), "flat") for _ in range(2)])
