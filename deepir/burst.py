@@ -61,7 +61,7 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
         stack, source, digest, truth = _simulated(data, seed)
     else:
         raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
-    kelvin = chosen(found, data.radiometry.model_dump(exclude_none=True))
+    kelvin = chosen(found, data.radiometry)
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
     truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
     if data.crop is not None:

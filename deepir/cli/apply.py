@@ -79,4 +79,4 @@ def _radiometry(data: Data) -> Radiometry | None:
     from deepir.io.radiometry import chosen
 
     found = readers.radiometry(Path(str(data.path)).expanduser()) if data.raw is None else None
-    return chosen(found, data.radiometry.model_dump(exclude_none=True))
+    return chosen(found, data.radiometry)

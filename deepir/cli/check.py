@@ -48,7 +48,7 @@ def _burst(data: Data) -> list[str]:
     from deepir.io.radiometry import chosen
 
     frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
-    kelvin = chosen(frames.radiometry, data.radiometry.model_dump(exclude_none=True))
+    kelvin = chosen(frames.radiometry, data.radiometry)
     lines = describe(replace(frames, radiometry=kelvin))
     return [f"data: {frames.source}", *(f"  {line}" for line in lines)]
 

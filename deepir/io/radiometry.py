@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
+from deepir import schema
 from deepir.errors import ConfigError
 
 Array = np.ndarray[Any, Any]
@@ -107,16 +107,17 @@ def air(
     return share * bands[0] + (1 - share) * bands[1]
 
 
-def chosen(found: Radiometry | None, given: Mapping[str, Any]) -> Radiometry | None:
-    """What the file says, with what the user has `given` (`data.radiometry`) in its place.
+def chosen(found: Radiometry | None, asked: schema.Radiometry) -> Radiometry | None:
+    """What the file says, with what the user has `asked` for (`data.radiometry`) in its place.
 
     Raises:
         ConfigError: A scale together with Planck's law, or a law without its constants.
     """
+    given = asked.model_dump(exclude_none=True)
     law = Linear if {"scale", "zero"} & given.keys() else Planck
     if not given:
         return found
-    known = (asdict(found) if isinstance(found, law) else {}) | dict(given)
+    known = (asdict(found) if isinstance(found, law) else {}) | given
     if wrong := given.keys() - {each.name for each in fields(law)}:
         raise ConfigError(
             f"data.radiometry: scale and {min(wrong)} exclude each other: a scale or Planck's law"

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from deepir.errors import ConfigError
 from deepir.io import read_frames, write_tiff
 from deepir.io.radiometry import KELVIN, Linear, Planck, air, chosen, unit
+from deepir.schema import Radiometry as Asked
 
 T640 = Planck(16556.0, 1428.0, 1.0, -342.0, 0.0451)
 
@@ -112,11 +113,11 @@ def test_anybody_elses_description_says_nothing(tmp_path, burst, said):
 
 
 def test_the_user_has_the_last_word():
-    assert chosen(T640, {}) == T640
-    assert chosen(T640, {"emissivity": 0.9}) == dataclasses.replace(T640, emissivity=0.9)
-    assert chosen(T640, {"scale": 0.01}) == Linear(0.01)
-    assert chosen(Linear(0.01), {"zero": 1.0}) == Linear(0.01, 1.0)
-    assert chosen(None, {}) is None
+    assert chosen(T640, Asked()) == T640
+    assert chosen(T640, Asked(emissivity=0.9)) == dataclasses.replace(T640, emissivity=0.9)
+    assert chosen(T640, Asked(scale=0.01)) == Linear(0.01)
+    assert chosen(Linear(0.01), Asked(zero=1.0)) == Linear(0.01, 1.0)
+    assert chosen(None, Asked()) is None
 
 
 @pytest.mark.parametrize(
@@ -129,4 +130,4 @@ def test_the_user_has_the_last_word():
 )
 def test_half_a_law_is_refused(given, message):
     with pytest.raises(ConfigError, match=message):
-        chosen(None, given)
+        chosen(None, Asked(**given))

@@ -94,12 +94,16 @@ def stream(path: Path, key: str | None = None) -> Iterator[Array]:
     """
     own = getattr(find(path), "stream", None)
     pieces = own(path, key) if own else iter([read(path, key)])
+    empty = True
     while True:
         with guarded(path):  # not around the loop: what is done with a piece is no business of ours
             piece = next(pieces, None)
         if piece is None:
-            return
+            break
         yield piece
+        empty = False
+    if empty:
+        raise DataError(f"{path}: a recording without frames")
 
 
 def radiometry(path: Path) -> Radiometry | None:

@@ -64,7 +64,7 @@ def radiometry(path: Path) -> Radiometry | None:
             said = json.loads(tiff.pages.first.description)
             if said.get("unit") == "K":
                 return KELVIN
-            return chosen(None, schema.Radiometry(**said["radiometry"]).model_dump(exclude_none=True))
+            return chosen(None, schema.Radiometry(**said["radiometry"]))
         except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
             return None
 

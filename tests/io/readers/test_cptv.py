@@ -6,7 +6,7 @@ import pytest
 import recordings
 
 from deepir.errors import DataError
-from deepir.io import read_frames
+from deepir.io import read_frames, stream_frames
 
 
 @pytest.mark.parametrize("bits", [9, 12, 16, 24])
@@ -37,3 +37,11 @@ def test_a_real_recording_is_what_the_projects_own_reader_finds(data):
     assert hashlib.sha256(frames.tobytes()).hexdigest() == (
         "61a3d885b645142be914512877d5814d920fec91edfc843c3cbe37bdfda7f4d1"
     )
+
+
+def test_a_recording_without_frames_is_refused(tmp_path, burst):
+    recordings.cptv(tmp_path / "a.cptv", burst[:0])
+    with pytest.raises(DataError, match="without frames"):
+        read_frames(tmp_path / "a.cptv")
+    with pytest.raises(DataError, match="without frames"):
+        list(stream_frames(tmp_path / "a.cptv"))
