@@ -123,7 +123,7 @@ def from_flats(flats: Sequence[Array]) -> Maps:
 
     One gives the offset alone, the gain is one; more give both, by least squares over the flats' mean values. Gain and
     offset are in the gauge of all of deepir: mean one and mean zero over good pixels. Raises `DataError` where
-    the flats differ in size, or not in temperature.
+    the flats differ in size, or not in temperature, or no pixel has a value in all.
     """
     import torch  # not above: `deepir --help` and `deepir apply` do without
 
@@ -135,6 +135,8 @@ def from_flats(flats: Sequence[Array]) -> Maps:
         )
     stack = np.stack(flats)
     known = np.isfinite(stack).all(axis=0)
+    if not known.any():
+        raise DataError("no pixel has a value in all of the flat frames")
     stack = np.where(known, stack, np.nanmedian(stack, axis=(1, 2), keepdims=True))
     levels = np.median(stack, axis=(1, 2))
     gain = np.ones(stack.shape[1:])

@@ -127,3 +127,12 @@ def test_flats_of_one_temperature_give_no_gain(camera):
     _, _, _, see = camera
     with pytest.raises(DataError, match="two temperatures are needed"):
         calibration.from_flats([calibration.mean(see(8000), "flat") for _ in range(2)])
+
+
+def test_a_pixel_without_a_value_in_one_flat_is_bad(camera):
+    _, _, bad, see = camera
+    flats = [calibration.mean(see(level), "flat") for level in (7000, 9000)]
+    flats[1][7, 7] = np.nan
+    assert np.argwhere(calibration.from_flats(flats).bad_pixels & ~bad).tolist() == [[7, 7]]
+    with pytest.raises(DataError, match="no pixel has a value"):
+        calibration.from_flats([np.full(SHAPE, np.nan)])
