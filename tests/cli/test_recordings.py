@@ -142,3 +142,12 @@ def test_a_run_writes_what_output_asks_for(deepir, folder):
     with np.load("runs/nuc/result.npz") as arrays:
         np.testing.assert_array_equal(stored["scene"], arrays["scene"])
         assert set(arrays) <= set(stored)
+
+
+def test_a_radiometric_run_says_how_warm_the_scene_is(deepir, folder, simulation):
+    given = ("data.path=burst.npz", "data.radiometry.scale=0.04", "method=average")
+    status, out, _ = deepir("run", "nuc", *given)
+    assert status == 0
+    with np.load("runs/nuc/result.npz") as arrays:
+        low, high = arrays["scene_kelvin"].min() - 273.15, arrays["scene_kelvin"].max() - 273.15
+    assert f"temperatures {low:.2f} to {high:.2f} °C: runs/nuc/scene_kelvin.tiff" in out
