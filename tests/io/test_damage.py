@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from deepir.errors import DeepIRError
-from deepir.io import read_frames, readers
+from deepir.io import read_frames, readers, stream_frames
+from deepir.io.frames import to_float32
 from deepir.runner import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
@@ -104,18 +105,27 @@ def modest():
 
 
 def read_or_refuse(path, content):
-    """The frames in `content`, or None where they are refused."""
+    """The frames in `content`, or None where they are refused; frame by frame they are the same."""
     path.write_bytes(content)
-    frames, message = None, ""
     begun = time.perf_counter()
+    frames = refused_in_one_line(path, lambda: read_frames(path).frames)
+    streamed = refused_in_one_line(path, lambda: list(stream_frames(path)))
+    assert time.perf_counter() - begun < LONGEST
+    if frames is not None and streamed is not None:
+        np.testing.assert_array_equal([to_float32(frame) for frame in streamed], frames)
+    return frames
+
+
+def refused_in_one_line(path, read):
+    """What `read` gives, or None where it raises what a user may see."""
+    found, message = None, ""
     try:
-        frames = read_frames(path).frames
+        found = read()
     except DeepIRError as error:
         message = str(error)
-    assert time.perf_counter() - begun < LONGEST
     assert "\n" not in message
     assert not message or str(path) in message
-    return frames
+    return found
 
 
 def test_every_reader_is_tried():
