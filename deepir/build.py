@@ -17,6 +17,7 @@ from deepir.components import make, options_schema
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
 from deepir.operators import Chain, Operator, Warp
+from deepir.operators.path import between
 from deepir.operators.warp import NEAR
 from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
@@ -117,7 +118,7 @@ def _operator(
     stages: dict[str, Operator] = {}
     slots: dict[str, dict[str, Any]] = {}
     out, twice = size, (2 * size[0], 2 * size[1])
-    origin = (0, 0)
+    origin, steps = (0, 0), 1
     for name, settings in reversed(config.physics.items()):
         where = f"physics.{name}"
         if "." in name:
@@ -127,9 +128,11 @@ def _operator(
         options = {k: v for k, v in (settings or {}).items() if k in known}
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
         ratio = (twice[0] - out[0]) / size[0]
-        canvas, origin = _canvas(motion, out, ratio)
-        stage = make("operator", kind, options, where, size=out, canvas=canvas, origin=origin)
+        canvas, origin = _canvas(None if motion is None else between(motion, steps), out, ratio)
+        place = {"size": out, "canvas": canvas, "origin": origin}
+        stage = make("operator", kind, options, where, **place, steps=steps, fps=config.data.fps)
         stages[name] = stage
+        steps *= stage.steps
         out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
     chain = Chain(dict(reversed(stages.items())))
     shapes = chain.slots((1, 1, *out), n_frames)

@@ -12,7 +12,8 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.scenes import procedural
 from deepir.simulate.events import observe
-from deepir.simulate.optics import at_rest, move, reach_of, scale_of
+from deepir.simulate.lag import constants, lagged, path
+from deepir.simulate.optics import at_rest, homographies, move, reach_of, scale_of
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
@@ -28,6 +29,7 @@ class Truth:
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
+    tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
     failed: np.ndarray  # (N,) bool: frames of another place
@@ -72,9 +74,11 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         DataError: The picture is no picture, or is too small for the frames and their motion.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(8)
-    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams
-    motion = move(settings, motion_rng)
+    streams = np.random.default_rng(seed).spawn(9)
+    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
+    motion, tau = move(settings, motion_rng), np.zeros(settings.shape)
+    if settings.tau:
+        motion, tau = homographies(settings, path(settings, streams[8])), constants(settings, streams[8])
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene
     if callable(scene):
@@ -87,6 +91,8 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         )
     scale = scale_of(picture.shape, reach, settings)
     flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
+    if settings.tau:
+        flux, motion, moving = lagged(flux, tau, settings), motion[:: settings.substeps], moving[:: settings.substeps]
     if settings.factor > 1:
         static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
@@ -104,6 +110,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         offset=offset,
         level=level,
         motion=motion,
+        tau=tau,
         bad_pixels=bad > 0,
         moving=moving,
         failed=failed,

@@ -59,6 +59,12 @@ class Settings:
     walker_contrast: float = 0.3  # how much warmer than the scene's mean the person is, fraction of the range
     walker_speed: float = 8.0  # px that the person walks from frame to frame
     failed_frame: int = 0  # the frame of this number is of another place
+    tau: float = 0.0  # thermal time constant of the pixels, ms; the camera then moves along a smooth path
+    tau_pixel: float = 0.0  # sigma of a pixel's time constant, fraction
+    fps: float = 60.0  # frames a second
+    substeps: int = 8  # instants for each frame at which a pixel that lags sees the scene
+    tremor: float = 8.0  # highest frequency of the smooth path, Hz
+    readout: float = 0.0  # part of the time between frames that reading the rows takes, one after the other
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
@@ -86,7 +92,11 @@ class Settings:
             raise ConfigError(
                 f"simulate.dead_pixels, stuck_pixels, noisy_pixels = {bad:g} together: a fraction up to 0.5 is needed"
             )
-        for key in ("gain_shading", "walker"):
+        if not (self.fps > 0 and 1 <= self.substeps <= 1000):
+            raise ConfigError("simulate: fps must be positive, and substeps a whole number from 1 to 1000")
+        if self.tau and (self.walker or self.failed_frame):
+            raise ConfigError("simulate.tau: not together with simulate.walker or simulate.failed_frame")
+        for key in ("gain_shading", "readout", "walker"):
             if (value := getattr(self, key)) > 1:
                 raise ConfigError(f"simulate.{key} = {value}: a fraction up to 1 is needed")
         if self.failed_frame >= self.n_frames:

@@ -1,0 +1,77 @@
+"""Thermal lag: a pixel takes its time to follow the flux."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from deepir.operators.base import Operator, Shape
+from deepir.registry import register
+
+SHORTEST = 1e-6  # time constant below which a pixel follows at once, in steps
+
+
+@register("operator", "lag")
+class Lag(Operator):
+    """What a pixel of time constant `tau` shows of a flux, `tau dy/dt = x - y`.
+
+    (M, C, h, w) -> (N, C, h, w), where M = (N - 1) `substeps` + 1 are the instants at which the flux is given, from
+    the first frame to the last. Between two of them it is linear, and the solution exact:
+    `y_i = a y_(i-1) + (1 - a - b) x_(i-1) + b x_i`, `a = exp(-dt / tau)`, `b = 1 - (1 - a) tau / dt`. Before the first
+    the pixel had settled, `y_0 = x_0`.
+
+    The slot `tau`, in ms, is (1, C, h, w). Saragadam et al. 2021, the step response in "Sensor modeling".
+    """
+
+    neutral: ClassVar = {"tau": 0.0}
+
+    def __init__(self, fps: float | None = None, *, substeps: int = 4) -> None:
+        """`fps`: frames a second.
+
+        Raises:
+            ValueError: A rate that is missing or not positive, or no step.
+        """
+        super().__init__()
+        if fps is None or not fps > 0:
+            raise ValueError("the frame rate is needed, in frames a second: data.fps=60")
+        if not 1 <= substeps <= 100:
+            raise ValueError(f"substeps must be 1 to 100, not {substeps}")
+        self.steps = substeps
+        self.duration = 1000 / (fps * substeps)
+
+    def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
+        """`tau`: (1, C, h, w)."""
+        return {"tau": (1, *x_shape[1:])}
+
+    def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
+        """(N, C, h, w)."""
+        return ((x_shape[0] - 1) // self.steps + 1, *x_shape[1:])
+
+    def forward(self, x: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
+        """Follow the flux from instant to instant.
+
+        Raises:
+            ValueError: The number of instants does not fit the number of steps.
+        """
+        if (len(x) - 1) % self.steps:
+            raise ValueError(f"lag: {len(x)} instants, but {self.steps} for each frame after the first are needed")
+        step = self.duration / tau[0].clamp(min=SHORTEST * self.duration)
+        kept = torch.exp(-step)
+        new = 1 - (1 - kept) / step
+        shown = [x[0]]
+        for before, now in zip(x[:-1], x[1:], strict=True):
+            shown.append(kept * shown[-1] + (1 - kept - new) * before + new * now)
+        return torch.stack(shown[:: self.steps])
+
+    def valid(self, mask: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
+        """Samples that have seen nothing but valid flux so far."""
+        return mask.cummin(0).values[:: self.steps]
+
+    @classmethod
+    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
+        """Three frames of 4 x 5 px, two steps each."""
+        generator = torch.Generator().manual_seed(0)
+        x, tau = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) for n in (5, 1))
+        return cls(60.0, substeps=2), x, {"tau": 5 + 10 * tau}
