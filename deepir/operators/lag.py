@@ -57,13 +57,21 @@ class Lag(Operator):
         """
         if (len(x) - 1) % self.steps:
             raise ValueError(f"lag: {len(x)} instants, but {self.steps} for each frame after the first are needed")
-        step = self.duration / tau[0].clamp(min=SHORTEST * self.duration)
-        kept = torch.exp(-step)
-        new = 1 - (1 - kept) / step
-        shown = [x[0]]
-        for before, now in zip(x[:-1], x[1:], strict=True):
-            shown.append(kept * shown[-1] + (1 - kept - new) * before + new * now)
+        weights = self._weights(tau[0].double())
+        kept, *of_flux = (weight.to(x.dtype) for weight in weights)
+        shown, before = [x[0]], x[0]
+        for earlier, before, now in zip((x[0], *x), x, x[1:], strict=False):
+            given = sum(weight * flux for weight, flux in zip(of_flux, (earlier, before, now), strict=True))
+            shown.append(kept * shown[-1] + given)
         return torch.stack(shown[:: self.steps])
+
+    def _weights(self, tau: Tensor) -> tuple[Tensor, ...]:
+        """Of what was shown an instant ago, and of the flux at the last three instants."""
+        step = self.duration / tau.clamp(min=SHORTEST * self.duration)
+        kept = torch.exp(-step)
+        slope = 1 - (1 - kept) / step
+        bend = (1 - 2 * slope / step - slope) / 2
+        return kept, bend, 1 - kept - slope - 2 * bend, slope + bend
 
     def valid(self, mask: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
         """Samples that have seen nothing but valid flux so far."""
