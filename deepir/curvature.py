@@ -23,11 +23,12 @@ from torch import Tensor, nn
 
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.noise import typical_noise
-from deepir.operators import Sensor, Warp
+from deepir.operators import Lag, Sensor, Warp
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
 from deepir.priors.pixels import Pixels
+from deepir.priors.uniform import Uniform
 from deepir.problem import Problem
 from deepir.slow import SMOOTH, Slow, expected, variances
 
@@ -96,7 +97,7 @@ def modelled(problem: Problem) -> bool:
 
     Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone.
     """
-    stages = [type(stage) for _, stage in problem.operator.named()]
+    stages = [type(stage) for _, stage in problem.operator.named() if not isinstance(stage, Lag)]
     if not isinstance(problem.fields["scene"], Pixels) or stages != [Warp, Sensor] or len(problem.data) < 2:
         return False
     gains = problem.fields[problem.slots["sensor.gain"]].parts()
@@ -141,11 +142,22 @@ def _tensors(
     for field in fields:
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
+        known = _measured(problem, field) if isinstance(field, Uniform) else known
         scales.append(1 / known if known > 0 else 1 / mean)
     inverse = _slow(problem, slow, drift, eliminated)
     if not eliminated:
         inverse = torch.zeros_like(inverse)
     return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
+
+
+def _measured(problem: Problem, field: Uniform) -> float:
+    """Curvature of the misfit in a number that all samples may feel, by a small change of it."""
+    before = problem.predict(problem.values())
+    change = 1e-2 * float(field.value.abs().clamp(min=1e-6))
+    field.value.add_(change)
+    slope = problem.predict(problem.values()).sub_(before).div_(change)
+    field.value.sub_(change)
+    return float((problem.fitted() * slope.square()).sum())
 
 
 def _waves(problem: Problem, eliminated: Collection[str], scene: Tensor, y: Tensor, x: Tensor) -> Tensor:
