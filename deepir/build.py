@@ -17,7 +17,7 @@ from deepir.components import make, options_schema
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
 from deepir.operators import Chain, Operator, Warp
-from deepir.operators.path import between
+from deepir.operators.path import Path
 from deepir.operators.warp import NEAR
 from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
@@ -118,7 +118,7 @@ def _operator(
     stages: dict[str, Operator] = {}
     slots: dict[str, dict[str, Any]] = {}
     out, twice = size, (2 * size[0], 2 * size[1])
-    origin, steps = (0, 0), 1
+    origin, instants = (0, 0), Path()
     for name, settings in reversed(config.physics.items()):
         where = f"physics.{name}"
         if "." in name:
@@ -128,11 +128,11 @@ def _operator(
         options = {k: v for k, v in (settings or {}).items() if k in known}
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
         ratio = (twice[0] - out[0]) / size[0]
-        canvas, origin = _canvas(None if motion is None else between(motion, steps), out, ratio)
+        canvas, origin = _canvas(None if motion is None else instants.through(motion), out, ratio)
         place = {"size": out, "canvas": canvas, "origin": origin}
-        stage = make("operator", kind, options, where, **place, steps=steps, fps=config.data.fps)
+        stage = make("operator", kind, options, where, **place, instants=instants, fps=config.data.fps)
         stages[name] = stage
-        steps *= stage.steps
+        instants = stage.path if stage.path != Path() else instants
         out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
     chain = Chain(dict(reversed(stages.items())))
     shapes = chain.slots((1, 1, *out), n_frames)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
+from deepir.operators.path import Path
 from deepir.registry import register
 
 SHORTEST = 1e-6  # time constant below which a pixel follows at once, in steps
@@ -27,7 +28,7 @@ class Lag(Operator):
 
     neutral: ClassVar = {"tau": 0.0}
 
-    def __init__(self, fps: float | None = None, *, substeps: int = 4) -> None:
+    def __init__(self, fps: float | None = None, *, substeps: int = 4, start: Literal["rest", "moving"] = "rest") -> None:
         """`fps`: frames a second.
 
         Raises:
@@ -38,7 +39,7 @@ class Lag(Operator):
             raise ValueError("the frame rate is needed, in frames a second: data.fps=60")
         if not 1 <= substeps <= 100:
             raise ValueError(f"substeps must be 1 to 100, not {substeps}")
-        self.steps = substeps
+        self.path = Path(substeps, 2*substeps if start == 'moving' else 0)
         self.duration = 1000 / (fps * substeps)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
@@ -47,7 +48,7 @@ class Lag(Operator):
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """(N, C, h, w)."""
-        return ((x_shape[0] - 1) // self.steps + 1, *x_shape[1:])
+        return ((x_shape[0] - 1 - self.path.lead) // self.path.steps + 1, *x_shape[1:])
 
     def forward(self, x: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
         """Follow the flux from instant to instant.
@@ -55,15 +56,15 @@ class Lag(Operator):
         Raises:
             ValueError: The number of instants does not fit the number of steps.
         """
-        if (len(x) - 1) % self.steps:
-            raise ValueError(f"lag: {len(x)} instants, but {self.steps} for each frame after the first are needed")
+        if (len(x) - 1 - self.path.lead) % self.path.steps:
+            raise ValueError(f"lag: {len(x)} instants, but {self.path.steps} for each frame after the first are needed")
         weights = self._weights(tau[0].double())
         kept, *of_flux = (weight.to(x.dtype) for weight in weights)
         shown, before = [x[0]], x[0]
         for earlier, before, now in zip((x[0], *x), x, x[1:], strict=False):
             given = sum(weight * flux for weight, flux in zip(of_flux, (earlier, before, now), strict=True))
             shown.append(kept * shown[-1] + given)
-        return torch.stack(shown[:: self.steps])
+        return torch.stack(shown[self.path.lead :: self.path.steps])
 
     def _weights(self, tau: Tensor) -> tuple[Tensor, ...]:
         """Of what was shown an instant ago, and of the flux at the last three instants."""
@@ -75,7 +76,7 @@ class Lag(Operator):
 
     def valid(self, mask: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
         """Samples that have seen nothing but valid flux so far."""
-        return mask.cummin(0).values[:: self.steps]
+        return mask.cummin(0).values[self.path.lead :: self.path.steps]
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:

@@ -3,25 +3,40 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.interpolate import CubicSpline
 from torch import Tensor
 
-END = "not-a-knot"
 
+@dataclass(frozen=True)
+class Path:
+    """Instants at which an operator wants to see its input: `steps` for each frame after the first, `lead` before it.
 
-def between(motion: Tensor, steps: int) -> Tensor:
-    """Motions (N, ...) and, evenly between each two, `steps - 1` on the cubic spline through them."""
-    if steps == 1 or len(motion) == 1:
-        return motion
-    weights = _weights(len(motion), steps).to(motion)
-    return (weights @ motion.flatten(1)).unflatten(1, motion.shape[1:])
+    One for each frame unless said otherwise.
+    """
+
+    steps: int = 1
+    lead: int = 0
+
+    def count(self, n_frames: int) -> int:
+        """How many instants there are."""
+        return self.lead + (n_frames - 1) * self.steps + 1
+
+    def through(self, motion: Tensor) -> Tensor:
+        """Motions (N, ...) -> (instants, ...): on the cubic spline through them, which goes on before the first."""
+        if len(motion) == self.count(len(motion)):
+            return motion
+        weights = _weights(self, len(motion)).to(motion)
+        return (weights @ motion.flatten(1)).unflatten(1, motion.shape[1:])
 
 
 @functools.lru_cache(maxsize=16)
-def _weights(count: int, steps: int) -> Tensor:
-    """(instants, frames)."""
-    at = np.arange((count - 1) * steps + 1) / steps
-    return torch.from_numpy(CubicSpline(np.arange(count), np.eye(count), bc_type=END)(at))
+def _weights(path: Path, n_frames: int) -> Tensor:
+    """Of each frame at each instant, (instants, N)."""
+    at = (np.arange(path.count(n_frames)) - path.lead) / path.steps
+    if n_frames == 1:
+        return torch.ones(len(at), 1, dtype=torch.float64)
+    return torch.from_numpy(CubicSpline(np.arange(n_frames), np.eye(n_frames))(at))

@@ -6,12 +6,13 @@ import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
-from deepir.operators.path import between
+from deepir.operators.path import Path
 from deepir.operators.spline import LEAST, NOISE_GAIN, Pull, image, sample
 from deepir.registry import register
 
 #: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
 FAR, NEAR = 1e6, 1e-3
+EVERY_FRAME = Path()
 
 
 @register("operator", "warp")
@@ -32,11 +33,11 @@ class Warp(Operator):
     noise_gain = NOISE_GAIN
 
     def __init__(
-        self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[int, int], steps: int = 1
+        self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[int, int], instants: Path = EVERY_FRAME
     ) -> None:
         """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel.
 
-        With `steps`, the output is at so many instants for each frame after the first, as a lag behind it wants.
+        The output is at `instants`, those of the frames unless a lag behind it wants more.
 
         Raises:
             ValueError: A side of the canvas is less than 4.
@@ -44,7 +45,7 @@ class Warp(Operator):
         super().__init__()
         if min(canvas) < LEAST:
             raise ValueError(f"warp: the canvas {canvas} has a side of less than {LEAST} px")
-        self.size, self.canvas, self.origin, self.instants = size, canvas, origin, steps
+        self.size, self.canvas, self.origin, self.instants = size, canvas, origin, instants
         # From the frame's centre to the canvas' centre.
         y, x = (o + (s - c) / 2 for o, s, c in zip(origin, size, canvas, strict=True))
         place = torch.tensor([[1, 0, x], [0, 1, y], [0, 0, 1]], dtype=torch.float64)
@@ -56,7 +57,7 @@ class Warp(Operator):
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """(N, C, h, w), or as many instants."""
-        return ((n_frames - 1) * self.instants + 1, x_shape[1], *self.size)
+        return (self.instants.count(n_frames), x_shape[1], *self.size)
 
     def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:
         """The canvas."""
@@ -70,7 +71,7 @@ class Warp(Operator):
         """
         if x.shape[-2:] != self.canvas:
             raise ValueError(f"warp: the canvas is {self.canvas}, but the scene {tuple(x.shape[-2:])}")
-        return self._sampled(x, between(motion, self.instants))
+        return self._sampled(x, self.instants.through(motion))
 
     def _sampled(self, x: Tensor, motion: Tensor) -> Tensor:
         if x.device.type == "cpu" and motion.ndim == 3:
@@ -80,7 +81,7 @@ class Warp(Operator):
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
         reach = torch.tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)], device=mask.device)
-        motion = between(motion, self.instants)
+        motion = self.instants.through(motion)
         if motion.ndim == 3 and self._within(motion, reach) and bool((mask == 1).all()):
             return mask.new_ones(len(motion), mask.shape[1], *self.size)
         masks = mask.expand(len(motion), -1, -1, -1)

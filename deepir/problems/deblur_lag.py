@@ -7,7 +7,6 @@ from torch import Tensor
 
 from deepir.curvature import modelled
 from deepir.operators import Lag
-from deepir.operators.path import between
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC, _finish, _update
 from deepir.registry import register
@@ -46,5 +45,5 @@ def start_motion(problem: Problem) -> None:
     values = problem.values()
     tau, seen = values[problem.slots[f"{name}.tau"]].double(), values["motion"].double()
     frames = torch.eye(len(seen), dtype=torch.float64)
-    late = lag(between(frames, lag.steps)[:, None, None], tau=tau.mean()[None,None,None,None])[:, 0, 0]
+    late = lag(lag.path.through(frames)[:, None, None], tau=tau.mean()[None,None,None,None])[:, 0, 0]
     problem.fields["motion"].init_from(torch.linalg.solve(late, seen.flatten(1)).view_as(seen))
