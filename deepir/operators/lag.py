@@ -39,7 +39,7 @@ class Lag(Operator):
             raise ValueError("the frame rate is needed, in frames a second: data.fps=60")
         if not 1 <= substeps <= 100:
             raise ValueError(f"substeps must be 1 to 100, not {substeps}")
-        self.path = Path(substeps, 2*substeps if start == 'moving' else 0)
+        self.path = Path(substeps, substeps if start == 'moving' else 0)
         self.duration = 1000 / (fps * substeps)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
