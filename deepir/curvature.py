@@ -28,7 +28,6 @@ from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
 from deepir.priors.pixels import Pixels
-from deepir.priors.uniform import Uniform
 from deepir.problem import Problem
 from deepir.slow import SMOOTH, Slow, expected, variances
 
@@ -46,7 +45,7 @@ class Curvature:
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
     ) -> None:
-        fields = {id(p): field for field in problem.fields.values() for p in field.parameters()}
+        fields = {id(p): each for each in problem.fields.modules() for p in each.parameters(recurse=False)}
         mine = [fields[id(p)] for p in parameters]
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
@@ -138,11 +137,11 @@ def _tensors(
     mean = float(waves.mean())
     waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
-    scales = []
+    scales, of_lag = [], _of_lag(problem)
     for field in fields:
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
-        known = _measured(problem, field) if isinstance(field, Uniform) else known
+        known = _measured(problem, field) if field in of_lag else known
         scales.append(1 / known if known > 0 else 1 / mean)
     inverse = _slow(problem, slow, drift, eliminated)
     if not eliminated:
@@ -150,14 +149,20 @@ def _tensors(
     return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
 
 
-def _measured(problem: Problem, field: Uniform) -> float:
-    """Curvature of the misfit in a number that all samples may feel, by a small change of it."""
-    before = problem.predict(problem.values())
-    change = 1e-2 * float(field.value.abs().clamp(min=1e-6))
-    field.value.add_(change)
+def _of_lag(problem: Problem) -> list[nn.Module]:
+    """The fields that make up the time constant of a lag."""
+    names = [f"{name}.tau" for name, stage in problem.operator.named() if isinstance(stage, Lag)]
+    return [each for name in names for each in problem.fields[problem.slots[name]].modules()]
+
+
+def _measured(problem: Problem, field: nn.Module) -> float:
+    """Curvature in each parameter of a field that change different samples: by a small change of all of them."""
+    before, (parameter,) = problem.predict(problem.values()), field.parameters(recurse=False)
+    change = 1e-2 * float(parameter.abs().amax().clamp(min=1))
+    parameter.add_(change)
     slope = problem.predict(problem.values()).sub_(before).div_(change)
-    field.value.sub_(change)
-    return float((problem.fitted() * slope.square()).sum())
+    parameter.sub_(change)
+    return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
 def _waves(problem: Problem, eliminated: Collection[str], scene: Tensor, y: Tensor, x: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ class Lag(Operator):
 
     neutral: ClassVar = {"tau": 0.0}
 
-    def __init__(self, fps: float | None = None, *, substeps: int = 4, start: Literal["rest", "moving"] = "rest") -> None:
+    def __init__(self, fps: float | None = None, *, substeps: int = 4, start: Literal["rest", "moving"] = "rest", readout: float = 0.0) -> None:
         """`fps`: frames a second.
 
         Raises:
@@ -39,6 +39,9 @@ class Lag(Operator):
             raise ValueError("the frame rate is needed, in frames a second: data.fps=60")
         if not 1 <= substeps <= 100:
             raise ValueError(f"substeps must be 1 to 100, not {substeps}")
+        if not 0 <= readout <= 1:
+            raise ValueError(f"readout must be 0 to 1, not {readout}")
+        self.readout = readout
         self.path = Path(substeps, substeps if start == 'moving' else 0)
         self.duration = 1000 / (fps * substeps)
 
@@ -64,7 +67,22 @@ class Lag(Operator):
         for earlier, before, now in zip((x[0], *x), x, x[1:], strict=False):
             given = sum(weight * flux for weight, flux in zip(of_flux, (earlier, before, now), strict=True))
             shown.append(kept * shown[-1] + given)
-        return torch.stack(shown[self.path.lead :: self.path.steps])
+        return self._read(torch.stack(shown))
+
+    def _read(self, shown: Tensor) -> Tensor:
+        """The frames of what is shown at all instants."""
+        if not self.readout:
+            return shown[self.path.lead :: self.path.steps]
+        height, last = shown.shape[-2], len(shown) - 1
+        rows = torch.arange(height, device=shown.device)
+        early = self.readout * self.path.steps * (1 - (rows + 1) / height)
+        frames = torch.arange(self.path.lead, len(shown), self.path.steps, device=shown.device)
+        at = (frames[:, None] - early).clamp(min=0)
+        first = at.long().clamp(max=max(last - 1, 0))
+        part = (at - first).to(shown.dtype)[..., None, None]
+        rows_of = shown.movedim(2, 1)  # (instants, h, C, w)
+        seen = torch.lerp(rows_of[first, rows], rows_of[(first + 1).clamp(max=last), rows], part)
+        return seen.movedim(1, 2)
 
     def _weights(self, tau: Tensor) -> tuple[Tensor, ...]:
         """Of what was shown an instant ago, and of the flux at the last three instants."""

@@ -14,7 +14,7 @@ from deepir.registry import register
 from deepir.solve import Stage
 
 FAST = 1.0  # px between two instants from which the flux in between is a guess
-UNLIKE = 2.0  # misfit of the first frame, in those of the others, from which it began otherwise than supposed
+UNLIKE = 1.5  # misfit of the first frame, in those of the others, from which it began otherwise than supposed
 
 
 @register("problem", "deblur_lag")
@@ -79,8 +79,8 @@ def speed_message(problem: Problem) -> list[str]:
 def start_message(problem: Problem) -> list[str]:
     """A line if the first frame misfits more than the others."""
     lag, _ = lag_of(problem)
-    misfit = problem.precision * (problem.data - problem.predict(problem.values())).square()
-    first, *others = (each[each > 0].median() for each in misfit)
+    misfit = (problem.data - problem.predict(problem.values())).abs().where(problem.precision > 0, torch.nan)
+    first, *others = misfit.flatten(1).nanmedian(1).values
     if not first > UNLIKE * torch.stack(others).nanmedian():
         return []
     other = "rest" if lag.path.lead else "moving"
