@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from deepir.elimination import Eliminated, eliminate
 from deepir.fidelity import Fidelity, Gaussian
+from deepir.half_squares import of_sensor
 from deepir.operators import Chain, Sensor
 from deepir.operators.base import own
 from deepir.penalties.penalty import Penalty
@@ -126,7 +127,8 @@ class Problem(nn.Module):
         moves = slots["gain"].requires_grad or slots["offset"].requires_grad
         if isinstance(self.fidelity, Gaussian) and not moves:
             freedom = None if found is None else found.freedom()
-            return self.fidelity.of_sensor(flux, self.data, precision, **slots, freedom=freedom)
+            sensor = (slots["gain"], slots["offset"], slots["level"])
+            return of_sensor(flux, self.data, precision, sensor, freedom)
         return self.fidelity(last(flux, **slots), self.data, precision)
 
     def free(self) -> list[str]:

@@ -36,6 +36,13 @@ def hold_out(problem: Problem, seed: int) -> None:
     problem.held_out.copy_(chosen.to(problem.held_out.device))
 
 
+def update_strengths(problem: Problem) -> None:
+    """Noise and parts' strengths anew, in the gauge: what every round of a sensor's estimate begins with."""
+    update_noise(problem)
+    keep_gauge(problem)
+    update_parts(problem)
+
+
 @torch.no_grad()
 def update_noise(problem: Problem, *, settled: bool = False) -> None:
     """Set each sample's precision to 1 / (read² + signal / photons), as the residuals have it.

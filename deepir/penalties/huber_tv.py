@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from deepir.penalties.penalty import Penalty, squared_gradient
-from deepir.penalties.tv import SCALE
+from deepir.penalties.tv import TV
 from deepir.registry import register
 
 
@@ -31,8 +31,8 @@ class HuberTV(Penalty):
         return torch.where(squared < d.square(), squared / (2 * d), linear).sum(dtype=torch.float64)
 
     def natural(self, noise: float) -> float:
-        """One nat for a step of `SCALE` standard deviations."""
-        return 1 / (SCALE * noise)
+        """One nat for a step of `TV.scale` standard deviations."""
+        return 1 / (TV.scale * noise)
 
     def stiffness(self, value: Tensor) -> tuple[float, float]:
         """The mean of `weight / max(|∇x|, d)`, of the gradient."""
