@@ -45,7 +45,12 @@ class Curvature:
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
     ) -> None:
-        fields = {id(p): each for each in problem.fields.modules() for p in each.parameters(recurse=False)}
+        fields = {
+            id(p): each
+            for field in problem.fields.values()
+            for each in field.modules()
+            for p in each.parameters(recurse=False)
+        }
         mine = [fields[id(p)] for p in parameters]
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
@@ -53,7 +58,7 @@ class Curvature:
         drift = next((f for f in mine if isinstance(f, Drift) and f.sigma > 0), None)
         slow = Slow(problem, tuple(parameters[self.scene].shape))
         self.basis = slow.scene
-        self.tensors = _tensors(problem, mine, slow, drift, eliminated)
+        self.tensors = _tensors(problem, mine, parameters, slow, drift, eliminated)
         self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()
@@ -121,6 +126,7 @@ def spline_response(problem: Problem) -> Tensor:
 def _tensors(
     problem: Problem,
     fields: Sequence[nn.Module],
+    parameters: Sequence[nn.Parameter],
     slow: Slow,
     drift: Drift | None,
     eliminated: Collection[str],
@@ -137,11 +143,11 @@ def _tensors(
     mean = float(waves.mean())
     waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
-    scales, of_lag = [], _of_lag(problem)
-    for field in fields:
+    scales = []
+    for field, parameter in zip(fields, parameters, strict=True):
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
-        known = _measured(problem, field) if field in of_lag else known
+        known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
     inverse = _slow(problem, slow, drift, eliminated)
     if not eliminated:
@@ -149,15 +155,17 @@ def _tensors(
     return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
 
 
-def _of_lag(problem: Problem) -> list[nn.Module]:
-    """The fields that make up the time constant of a lag."""
-    names = [f"{name}.tau" for name, stage in problem.operator.named() if isinstance(stage, Lag)]
-    return [each for name in names for each in problem.fields[problem.slots[name]].modules()]
+def _lags(problem: Problem, parameter: nn.Parameter) -> bool:
+    """Whether it is one of a lag's time constant."""
+    slots = [f"{name}.tau" for name, stage in problem.operator.named() if isinstance(stage, Lag)]
+    return any(
+        parameter is each for slot in slots for each in problem.fields[problem.slots[slot]].parameters()
+    )
 
 
-def _measured(problem: Problem, field: nn.Module) -> float:
-    """Curvature in each parameter of a field that change different samples: by a small change of all of them."""
-    before, (parameter,) = problem.predict(problem.values()), field.parameters(recurse=False)
+def _measured(problem: Problem, parameter: nn.Parameter) -> float:
+    """Curvature in each element, if they change different samples: by a small change of all of them."""
+    before = problem.predict(problem.values())
     change = 1e-2 * float(parameter.abs().amax().clamp(min=1))
     parameter.add_(change)
     slope = problem.predict(problem.values()).sub_(before).div_(change)

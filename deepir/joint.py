@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from deepir.build import Geometry, build
-from deepir.bridge import bridge_message, bridged
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.contest import Contest
@@ -20,6 +19,7 @@ from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
 from deepir.priors.parts import Part
+from deepir.order import bridge_message, bridged
 from deepir.problem import Problem
 from deepir.problems.definition import Definition
 from deepir.registration import register as register_frames

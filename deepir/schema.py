@@ -21,7 +21,7 @@ class Data(_Strict):
     crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
     frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
     key: str | None = None  # array in an .npz
-    fps: float | None = Field(None, gt=0)  # frames a second
+    fps: float | None = Field(default=None, gt=0)  # frames a second
 
 
 class Noise(_Strict):

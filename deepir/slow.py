@@ -54,7 +54,7 @@ class Slow:
         )
         terms = self.frame.at(y.flatten(), x.flatten())
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
-        seen = _late(problem, self.scene.at(points[..., 1], points[..., 0]))
+        seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))
         self.carried = torch.linalg.lstsq(terms.expand(len(seen), *terms.shape), seen).solution
         weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
         area = height * width / weights.shape[1]
@@ -88,12 +88,13 @@ class Slow:
         return torch.cat((self.carried, one, each), 2)
 
 
-def _late(problem: Problem, seen: Tensor) -> Tensor:
-    """Polynomials at the points of each instant as a lag shows them in each frame, if there is one."""
+def late(problem: Problem, seen: Tensor) -> Tensor:
+    """What a lag makes of (instants, ...) values for each frame, (N, ...); the same if there is none."""
     for name, stage in problem.operator.named():
         if isinstance(stage, Lag):
-            tau = problem.values()[problem.slots[f"{name}.tau"]].mean()
-            return stage(seen[:, None], tau=tau.expand(1, 1, 1, 1))[:, 0]
+            tau = problem.values()[problem.slots[f"{name}.tau"]].mean().to(seen)
+            shown = stage(seen.flatten(1)[:, None, None], tau=tau.expand(1, 1, 1, 1))
+            return shown.view(-1, *seen.shape[1:])
     return seen
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Path:
-    """Instants at which an operator wants to see its input: `steps` for each frame after the first, `lead` before it.
+    """Instants at which an operator wants its input: `steps` for each frame after the first, and `lead` before it.
 
     One for each frame unless said otherwise.
     """
@@ -25,9 +25,13 @@ class Path:
         """How many instants there are."""
         return self.lead + (n_frames - 1) * self.steps + 1
 
+    def frames(self, count: int) -> int:
+        """The inverse of `count`."""
+        return (count - 1 - self.lead) // self.steps + 1
+
     def through(self, motion: Tensor) -> Tensor:
         """Motions (N, ...) -> (instants, ...): on the cubic spline through them, which goes on before the first."""
-        if len(motion) == self.count(len(motion)):
+        if self == Path():
             return motion
         weights = _weights(self, len(motion)).to(motion)
         return (weights @ motion.flatten(1)).unflatten(1, motion.shape[1:])
@@ -36,7 +40,7 @@ class Path:
 @functools.lru_cache(maxsize=16)
 def _weights(path: Path, n_frames: int) -> Tensor:
     """Of each frame at each instant, (instants, N)."""
-    at = (np.arange(path.count(n_frames)) - path.lead) / path.steps
     if n_frames == 1:
-        return torch.ones(len(at), 1, dtype=torch.float64)
+        return torch.ones(path.count(1), 1, dtype=torch.float64)
+    at = (np.arange(path.count(n_frames)) - path.lead) / path.steps
     return torch.from_numpy(CubicSpline(np.arange(n_frames), np.eye(n_frames))(at))

@@ -33,7 +33,11 @@ class Warp(Operator):
     noise_gain = NOISE_GAIN
 
     def __init__(
-        self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[int, int], instants: Path = EVERY_FRAME
+        self,
+        size: tuple[int, int],
+        canvas: tuple[int, int],
+        origin: tuple[int, int],
+        instants: Path = EVERY_FRAME,
     ) -> None:
         """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel.
 

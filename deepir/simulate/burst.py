@@ -92,7 +92,11 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
     scale = scale_of(picture.shape, reach, settings)
     flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
     if settings.tau:
-        flux, motion, moving = lagged(flux, tau, settings), motion[:: settings.substeps], moving[:: settings.substeps]
+        flux, motion, moving = (
+            lagged(flux, tau, settings),
+            motion[:: settings.substeps],
+            moving[:: settings.substeps],
+        )
     if settings.factor > 1:
         static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from deepir.simulate.settings import Settings
@@ -38,7 +40,7 @@ def lagged(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarray:
     kept = np.exp(-step)
     new = 1 - (1 - kept) / step
     shown = [flux[0]]
-    for before, now in zip(flux, flux[1:], strict=False):
+    for before, now in itertools.pairwise(flux):
         shown.append(kept * shown[-1] + (1 - kept - new) * before + new * now)
     return read(np.stack(shown), settings)
 
