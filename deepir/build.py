@@ -274,6 +274,11 @@ def _demand_sense(slot: str, field: Field, where: str) -> None:
     value = field()
     if slot == "gain" and not value.mean() > 0:
         raise ConfigError(f"{where}: a gain has a positive mean, not {float(value.mean()):g}")
+    if slot == "tau" and not value.min() > (0 if list(field.parameters()) else -1e-9):
+        raise ConfigError(
+            f"{where}: a time constant, in ms, is not negative, and one that is to be found starts above zero: "
+            f"{where}.init=10"
+        )
     matrices = slot == "motion" and value.shape[1:] == (3, 3)
     if matrices and not torch.allclose(value[0], torch.eye(3).to(value), atol=1e-4):
         raise ConfigError(f"{where}: the first frame's motion is the identity, not {value[0].tolist()}")

@@ -45,12 +45,7 @@ class Curvature:
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
     ) -> None:
-        fields = {
-            id(p): each
-            for field in problem.fields.values()
-            for each in field.modules()
-            for p in each.parameters(recurse=False)
-        }
+        fields = {id(p): field for field in problem.fields.values() for p in field.parameters()}
         mine = [fields[id(p)] for p in parameters]
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])

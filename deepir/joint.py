@@ -18,8 +18,8 @@ from deepir.contest import Contest
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
-from deepir.priors.parts import Part
 from deepir.order import bridge_message, bridged
+from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.problems.definition import Definition
 from deepir.registration import register as register_frames

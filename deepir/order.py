@@ -10,20 +10,17 @@ import torch
 from torch import Tensor
 
 from deepir.errors import ConfigError
+from deepir.io.frames import select_frames
 
 Mask = np.ndarray[Any, Any]
-MANY = 10**6  # more than any burst has
+MANY = 10**6  # more frames than any burst has
 
 
 def demand_order(select: str | int | Sequence[int] | None, problem: str) -> None:
-    """Raise `ConfigError` for a selection of frames that does not keep them one after the other."""
-    from deepir.io.frames import select_frames
-
-    if isinstance(select, str) and ":" not in select or isinstance(select, int | None):
+    """Raise `ConfigError` if `data.frames` does not keep frames one after the other."""
+    if isinstance(select, str | int | None) and ":" not in str(select):
         return
-    chosen = (
-        np.asarray(select) if not isinstance(select, str) else select_frames(np.arange(MANY), select, "data")
-    )
+    chosen = select_frames(np.arange(MANY), select, "data")
     if (np.diff(chosen) != 1).any():
         raise ConfigError(
             f"data.frames={select!r}: '{problem}' needs frames that follow each other in time; give a count or a slice"

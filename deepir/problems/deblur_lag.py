@@ -15,7 +15,9 @@ from deepir.slow import late
 from deepir.solve import Stage
 
 FAST = 1.0  # px from instant to instant, above which the flux in between is a guess
-UNLIKE = 1.5  # misfit of the first frame, in those of the others, from which it began otherwise than supposed
+UNLIKE = (
+    1.15  # misfit of the first frame, in those of the others, from which it began otherwise than supposed
+)
 
 
 @register("problem", "deblur_lag")

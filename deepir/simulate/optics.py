@@ -61,7 +61,7 @@ def move(settings: Settings, rng: np.random.Generator) -> np.ndarray:
 
 
 def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
-    """(N, 3, 3): shift after rotation (about the centre) after stretch, shear and keystone; `draws` (N, 9) in [-1, 1]."""
+    """(N, 3, 3): shift after rotation (about the centre) after stretch, shear and keystone, `draws` (N, 9) in +-1."""
     motion = np.tile(np.eye(3), (len(draws), 1, 1))
     height, width = settings.shape
     if settings.motion == "homography":
