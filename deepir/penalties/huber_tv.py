@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from deepir.penalties.penalty import Penalty, squared_gradient
+from deepir.penalties.rounded import PLAIN
 from deepir.penalties.tv import TV
 from deepir.registry import register
 
@@ -16,6 +17,8 @@ class HuberTV(Penalty):
 
     It makes no stairs of slopes, as TV does (Werlberger et al. 2009, "Anisotropic Huber-L1 optical flow").
     """
+
+    plain = PLAIN
 
     def __init__(self, *, weight: float | None = None, threshold: float = 1.0) -> None:
         super().__init__(weight=weight)

@@ -9,12 +9,16 @@ from torch import Tensor
 
 from deepir.penalties.penalty import Penalty
 
+#: The best weights on the truth are so, of 65 bursts of plain pictures and of rich ones: 0.15 dB are lost.
+PLAIN = 3.1
+
 
 class Rounded(Penalty):
     """A sum of lengths, rounded at `rounding`, in units of `1 / weight`, so that it is smooth enough for L-BFGS."""
 
     #: The step or kink, in standard deviations of the noise, that costs one nat.
     scale: ClassVar[float]
+    plain = PLAIN
 
     def __init__(self, *, weight: float | None = None, rounding: float = 0.1) -> None:
         super().__init__(weight=weight)

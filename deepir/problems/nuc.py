@@ -10,7 +10,14 @@ from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
-from deepir.strengths import hold_out, start_parts, update_noise, update_strengths, weigh_scene
+from deepir.strengths import (
+    hold_out,
+    measure_roughness,
+    start_parts,
+    update_noise,
+    update_strengths,
+    weigh_scene,
+)
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
@@ -65,4 +72,5 @@ def _update(problem: Problem) -> None:
 
 def _finish(problem: Problem) -> None:
     update_noise(problem, settled=True)
+    measure_roughness(problem)
     weigh_scene(problem)
