@@ -11,6 +11,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.scenes import procedural
+from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
 from deepir.simulate.lag import constants, lagged, path
 from deepir.simulate.optics import at_rest, homographies, move, reach_of, scale_of
@@ -30,6 +31,7 @@ class Truth:
     level: np.ndarray  # (N,), mean zero
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
     tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
+    housing: np.ndarray  # (N, H, W), flux of the housing above that of the first frame
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
     failed: np.ndarray  # (N,) bool: frames of another place
@@ -74,11 +76,15 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         DataError: The picture is no picture, or is too small for the frames and their motion.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(9)
+    streams = np.random.default_rng(seed).spawn(10)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
     motion, tau = move(settings, motion_rng), np.zeros(settings.shape)
     if settings.tau:
         motion, tau = homographies(settings, path(settings, streams[8])), constants(settings, streams[8])
+    gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
+    if settings.bolometer:
+        gain, offset, slowness = pixels(settings, streams[9])
+        tau = tau * slowness
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene
     if callable(scene):
@@ -100,9 +106,9 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
     if settings.factor > 1:
         static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
-    flux, static = settings.range * flux + dark, settings.range * static + dark
+    warmth = housing(settings)
+    flux, static = settings.range * flux + dark + warmth, settings.range * static + dark
 
-    gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
     bad = more_defects(bad, settings, defects_rng)
     gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
     level = settings.range * settings.level_drift * np.cumsum(level_rng.standard_normal(settings.n_frames))
@@ -115,6 +121,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         level=level,
         motion=motion,
         tau=tau,
+        housing=warmth,
         bad_pixels=bad > 0,
         moving=moving,
         failed=failed,

@@ -65,6 +65,10 @@ class Settings:
     substeps: int = 16  # instants for each frame at which a pixel that lags sees the scene
     tremor: float = 8.0  # highest frequency of the smooth path, Hz
     readout: float = 0.0  # part of the time between frames that reading the rows takes, one after the other
+    bolometer: bool = False  # gain, offset and tau's spread from the pixels' physics, not from the keys above
+    housing_drift: float = (
+        0.0  # flux that a warming housing adds on the axis, fraction of the range in a second
+    )
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
