@@ -8,7 +8,6 @@ best on the truth. Constants were tuned on other pictures and seeds.
 from __future__ import annotations
 
 import argparse
-import platform
 import statistics
 from collections.abc import Iterator
 from itertools import product
@@ -19,6 +18,7 @@ import torch
 from nuc_oracle import aligned, oracle
 from nuc_regimes import picture
 from nuc_store import kept
+from written import write
 
 import deepir
 from deepir.report.panels import write_panels
@@ -45,15 +45,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    lines = [
-        f"<!-- written by benchmarks/lag.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()} -->"
-    ]
-    for line in report(options):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    write(report(options), "benchmarks/lag.py", options.output)
 
 
 def report(options: argparse.Namespace) -> Iterator[str]:
