@@ -110,7 +110,7 @@ def test_time_constants_can_be_given_or_each_pixels_own(sim):
         (["data.fps=null"], "physics.lag: the rate of the frames is needed, for example data.fps=60"),
         (["data.frames=[0, 2, 4]"], "needs frames that follow each other in time"),
         (["physics.lag.tau=-3"], "physics.lag.tau: a time constant, in ms, is not negative"),
-        (["physics.lag.tau=uniform"], "starts above zero: physics.lag.tau.init=10"),
+        (["physics.lag.tau.init=0"], "starts above zero: physics.lag.tau.init=10"),
         (["physics.lag=null"], "'deblur_lag' needs a stage 'lag'"),
         (["physics.lag.start=walking"], "'rest' or 'moving'"),
         (["physics.lag.substeps=0"], "substeps must be 1 to 100"),
