@@ -19,6 +19,7 @@ class Result:
 
     `scene` (H, W) float32 lies on frame 0's grid, `gain` and `offset` (h, w) on the detector's; `motion` (N, 3, 3)
     holds pull homographies in px of the scene's grid about the frame's centre, NaN for unused frames; `level` (N,).
+    Where each frame has a scene of its own, `scene` is (N, H, W), each on its frame's grid.
     """
 
     scene: Array
@@ -41,13 +42,14 @@ class Result:
 
     def save(self, folder: Path, example: Array) -> None:
         """Write all files of a finished run; `example` is a raw frame for the summary. Each is replaced whole."""
+        from deepir.report.panels import some
         from deepir.report.summary import write_summary
 
         write_npz(folder / "result.npz", self.arrays())
         if self.uncertainty:
             write_npz(folder / "uncertainty.npz", self.uncertainty)
         write_tiff(folder / "scene.tiff", self.scene)
-        write_preview(folder / "scene_preview.png", self.scene)
+        write_preview(folder / "scene_preview.png", some(self.scene))
         write_summary(folder / "summary.png", self, example)
         write_json(folder / "metrics.json", self.metrics)
 

@@ -94,10 +94,11 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
 
     What else they need they learn from the scene as it is.
     """
-    precision = problem.precision.sum(0)  # the frames' information adds up
-    average = float(precision[precision > 0].median().rsqrt())
     with torch.no_grad():
         scene = problem.fields["scene"]()
+    # Of frames that show the same scene the information adds up.
+    precision = problem.precision.sum(0) if len(scene) == 1 else thinned(problem.precision)[0]
+    average = float(precision[precision > 0].median().rsqrt())
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         noise = average * (1.0 if penalty.of_image else problem.operator.noise_gain)
         penalty.weight.fill_(factor * (penalty.natural(noise) if penalty.given is None else penalty.given))

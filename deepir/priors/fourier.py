@@ -33,7 +33,7 @@ class Fourier(Coordinates):
     """Rectified layers over random waves (Tancik et al. 2020, "Fourier features let networks learn ...").
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
+        shape: Of the scene, (S, 1, H, W).
         neutral: The level, until it starts somewhere.
         count: Of the waves.
         bandwidth: Standard deviation of the waves' frequencies, in periods over the scene's longer side.
@@ -61,7 +61,7 @@ class Fourier(Coordinates):
         layers: list[nn.Module] = [Waves(count, bandwidth)]
         for i in range(depth):
             layers += [nn.Linear(2 * count if i == 0 else width, width), nn.ReLU()]
-        last = nn.Linear(width, 1)
+        last = nn.Linear(width, shape[0])
         if residual:  # it begins at what it starts from
             nn.init.zeros_(last.weight)
             nn.init.zeros_(last.bias)

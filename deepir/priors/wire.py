@@ -42,7 +42,7 @@ class Wire(Coordinates):
     """Layers of complex Gabor wavelets of the coordinates (Saragadam et al. 2023, "WIRE").
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
+        shape: Of the scene, (S, 1, H, W).
         neutral: The level, until it starts somewhere.
         width: Complex units of the layers.
         depth: Layers with a wavelet after the first.
@@ -69,7 +69,7 @@ class Wire(Coordinates):
             raise ValueError("width and depth must be at least 1, omega positive and sharpness not negative")
         first = Gabor(2, width, omega, sharpness, real=True)
         inner = [Gabor(width, width, omega, sharpness) for _ in range(depth)]
-        last = nn.Linear(2 * width, 1)  # the real part of a complex one
+        last = nn.Linear(2 * width, shape[0])  # the real part of a complex one
         nn.init.uniform_(last.weight, -(width**-0.5), width**-0.5)
         if residual:  # it begins at what it starts from
             nn.init.zeros_(last.weight)
