@@ -80,14 +80,13 @@ class Edges:
         ).sum(0)
 
     def information(self, along: tuple[int, ...]) -> Tensor:
-        """Of each value constant `along` some axes, all else held: (aa, ab, bb) of gain and offset."""
+        """Diagonal blocks (aa, ab, bb) of the normal matrix, of values constant `along` some axes, (3, h or 1, w or 1)."""
         total = torch.zeros(())
         for axis, sums in zip(AXES, self.sums, strict=True):
             if axis not in along:  # else it has no gradient
                 each = _about(sums[:3], axis)
                 total = total + (each.sum(along, keepdim=True) if along else each)
-        aa, ab, bb = total.flatten(1)
-        return torch.stack((aa + 2 * self.level * ab + self.level**2 * bb, ab + self.level * bb, bb))
+        return total
 
     def _seen(self, k: int, pattern: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
         """Along each axis frame k's gradients, levels, squares of what the pattern leaves of them, and which count."""

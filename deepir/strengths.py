@@ -120,16 +120,16 @@ def start_parts(problem: Problem) -> None:
     for slot, unit in (("gain", level), ("offset", 1.0)):
         for part in _all_parts(problem, slot):
             if not (part.given or isinstance(part, Shading)):
-                part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
+                part.sigma.fill_(spread(share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
     rest = rest.sub_(pattern)
     some, precision = thinned(rest, problem.precision)
-    if not problem.known_noise and (spread := _spread(some[precision > 0])) > 0:  # one frame leaves nothing
-        problem.precision.div_(rest.div_(OUTLIER * spread).square_().add_(1))
+    if not problem.known_noise and (usual := spread(some[precision > 0])) > 0:  # one frame leaves nothing
+        problem.precision.div_(rest.div_(OUTLIER * usual).square_().add_(1))
 
 
-def _share(pattern: Tensor, part: Part) -> Tensor:
+def share(pattern: Tensor, part: Part) -> Tensor:
     """The part's own share of a pattern: differences of neighbours, of the same variance.
 
     A part's values are independent, what the scene leaves in the pattern is mostly smooth.
@@ -140,7 +140,7 @@ def _share(pattern: Tensor, part: Part) -> Tensor:
     return own
 
 
-def _spread(values: Tensor) -> float:
+def spread(values: Tensor) -> float:
     """Standard deviation of the bulk of the values."""
     return float(MAD * (values - values.median()).abs().median())
 

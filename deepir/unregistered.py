@@ -18,11 +18,12 @@ from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.evidence import likeliest
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
+from deepir.strengths import MOST, share, spread
 
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
 DEGREE = 8  # of the polynomial that scenes share
 GAIN = 0.02  # what parts of the gain start with
-STEPS, PRECISE = 500, 1e-10  # of conjugate gradients, and the square of their error
+STEPS, PRECISE = 500, 1e-8  # of conjugate gradients, and the square of their error
 
 
 @torch.no_grad()
@@ -44,6 +45,8 @@ def find_pattern(
     unknowns = _Unknowns(edges, gain, offset)
     for i in range(ROUNDS):
         unknowns.solve(edges)
+        if i == FIRST:
+            unknowns.bound()
         if i >= FIRST:
             unknowns.update_strengths(edges)
         edges.weigh(unknowns.pattern(unknowns.white))
@@ -88,8 +91,26 @@ class _Parts:
         first = level / a if a else torch.zeros_like(level)
         return torch.stack((first, (gain - b * first) / c if c else torch.zeros_like(gain))).flatten()
 
+    def diagonal(self, information: Tensor) -> Tensor:
+        """Of the normal matrix, from its blocks for gain and level."""
+        aa, ab, bb = information
+        a, b, c = self.root()
+        return 1 + torch.stack((a * a * bb + 2 * a * b * ab + b * b * aa, c * c * aa)).flatten()
+
+    def bound(self, level: Tensor) -> None:
+        """Let no strength explain more than twice the pattern (h, w) at the frames' level.
+
+        Gain and offset would else grow, and cancel each other there, where scenes are alike.
+        """
+        for part, unit in zip(self.pair, (abs(self.level), 1.0), strict=True):
+            if part:
+                part.most.fill_(MOST * spread(share(level, part)) / max(unit, 1e-30))
+
     def update_strengths(self, information: Tensor, values: Tensor) -> None:
         """The likeliest, all other parts held."""
+        aa, ab, bb = information.flatten(1)
+        level = self.level
+        information = torch.stack((aa + 2 * level * ab + level**2 * bb, ab + level * bb, bb))
         free = [i for i, part in enumerate(self.pair) if part and not part.given]
         sigma, most = (
             torch.stack(
@@ -112,12 +133,12 @@ class _Unknowns:
 
     def __init__(self, edges: Edges, gain: Sequence[Part], offset: Sequence[Part]) -> None:
         self.level, (height, width) = edges.level, edges.frames.shape[1:]
-        spread = float(edges.scales.median().sqrt())
+        typical = float(edges.scales.median().sqrt())
         self.parts = []
         for along in (PIXEL, COLUMN, ROW):
             pair = [next((part for part in parts if part.along == along and not isinstance(part, Shading)), None)
                 for parts in (gain, offset)]  # fmt: skip
-            for part, start in zip(pair, (GAIN, spread), strict=True):
+            for part, start in zip(pair, (GAIN, typical), strict=True):
                 if part and not part.given:
                     part.sigma.fill_(start)
             if any(pair):
@@ -147,9 +168,16 @@ class _Unknowns:
 
     def solve(self, edges: Edges) -> None:
         """The optimum for the edges' weights, by conjugate gradients from where it is."""
+        known = [parts.diagonal(edges.information(parts.along)) for parts in self.parts]
+        scale, smooth = 1 / torch.cat(known), self._smooth(edges)
+
+        def near(x: Tensor) -> Tensor:
+            return torch.cat((scale * x[: len(scale)], smooth @ x[len(scale) :]))
+
         rhs = self.adjoint(edges.score())
         rest = rhs - self._normal(self.white, edges)
-        way, square, least = rest.clone(), rest @ rest, PRECISE * (rhs @ rhs)
+        way = near(rest)
+        square, least = rest @ way, PRECISE * (rhs @ near(rhs))
         for _ in range(STEPS):
             if square <= least:
                 return
@@ -157,11 +185,29 @@ class _Unknowns:
             step = square / (way @ image)
             self.white += step * way
             rest -= step * image
-            before, square = square, rest @ rest
-            way = rest + square / before * way
+            better = near(rest)
+            before, square = square, rest @ better
+            way = better + square / before * way
+
+    def _smooth(self, edges: Edges) -> Tensor:
+        """The inverse of the polynomial's block of the normal matrix, if all edges along an axis weighed the same."""
+        y, x, order_y, order_x = self.slow.in_y, self.slow.in_x, self.slow.of_y, self.slow.of_x
+        block = torch.zeros_like(self.steep).diag()
+        for sums, down, across in zip(edges.sums, (y, y.diff()), (x.diff(), x), strict=True):
+            of_y, of_x = down @ down.T, across @ across.T
+            block += sums[2].mean() * of_y[order_y][:, order_y] * of_x[order_x][:, order_x]
+        block = self.steep[:, None] * block * self.steep
+        block.diagonal().add_(1)
+        return torch.linalg.inv(block)
 
     def _normal(self, white: Tensor, edges: Edges) -> Tensor:
         return white + self.adjoint(edges.normal(self.pattern(white)))
+
+    def bound(self) -> None:
+        """Bound all strengths by what the pattern is now."""
+        _, level = self.pattern(self.white)
+        for parts in self.parts:
+            parts.bound(level)
 
     def update_strengths(self, edges: Edges) -> None:
         """Strengths that are not given anew; the values stay."""
