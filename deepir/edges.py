@@ -88,6 +88,23 @@ class Edges:
                 total = total + (each.sum(along, keepdim=True) if along else each)
         return total
 
+    def misfit(self, pattern: Tensor) -> Tensor:
+        """How far each pixel (h, w) is from what its neighbours and the pattern let expect, in the mean of all frames.
+
+        In nats; of a Cauchy number it is 2 log 2. It is that of the second best edge: next to a defective pixel, one is
+        bad.
+        """
+        sums = [torch.zeros_like(each) for each in self.doubt]
+        for k in range(len(self.frames)):
+            for total, (_, _, square, counts) in zip(sums, self._seen(k, pattern), strict=True):
+                total += counts * (square / self.scales[k]).log1p()
+        each = []
+        for axis, total in zip(AXES, sums, strict=True):
+            side, outermost = total.shape[axis], [total.narrow(axis, i, 1) for i in (0, -1)]
+            padded = torch.cat((outermost[0], total, outermost[1]), axis)
+            each += [padded.narrow(axis, i, side + 1) for i in (0, 1)]
+        return torch.stack(each).sort(0).values[1] / len(self.frames)
+
     def _seen(self, k: int, pattern: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
         """Along each axis frame k's gradients, levels, squares of what the pattern leaves of them, and which count."""
         frame = self.frames[k].double()

@@ -5,17 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+import torch.nn.functional as F
+from torch import Tensor
 
-from deepir.errors import ConfigError
+from deepir.defects import lonely
+from deepir.edges import Edges
+from deepir.elimination import PIXEL
+from deepir.errors import ConfigError, DataError
 from deepir.noise import flat_noise
-from deepir.priors.field import Field
 from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_scene
 from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import weigh_scene
-from deepir.unregistered import find_pattern
+from deepir.unregistered import GAIN, find_pattern
+
+FEW = 4  # frames, below which pixels are hardly told from the scenes
+BLOCK = 8  # px, of which means are compared
+SAME, ALIKE = 0.003, 0.3  # mean squared differences of frames, to those of unrelated ones
+DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
 
 
 @register("problem", "multiview_nuc")
@@ -30,11 +39,22 @@ class MultiviewNUC(Definition):
     operators = ("sensor",)
 
     def initialise(self, problem: Problem, seed: int) -> None:
-        """The sensor, from the frames alone, the noise that it leaves, and the scenes as they then look."""
+        """The sensor, from the frames alone, the noise that it leaves, and the scenes as they then look.
+
+        Raises:
+            DataError: The frames are all the same.
+        """
         frames, usable = problem.data[:, 0], problem.precision[:, 0] > 0
+        self.messages = _demand_different(frames)
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
-        find_pattern(frames, usable, gain, offset)
-        if not problem.known_noise:
+        edges, pattern = find_pattern(frames, usable, gain, offset)
+        if gain:
+            self.messages += _gain_message(edges)
+        misfit = edges.misfit(pattern)
+        usable = usable & ~((misfit > DEFECTIVE) & lonely(misfit))
+        if problem.known_noise:
+            problem.precision.mul_(usable[:, None])
+        else:
             noise = flat_noise(_corrected(problem), usable)
             problem.precision.copy_(usable[:, None] / max(noise, 1e-4 * float(frames[usable].std())) ** 2)
         start_scene(problem)
@@ -56,20 +76,55 @@ class MultiviewNUC(Definition):
         return [Stage("scene", (Step(("scene",)),), 40)]
 
 
+def _demand_different(frames: Tensor) -> list[str]:
+    """Messages for frames (N, h, w) that are few, or much alike; `DataError` if they show all the same."""
+    means = F.avg_pool2d(frames[:, None], BLOCK)[:, 0]
+    means = means - means.mean((1, 2), keepdim=True)
+    others = means.roll(len(means) // 2, 0)
+    unrelated = means.square().mean((1, 2)) + others.square().mean((1, 2))
+    apart = float(((means - others).square().mean((1, 2)) / unrelated.clamp(min=1e-30)).median())
+    if apart < SAME:
+        raise DataError(
+            "the frames all show the same: what stands still in all of them is taken for the sensor's pattern. "
+            "Take frames of different scenes, or move the camera and take problem 'nuc'"
+        )
+    messages = []
+    if apart < ALIKE:
+        messages.append(
+            f"the frames are much alike (they differ by {apart:.0%} of what unrelated ones do): what they all show at one "
+            "place is taken for the sensor's pattern. Take frames further apart, data.frames=::10, or problem 'nuc'"
+        )
+    if len(frames) < FEW:
+        messages.append(
+            f"{len(frames)} frames: what each pixel has of its own is hardly told from the scenes. Take {FEW}, better 10"
+        )
+    return messages
+
+
+def _gain_message(edges: Edges) -> list[str]:
+    """A line if the frames' levels do not vary enough at a pixel to show a gain that is 2 % off."""
+    if float((GAIN**2 * edges.information(PIXEL)[0]).median()) > 1:
+        return []
+    return [
+        "the frames' levels differ too little to tell gain from offset: what is found is the pattern at their mean, "
+        f"{edges.level:.4g}. Take frames of colder and warmer scenes, or a known gain, physics.sensor.gain=1"
+    ]
+
+
 def _parts(problem: Problem, slot: str) -> Sequence[Part]:
     """The parts of the sensor's gain or offset; none if it is known."""
     name = f"{problem.operator.named()[-1][0]}.{slot}"
-    field: Field = problem.fields[problem.slots[name]]
-    if problem.slots[name] not in problem.free():
+    unknown = problem.slots[name]
+    if unknown not in problem.free():
         return ()
-    if not field.parts():
+    if not (parts := problem.fields[unknown].parts()):
         raise ConfigError(
             f"physics.{name}: 'multiview_nuc' finds sums of column, row, pixel and, in the offset, shading"
         )
-    return field.parts()
+    return parts
 
 
-def _corrected(problem: Problem) -> torch.Tensor:
+def _corrected(problem: Problem) -> Tensor:
     """The frames without the sensor's pattern, (N, h, w)."""
     values, stage = problem.values(()), problem.operator.named()[-1][0]
     gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))

@@ -59,6 +59,7 @@ class Settings:
     walker_contrast: float = 0.3  # how much warmer than the scene's mean the person is, fraction of the range
     walker_speed: float = 8.0  # px that the person walks from frame to frame
     failed_frame: int = 0  # the frame of this number is of another place
+    own_scenes: bool = False  # each frame is of a scene of its own, drawn or given; the camera is then at rest
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
@@ -89,6 +90,10 @@ class Settings:
         for key in ("gain_shading", "walker"):
             if (value := getattr(self, key)) > 1:
                 raise ConfigError(f"simulate.{key} = {value}: a fraction up to 1 is needed")
+        if self.own_scenes and (self.walker or self.failed_frame):
+            raise ConfigError(
+                "simulate.own_scenes: a walker, or a frame of another place, is for frames that share a scene"
+            )
         if self.failed_frame >= self.n_frames:
             raise ConfigError(
                 f"simulate.failed_frame = {self.failed_frame}: the frames are numbered 1 to {self.n_frames - 1}, "
