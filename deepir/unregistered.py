@@ -22,6 +22,7 @@ from deepir.strengths import MOST, share, spread
 
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
 DEGREE = 8  # of the polynomial that scenes share
+LOW = 0.05  # least strength, in the most: what falls to nothing does not come back
 GAIN = 0.02  # what parts of the gain start with
 STEPS, PRECISE = 500, 1e-8  # of conjugate gradients, and the square of their error
 
@@ -39,7 +40,7 @@ def find_pattern(
         offset: parts of the offset, and perhaps a shading.
 
     Returns:
-        The edges, weighed for the pattern that was found, and its gain and level, (2, h, w).
+        The edges, and all that the frames were found to share, of gain and level, (2, h, w).
     """
     edges = Edges(frames, usable)
     unknowns = _Unknowns(edges, gain, offset)
@@ -121,7 +122,7 @@ class _Parts:
         means = self.split(values).flatten(1)
         found = likeliest(information, means, sigma, most, free)
         for i in free:
-            self.pair[i].sigma.copy_(found[i])  # type: ignore[union-attr]
+            self.pair[i].sigma.copy_(found[i].clamp(min=LOW * most[i]))  # type: ignore[union-attr]
 
     def split(self, values: Tensor) -> Tensor:
         """Gain and offset, from gain and level."""
@@ -145,25 +146,30 @@ class _Unknowns:
                 self.parts.append(_Parts(along, pair, edges.level, (height, width)))
         self.shading = next((part for part in offset if isinstance(part, Shading)), None)
         self.slow = self.shading or Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
-        self.steep = float(edges.frames.std()) / (self.slow.of_y + self.slow.of_x).double().square()
+        free = edges.scales.new_tensor([[1.0], [float(edges.frames.std())]])  # of gain and level
+        self.steep = free / (self.slow.of_y + self.slow.of_x).square()
         self.sizes = [math.prod(parts.shape) for parts in self.parts]
-        self.white = edges.scales.new_zeros(sum(self.sizes) + len(self.steep))
+        self.white = edges.scales.new_zeros(sum(self.sizes) + self.steep.numel())
 
     def split(self, white: Tensor) -> tuple[list[Tensor], Tensor]:
         """The values of the parts, and the terms of the polynomial."""
-        *each, slow = white.split([*self.sizes, len(self.steep)])
-        return [parts.values(mine) for parts, mine in zip(self.parts, each, strict=True)], self.steep * slow
+        *each, slow = white.split([*self.sizes, self.steep.numel()])
+        return [
+            parts.values(mine) for parts, mine in zip(self.parts, each, strict=True)
+        ], self.steep * slow.view_as(self.steep)
 
     def pattern(self, white: Tensor) -> Tensor:
         """All that the frames share, of gain and level, (2, h, w)."""
         values, terms = self.split(white)
-        slow = self.slow.spread(terms)
-        return sum(values, torch.stack((torch.zeros_like(slow), slow)))
+        return sum(values, self.slow.spread(terms))
 
     def adjoint(self, pattern: Tensor) -> Tensor:
         """The adjoint of `pattern`."""
         return torch.cat(
-            [*(parts.adjoint(pattern) for parts in self.parts), self.steep * self.slow.sums(pattern[1])]
+            [
+                *(parts.adjoint(pattern) for parts in self.parts),
+                (self.steep * self.slow.sums(pattern)).flatten(),
+            ]
         )
 
     def solve(self, edges: Edges) -> None:
@@ -190,13 +196,16 @@ class _Unknowns:
             way = better + square / before * way
 
     def _smooth(self, edges: Edges) -> Tensor:
-        """The inverse of the polynomial's block of the normal matrix, if all edges along an axis weighed the same."""
+        """The inverse of the polynomials' block of the normal matrix, if all edges along an axis weighed the same."""
         y, x, order_y, order_x = self.slow.in_y, self.slow.in_x, self.slow.of_y, self.slow.of_x
-        block = torch.zeros_like(self.steep).diag()
+        steep = self.steep.flatten()
+        block = torch.zeros(len(steep), len(steep)).to(steep)
         for sums, down, across in zip(edges.sums, (y, y.diff()), (x.diff(), x), strict=True):
             of_y, of_x = down @ down.T, across @ across.T
-            block += sums[2].mean() * of_y[order_y][:, order_y] * of_x[order_x][:, order_x]
-        block = self.steep[:, None] * block * self.steep
+            aa, ab, bb = sums[:3].mean((1, 2)).tolist()
+            weights = steep.new_tensor([[aa, ab], [ab, bb]])
+            block += torch.kron(weights, of_y[order_y][:, order_y] * of_x[order_x][:, order_x])
+        block = steep[:, None] * block * steep
         block.diagonal().add_(1)
         return torch.linalg.inv(block)
 
@@ -212,13 +221,13 @@ class _Unknowns:
     def update_strengths(self, edges: Edges) -> None:
         """Strengths that are not given anew; the values stay."""
         values, _ = self.split(self.white)
-        each = self.white.split([*self.sizes, len(self.steep)])
+        each = self.white.split([*self.sizes, self.steep.numel()])
         for parts, mine, white in zip(self.parts, values, each, strict=False):
             parts.update_strengths(edges.information(parts.along), mine)
             white.copy_(parts.whiten(mine))
 
     def finish(self) -> Tensor:
-        """Set the parts; what the sensor has of the pattern, of gain and level, (2, h, w)."""
+        """Set the parts; all that the frames share, of gain and level, (2, h, w)."""
         values, terms = self.split(self.white)
         for parts, mine in zip(self.parts, values, strict=True):
             for part, value in zip(parts.pair, parts.split(mine), strict=True):
@@ -226,7 +235,6 @@ class _Unknowns:
                     part.assign(value.reshape(part.white.shape))
         if self.shading is not None:
             if not self.shading.given:
-                self.shading.sigma.copy_(terms.square().mean().sqrt())
-            self.shading.assign(terms)
-            return self.pattern(self.white)
-        return sum(values, values[0].new_zeros(2, *self.slow.shape[-2:]))
+                self.shading.sigma.copy_(terms[1].square().mean().sqrt())
+            self.shading.assign(terms[1])
+        return self.pattern(self.white)

@@ -32,7 +32,9 @@ def look(
         scenes = [partial(procedural, int(seed)) for seed in seeds]
     scenes = list(scenes) if isinstance(scenes, Sequence) else [scenes]
     if len(scenes) < settings.n_frames:
-        raise DataError(f"scene: {len(scenes)} picture(s) for {settings.n_frames} frames, each of a scene of its own")
+        raise DataError(
+            f"scene: {len(scenes)} picture(s) for {settings.n_frames} frames, each of a scene of its own"
+        )
     still = np.eye(3)[None]
     reach = reach_of(still, settings)
     frames, fine, scales = [], [], []
