@@ -80,7 +80,7 @@ class Edges:
         ).sum(0)
 
     def information(self, along: tuple[int, ...]) -> Tensor:
-        """Diagonal blocks (aa, ab, bb) of the normal matrix, of values constant `along` some axes, (3, h or 1, w or 1)."""
+        """Diagonal blocks (aa, ab, bb) of the normal matrix, of values constant `along` axes, (3, h or 1, w or 1)."""
         total = torch.zeros(())
         for axis, sums in zip(AXES, self.sums, strict=True):
             if axis not in along:  # else it has no gradient
@@ -96,8 +96,8 @@ class Edges:
         """
         sums = [torch.zeros_like(each) for each in self.doubt]
         for k in range(len(self.frames)):
-            for total, (_, _, square, counts) in zip(sums, self._seen(k, pattern), strict=True):
-                total += counts * (square / self.scales[k]).log1p()
+            for i, (_, _, square, counts) in enumerate(self._seen(k, pattern)):
+                sums[i] += counts * (square / self.scales[k]).log1p()
         each = []
         for axis, total in zip(AXES, sums, strict=True):
             side, outermost = total.shape[axis], [total.narrow(axis, i, 1) for i in (0, -1)]

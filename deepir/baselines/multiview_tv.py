@@ -31,8 +31,8 @@ def multiview_tv(
     """The offset with which the frames' total variation is least, from all frames at once; then as `average`.
 
     After Barral, Arias and Davy 2024, "Fixed pattern noise removal for multi-view single-sensor infrared camera": of
-    `Σ_k |∇(y_k - o)|`, along x and along y, the best ∇o at each edge is the median of the frames' gradients. They are put
-    together to an offset by least squares. No gain, no strengths.
+    `Σ_k |∇(y_k - o)|`, along x and along y, the best ∇o at each edge is the median of the frames' gradients. They are
+    put together to an offset by least squares. No gain, no strengths.
     """
     return _corrected(burst, config, median_offset(burst.frames))
 

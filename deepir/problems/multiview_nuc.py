@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.defects import lonely
-from deepir.edges import Edges
-from deepir.elimination import PIXEL
 from deepir.errors import ConfigError, DataError
 from deepir.noise import flat_noise
 from deepir.priors.parts import Part
+from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_scene
 from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import weigh_scene
-from deepir.unregistered import GAIN, find_pattern
+from deepir.unregistered import find_pattern
 
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared
@@ -48,8 +46,6 @@ class MultiviewNUC(Definition):
         self.messages = _demand_different(frames)
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
         edges, pattern = find_pattern(frames, usable, gain, offset)
-        if gain:
-            self.messages += _gain_message(edges)
         misfit = edges.misfit(pattern)
         usable = usable & ~((misfit > DEFECTIVE) & lonely(misfit))
         if problem.known_noise:
@@ -64,15 +60,16 @@ class MultiviewNUC(Definition):
         """The scenes, with the sensor fixed.
 
         Raises:
-            ConfigError: All frames share a scene, or gain and offset are no sums of parts.
+            ConfigError: All frames share a scene; gain and offset are no sums of parts, or both are known.
         """
         if problem.fields["scene"].shape[0] < len(problem.data):
             raise ConfigError(
                 "scene.shared: 'multiview_nuc' is for frames of different scenes, scene.shared=false; "
                 "frames of one scene are for 'nuc'"
             )
-        for slot in ("gain", "offset"):
-            _parts(problem, slot)
+        gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
+        if not (gain or offset):
+            raise ConfigError("physics.sensor: gain and offset are both known; take problem=generic")
         return [Stage("scene", (Step(("scene",)),), 40)]
 
 
@@ -91,24 +88,15 @@ def _demand_different(frames: Tensor) -> list[str]:
     messages = []
     if apart < ALIKE:
         messages.append(
-            f"the frames are much alike (they differ by {apart:.0%} of what unrelated ones do): what they all show at one "
-            "place is taken for the sensor's pattern. Take frames further apart, data.frames=::10, or problem 'nuc'"
+            f"the frames are much alike (they differ by {apart:.0%} of what unrelated ones do): what they all show at "
+            "one place is taken for the pattern. Take frames further apart, data.frames=::10, or problem 'nuc'"
         )
     if len(frames) < FEW:
         messages.append(
-            f"{len(frames)} frames: what each pixel has of its own is hardly told from the scenes. Take {FEW}, better 10"
+            f"{len(frames)} frames: what each pixel has of its own is hardly told from the scenes. "
+            f"Take {FEW}, better 10"
         )
     return messages
-
-
-def _gain_message(edges: Edges) -> list[str]:
-    """A line if the frames' levels do not vary enough at a pixel to show a gain that is 2 % off."""
-    if float((GAIN**2 * edges.information(PIXEL)[0]).median()) > 1:
-        return []
-    return [
-        "the frames' levels differ too little to tell gain from offset: what is found is the pattern at their mean, "
-        f"{edges.level:.4g}. Take frames of colder and warmer scenes, or a known gain, physics.sensor.gain=1"
-    ]
 
 
 def _parts(problem: Problem, slot: str) -> Sequence[Part]:
@@ -117,7 +105,8 @@ def _parts(problem: Problem, slot: str) -> Sequence[Part]:
     unknown = problem.slots[name]
     if unknown not in problem.free():
         return ()
-    if not (parts := problem.fields[unknown].parts()):
+    parts = problem.fields[unknown].parts()
+    if not parts or (slot == "gain" and any(isinstance(part, Shading) for part in parts)):
         raise ConfigError(
             f"physics.{name}: 'multiview_nuc' finds sums of column, row, pixel and, in the offset, shading"
         )

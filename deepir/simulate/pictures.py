@@ -26,8 +26,8 @@ def picture(name: str) -> Scene | list[Scene]:
     """A grey picture (height, width), its range stretched to [0, 1], or a function that draws one of a given size.
 
     Args:
-        name: A file, `procedural:SEED`, `sky:SEED`, or a picture of scikit-image: `camera`. Several, with commas between
-            them, make a list.
+        name: A file, `procedural:SEED`, `sky:SEED`, or a picture of scikit-image: `camera`. Several, with commas
+            between them, make a list.
 
     Raises:
         DataError: There is none of that name, or it is no picture.

@@ -92,10 +92,6 @@ class Settings:
         for key in ("gain_shading", "walker"):
             if (value := getattr(self, key)) > 1:
                 raise ConfigError(f"simulate.{key} = {value}: a fraction up to 1 is needed")
-        if self.own_scenes and (self.walker or self.failed_frame):
-            raise ConfigError(
-                "simulate.own_scenes: a walker, or a frame of another place, is for frames that share a scene"
-            )
         if self.failed_frame >= self.n_frames:
             raise ConfigError(
                 f"simulate.failed_frame = {self.failed_frame}: the frames are numbered 1 to {self.n_frames - 1}, "
