@@ -6,8 +6,6 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-STEPS = 500
-
 
 def conjugate_gradients(
     product: Callable[[Tensor], Tensor],
@@ -16,6 +14,7 @@ def conjugate_gradients(
     *,
     near: Callable[[Tensor], Tensor],
     precise: float,
+    steps: int,
 ) -> Tensor:
     """The solution x of `product(x) = rhs`, for a symmetric positive definite product of vectors.
 
@@ -25,11 +24,12 @@ def conjugate_gradients(
         start: Where to begin.
         near: About the inverse of the matrix times a vector; symmetric and positive definite too.
         precise: The residual that is small enough, in the right-hand side.
+        steps: At most so many.
     """
     x, rest = start.clone(), rhs - product(start)
     way = near(rest)
     square, least = rest @ way, precise**2 * (rhs @ near(rhs))
-    for _ in range(STEPS):
+    for _ in range(steps):
         if square <= least:
             break
         image = product(way)

@@ -23,7 +23,7 @@ from deepir.white_parts import WhiteParts
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
 DEGREE = 8  # of the polynomial that scenes share
 GAIN = 0.02  # what parts of the gain start with
-PRECISE = 1e-4  # of the optimum for given weights
+PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for those before
 
 
 @torch.no_grad()
@@ -110,6 +110,7 @@ class _Unknowns:
             self.white,
             near=near,
             precise=PRECISE,
+            steps=STEPS,
         )
 
     def _smooth(self, edges: Edges) -> Tensor:
