@@ -9,14 +9,14 @@ setup: .venv/.done  ## make .venv with the tested versions
 
 .venv/.done: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare,hdf5,video]'
 	@touch $@
 
 demo: setup  ## correct a simulated burst; results and pictures in runs/demo/
 	$(BIN)/deepir demo
 
 test: setup lint  ## lint and tests
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow and not matrix"
 
 test-all: setup lint  ## lint and all tests, the slow ones too
 	$(BIN)/python -m pytest

@@ -92,7 +92,7 @@ def test_the_scales_of_cauchy_gradients_are_found():
 
 def test_conjugate_gradients_solve_a_system():
     a = torch.randn(30, 30, dtype=torch.float64)
-    a, rhs = a @ a.T + torch.eye(30), torch.randn(30, dtype=torch.float64)
+    a, rhs = a @ a.T / 30 + torch.eye(30), torch.randn(30, dtype=torch.float64)
     for near in (lambda x: x, lambda x: x / a.diagonal()):
         found = conjugate_gradients(
             lambda x: a @ x, rhs, torch.zeros_like(rhs), near=near, precise=1e-10, steps=100
