@@ -40,6 +40,12 @@ class Geometry:
     ratio: float  # scene px per detector px
     window: tuple[int, int, int, int]  # (y0, y1, x0, x1) of frame 0 in the scene's array
 
+    def crop(self, scene: Any) -> Any:
+        """The part of a scene (1, 1, H, W) that frame 0 shows, (h, w); of one for each frame, (N, h, w)."""
+        y0, y1, x0, x1 = self.window
+        pictures = scene[:, 0, y0:y1, x0:x1]
+        return pictures[0] if len(pictures) == 1 else pictures
+
 
 def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[Problem, Geometry]:
     """The problem that `config` describes, its fields at their starts.
@@ -54,7 +60,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     """
     n_frames = len(burst.frames)
     operator, slots, geometry = _operator(config, burst.size, n_frames, motion)
-    scene_shape = (1, 1, *operator.in_size(burst.size))
+    scene_shape = (_scenes(config, n_frames), 1, *operator.in_size(burst.size))
     shapes = operator.slots(scene_shape, n_frames)
     names = _unknowns(list(shapes))
     fields: dict[str, Field] = {}
@@ -98,7 +104,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
 
 def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field, dict[str, Penalty]]:
     """The scene's field and its penalties, from the configuration's `scene`."""
-    settings = _slot_settings(given, None, "scene")
+    settings = _slot_settings({key: value for key, value in given.items() if key != "shared"}, None, "scene")
     allowed = ("average", "tv") if settings.get("fit") else ("average",)
     if settings.get("init", "average") not in allowed:
         raise ConfigError(
@@ -107,6 +113,14 @@ def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field
         )
     field = _field(settings, shape, 0.0, shape[-2:], 1.0, "scene")
     return field, _penalties(settings, "scene", shape)
+
+
+def _scenes(config: Config, n_frames: int) -> int:
+    """How many scenes there are: one, or with `scene.shared: false` one for each frame."""
+    shared = config.scene.get("shared", True)
+    if not isinstance(shared, bool):
+        raise ConfigError(f"scene.shared = {shared!r}: true or false is needed")
+    return 1 if shared else n_frames
 
 
 def _operator(

@@ -221,9 +221,8 @@ def _result(
 ) -> Result:
     """The result of frames that are `taken` into the problem, though perhaps not `used` in the fit."""
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
-    y0, y1, x0, x1 = geometry.window
     scene = problem.operator.image(solution.values["scene"]).cpu().numpy()
-    result = neutral(scene[0, 0, y0:y1, x0:x1], len(used), burst.size, burst.bad_pixels)
+    result = neutral(geometry.crop(scene), len(used), burst.size, burst.bad_pixels)
     for slot, name in problem.slots.items():
         value, kind = values[name], slot.rpartition(".")[2]
         if kind in ("gain", "offset"):
@@ -240,7 +239,7 @@ def _result(
     to_gauge(result, known_gain=not any(name in problem.free() for name in gains))
     cost = pattern_cost(problem)
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
-    result.uncertainty = maps | {"scene": maps["scene"][y0:y1, x0:x1]}
+    result.uncertainty = maps | {"scene": geometry.crop(maps["scene"])}
     result.messages += cost_message(cost, len(problem.data))
     result.metrics = {
         "iterations": solution.iterations,

@@ -21,6 +21,7 @@ class Result:
 
     `scene` (H, W) float32 lies on frame 0's grid, `gain` and `offset` (h, w) on the detector's; `motion` (N, 3, 3)
     holds pull homographies in px of the scene's grid about the frame's centre, NaN for unused frames; `level` (N,).
+    Where each frame has a scene of its own, `scene` is (N, H, W), each on its frame's grid.
     """
 
     scene: Array
@@ -47,6 +48,7 @@ class Result:
 
         Each is replaced whole.
         """
+        from deepir.report.panels import some
         from deepir.report.summary import write_summary
 
         write_npz(folder / "result.npz", self.arrays())
@@ -57,7 +59,7 @@ class Result:
         write_tiff(folder / "scene.tiff", self.scene, unit(self.radiometry))
         if "scene_kelvin" in self.extra:
             write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit(KELVIN))
-        write_preview(folder / "scene_preview.png", self.scene, output.palette, output.tones)
+        write_preview(folder / "scene_preview.png", some(self.scene), output.palette, output.tones)
         write_summary(folder / "summary.png", self, example)
         write_json(folder / "metrics.json", self.metrics)
 

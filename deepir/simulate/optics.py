@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import ndimage
 
 from deepir.errors import DataError
+from deepir.simulate.pictures import Scene
 from deepir.simulate.settings import Settings
 
 WARP = 0.01  # largest stretch, shear and keystone (change of scale at the frame's edge)
@@ -44,6 +47,23 @@ def render(
                 sample = ndimage.map_coordinates(spline, points, order=3, mode="mirror", prefilter=False)
                 frames[k] += weight_u * weight_v * sample
     return frames
+
+
+def drawn(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
+    """A scene as a picture (height, width), for frames that see so far; `DataError` if it is none."""
+    if callable(scene):
+        height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
+        scene = scene((int(height), int(width)))
+    if isinstance(scene, list | tuple):
+        raise DataError(
+            f"scene: {len(scene)} pictures; for a frame of each, set simulate.own_scenes (own_scenes=true)"
+        )
+    picture = np.asarray(scene, float)
+    if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
+        raise DataError(
+            f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}"
+        )
+    return picture
 
 
 def at_rest(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:

@@ -69,6 +69,9 @@ class Settings:
     housing_drift: float = (
         0.0  # flux that a warming housing adds on the axis, fraction of the range in a second
     )
+    own_scenes: bool = (
+        False  # each frame is of a scene of its own, drawn or given; the camera is then at rest
+    )
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
