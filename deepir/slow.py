@@ -18,7 +18,6 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, PIXEL, ROW
-from deepir.operators.warp import coords
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.thin import thinned
@@ -44,7 +43,7 @@ class Slow:
         )
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
         motion = problem.values()[problem.slots["warp.motion"]].double()
-        points = coords(warp.place @ motion, warp.size)[:, ::step_y, ::step_x].flatten(1, 2)
+        points = warp.points(motion)[:, ::step_y, ::step_x].flatten(1, 2)
         y, x = torch.meshgrid(
             torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
             torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,
