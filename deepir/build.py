@@ -71,7 +71,6 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         size = getattr(operator.stages[stage], "size", burst.size)
         fits = partial(operator.stages[stage].fits, own, shape)  # type: ignore[union-attr, operator, arg-type]
         fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, geometry.ratio, where, fits)
-        _demand_fit(operator.stages[stage], own, fields[names[slot]], shape, settings, where)
         penalties[names[slot]] = _penalties(settings, where, shape)
         _start(fields[names[slot]], settings, motion, geometry, where)
         _demand_sense(own, fields[names[slot]], where)

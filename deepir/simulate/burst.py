@@ -13,6 +13,7 @@ from deepir.errors import DataError
 from deepir.scenes import procedural
 from deepir.simulate.events import observe
 from deepir.simulate.optics import at_rest, move, reach_of, scale_of
+from deepir.simulate.parallax import flow_of, parallax, relief
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
@@ -28,6 +29,7 @@ class Truth:
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
+    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: the motion and the parallax
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
     failed: np.ndarray  # (N,) bool: frames of another place
@@ -72,8 +74,8 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         DataError: The picture is no picture, or is too small for the frames and their motion.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(8)
-    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams
+    streams = np.random.default_rng(seed).spawn(9)
+    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng, hills_rng = streams
     motion = move(settings, motion_rng)
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene
@@ -86,7 +88,8 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
             f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}"
         )
     scale = scale_of(picture.shape, reach, settings)
-    flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
+    beside = parallax(motion, relief(settings, hills_rng), settings) if settings.parallax else None
+    flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
     if settings.factor > 1:
         static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
@@ -104,6 +107,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         offset=offset,
         level=level,
         motion=motion,
+        flow=flow_of(motion, settings.shape, beside),
         bad_pixels=bad > 0,
         moving=moving,
         failed=failed,
