@@ -2,48 +2,61 @@
 
 from __future__ import annotations
 
-from functools import partial
+import torch
 
 from deepir.curvature import modelled
+from deepir.optical_flow import optical_flow
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC, WEAK
 from deepir.registry import register
 from deepir.solve import Stage, Step
 from deepir.strengths import keep_gauge, update_noise, update_parts, weigh_scene
 
-COARSER = (4, 2, 1)  # spacings of the control points, in those of the field
-
 
 @register("problem", "flow")
 class FlowProblem(NUC):
     """Scene, sensor and a dense motion: for parallax, and scenes that are not rigid.
 
-    The sensor first as in `nuc`, at the registered homographies. Then the displacements on grids that become finer,
-    together with scene and sensor.
+    First the sensor, as in `nuc`, at the registered homographies. Frames without its pattern then show how each is
+    displaced from the first, and all is estimated anew from there, the displacements together with scene and sensor.
     """
 
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """As for `nuc`."""
+        super().initialise(problem, seed)
+        self.seed = seed
+
     def plan(self, problem: Problem) -> list[Stage]:
+        """Two rounds at the homographies, three with displacements; then the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name != "motion")
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if modelled(problem) else (25, 35)
-        spacing = problem.fields["motion"].spacing
         return [
-            Stage("sensor 1", (Step(still), *eliminate), short),
-            Stage("sensor 2", (Step(still), *eliminate), short, prepare=_update),
-            *(
-                Stage(f"flow {i}", (Step(free), *eliminate), 25, prepare=_update,
-                change=partial(_respace, spacing=times * spacing))
-                for i, times in enumerate(COARSER, 1)
-            ),
-            Stage("sensor 3", (Step(free), *eliminate), 25, prepare=_update),
+            Stage("homography 1", (Step(still), *eliminate), short),
+            Stage("homography 2", (Step(still), *eliminate), short, prepare=_update),
+            Stage("flow 1", (Step(free), *eliminate), 25, prepare=self._displace),
+            Stage("flow 2", (Step(free), *eliminate), 25, prepare=_update),
+            Stage("flow 3", (Step(free), *eliminate), 30, prepare=_update),
             Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
         ]
 
-
-def _respace(problem: Problem, spacing: float) -> None:
-    problem.fields["motion"] = problem.fields["motion"].respaced(spacing)
+    def _displace(self, problem: Problem) -> None:
+        """Start again, at displacements that the frames show."""
+        _update(problem)
+        with torch.no_grad():
+            values = problem.values()
+            corrected = (problem.data - values["offset"] - values["level"]) / values["gain"]
+        motion = problem.fields["motion"]
+        points = optical_flow(
+            corrected[:, 0], problem.precision[:, 0] > 0, motion.base, float(motion.weight), motion.spacing
+        )
+        motion.init_from(points)
+        for name in problem.closed_form():
+            field = problem.fields[name]
+            field.init_from(torch.full(field.shape, field.neutral))
+        super().initialise(problem, self.seed)
 
 
 def _update(problem: Problem) -> None:
