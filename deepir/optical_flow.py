@@ -10,12 +10,9 @@ import torch.nn.functional as F
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.build import scaled
 from deepir.fidelity import Huber
 from deepir.noise import MAD
 from deepir.operators import Chain, Warp
-from deepir.operators.points import displacements
-from deepir.operators.warp import coords
 from deepir.priors.constant import Constant
 from deepir.priors.flow import Flow
 from deepir.problem import Problem
@@ -25,31 +22,30 @@ FACTORS = (8, 4, 2)  # by which the pictures are coarser
 LEAST = 16  # px of a picture's shorter side
 #: Of the control points on each picture, in its px.
 SPACING = 4
-ITERATIONS = 60
+ITERATIONS = 40
 ROUNDS = 3  # at each factor, with new weights
 
 
-def optical_flow(frames: Tensor, known: Tensor, motion: Tensor, weight: float, finest: float) -> Tensor:
-    """Where each pixel looks, (N, h, w, 2).
+def optical_flow(frames: Tensor, known: Tensor, flow: Flow) -> Tensor:
+    """Displacements (N, 2, h, w), x and y in px, beside where a flow starts.
 
-    frames: (N, h, w), without the sensor's pattern. known: the same shape, bool. motion: (N, 3, 3), where to start.
-    weight: of a `Flow`. finest: least spacing of its control points, px.
+    frames: (N, h, w), without the sensor's pattern. known: the same shape, bool, where they show something.
     """
     size = (frames.shape[1], frames.shape[2])
-    start = coords(motion.double(), size)
-    beside = torch.zeros(len(frames), 2, *size)
+    start, beside = flow.start.permute(0, 3, 1, 2), frames.new_zeros(len(frames), 2, *size)
     for factor in FACTORS:
         if min(size) // factor < LEAST:
             continue
         few, mean = averaged(frames, known, factor)
         own = (few.shape[1], few.shape[2])
-        field = Flow((len(frames),), size=own, ratio=1 / factor, spacing=max(factor * SPACING, finest), weight=weight)
-        field.init_from(scaled(motion, 1 / factor))
-        field.init_from(field() + resized(beside, own).permute(0, 2, 3, 1) / factor)
+        spacing = max(factor * SPACING, flow.spacing)
+        field = Flow((len(frames),), size=own, ratio=1 / factor, spacing=spacing, weight=float(flow.weight))
+        field.start = resized(start / factor, own).permute(0, 2, 3, 1)
+        field.init_from(field.start + resized(beside / factor, own).permute(0, 2, 3, 1))
         _fit(field, few, mean)
-        moved = field().detach() - coords(field.base, own).to(few)
-        beside = factor * resized(moved.permute(0, 3, 1, 2), size)
-    return start.to(frames) + beside.permute(0, 2, 3, 1)
+        moved = (field() - field.start).detach().permute(0, 3, 1, 2)
+        beside = factor * resized(moved, size)
+    return beside
 
 
 def averaged(frames: Tensor, known: Tensor, factor: int) -> tuple[Tensor, Tensor]:

@@ -36,8 +36,8 @@ class Flow(Field):
     """
 
     model: ClassVar[str | None] = "homography"
-    base: Tensor
     weight: Tensor
+    start: Tensor
     down: Tensor
     across: Tensor
 
@@ -58,27 +58,28 @@ class Flow(Field):
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
         self.size, self.ratio, self.spacing = tuple(size), ratio, spacing
         self.step = STEP / spacing
+        self.felt = (0.479 * spacing * ratio) ** 2  # how many samples feel a step of one parameter: its square, summed
         self.register_buffer("weight", torch.tensor(float(weight)))
-        self.register_buffer("base", torch.eye(3, dtype=torch.float64).repeat(shape[0], 1, 1))
+        still = coords(torch.eye(3)[None], self.size).expand(self.shape)
+        self.register_buffer("start", still, persistent=False)
         for name, side in zip(("down", "across"), size, strict=True):
             self.register_buffer(name, _splines(side, spacing * ratio), persistent=False)
         self.values = nn.Parameter(torch.zeros(shape[0] - 1, 2, self.down.shape[1], self.across.shape[1]))
 
     def forward(self) -> Tensor:
         """Where the homographies look, and the displacements."""
-        moved = self.ratio * self.step * (self.down @ self.values @ self.across.mT)
-        first = torch.zeros_like(moved[:1]) if len(moved) else moved.new_zeros(1, 2, *self.size)
-        points = coords(self.base, self.size).to(moved)
-        return points + torch.cat((first, moved)).permute(0, 2, 3, 1)
+        moved = self.down @ (self.ratio * self.step * self.values) @ self.across.mT
+        first, others = self.start.permute(0, 3, 1, 2).tensor_split([1])
+        return torch.cat((first, others + moved)).permute(0, 2, 3, 1)
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Take over homographies (N, 3, 3), without displacements, or points (N, h, w, 2), as displacements."""
         if value.shape[1:] == (3, 3):
-            self.base.copy_(value)
+            self.start = coords(value.to(self.start.device).double(), self.size).to(self.start)
             self.values.zero_()
             return
-        own = (value - coords(self.base, self.size).to(value)).permute(0, 3, 1, 2)[1:].double()
+        own = (value.to(self.start) - self.start).permute(0, 3, 1, 2)[1:].double()
         down, across = (torch.linalg.pinv(each.double()) for each in (self.down, self.across))
         self.values.copy_(down @ own @ across.mT / (self.ratio * self.step))
 
@@ -87,21 +88,6 @@ class Flow(Field):
         squared = squared_gradient(self.step * self.values).sum(1)
         rounded = squared / (torch.sqrt(squared + ROUNDING**2) + ROUNDING)
         return self.weight * self.spacing * rounded.sum()
-
-    @torch.no_grad()
-    def respaced(self, spacing: float) -> Flow:
-        """The same motion, as well as another spacing can represent it: one of a half does so exactly."""
-        found = Flow(
-            self.shape, size=self.size, ratio=self.ratio, spacing=spacing, weight=float(self.weight)
-        ).to(self.values)
-        found.base.data = self.base.clone()
-        found.init_from(self())
-        return found
-
-    @property
-    def felt(self) -> float:
-        """How many samples feel a step of one parameter."""
-        return (0.479 * self.spacing) ** 2
 
     @classmethod
     def example(cls) -> Flow:

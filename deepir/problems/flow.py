@@ -27,15 +27,14 @@ class FlowProblem(NUC):
         self.seed = seed
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """Two rounds at the homographies, three with displacements; then the scene on all samples."""
+        """A round at the homographies, three with displacements; then the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name != "motion")
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if modelled(problem) else (25, 35)
         return [
-            Stage("homography 1", (Step(still), *eliminate), short),
-            Stage("homography 2", (Step(still), *eliminate), short, prepare=_update),
+            Stage("homography", (Step(still), *eliminate), short),
             Stage("flow 1", (Step(free), *eliminate), 25, prepare=self._displace),
             Stage("flow 2", (Step(free), *eliminate), 25, prepare=_update),
             Stage("flow 3", (Step(free), *eliminate), 30, prepare=_update),
@@ -49,10 +48,8 @@ class FlowProblem(NUC):
             values = problem.values()
             corrected = (problem.data - values["offset"] - values["level"]) / values["gain"]
         motion = problem.fields["motion"]
-        points = optical_flow(
-            corrected[:, 0], problem.precision[:, 0] > 0, motion.base, float(motion.weight), motion.spacing
-        )
-        motion.init_from(points)
+        beside = optical_flow(corrected[:, 0], problem.precision[:, 0] > 0, motion)
+        motion.init_from(motion.start + beside.permute(0, 2, 3, 1))
         for name in problem.closed_form():
             field = problem.fields[name]
             field.init_from(torch.full(field.shape, field.neutral))
