@@ -40,7 +40,9 @@ from deepir.strengths import update_noise
 PICTURES = ("coffee", "rocket", "procedural 40")
 PRIORS = ("tv", "tgv", "red")
 SEED, FRAMES, PARALLAX = 301, 6, (2.0, 5.0)
-CAMERA = Settings(n_frames=FRAMES, shape=(128, 160), counts=True, max_shift=8.0, max_rotation=1.0, shading=0.0)
+CAMERA = Settings(
+    n_frames=FRAMES, shape=(128, 160), counts=True, max_shift=8.0, max_rotation=1.0, shading=0.0
+)
 MARGIN = 8  # px at the frame's edge that the end-point error leaves out: some frames do not see them
 CROP, HELD_OUT = (slice(20, 400), slice(60, 580)), (3, 5, 7)
 NOISE = 6.0  # counts, of the A65's frames
@@ -96,7 +98,7 @@ def burst(name: str, parallax: float) -> Simulation:
 
 
 def end_point_error(flow: np.ndarray, sim: Simulation) -> float:
-    """Mean distance from the truth, px, where the scene's gradients (root mean square over 7 x 7 px) are in their upper half."""
+    """Mean distance from the truth, px, where there is texture: the half with the larger gradients over 7 x 7 px."""
     slopes = sum(each**2 for each in np.gradient(sim.truth.scene))
     texture = ndimage.uniform_filter(slopes, 7)[MARGIN:-MARGIN, MARGIN:-MARGIN]
     beside = (flow - sim.truth.flow)[1:, :, MARGIN:-MARGIN, MARGIN:-MARGIN]
@@ -128,10 +130,14 @@ def real(options: argparse.Namespace) -> Iterator[str]:
 
 
 def spread(error: np.ndarray) -> SimpleNamespace:
-    return SimpleNamespace(rms=float(error.std()), bulk=1.4826 * float(np.median(np.abs(error - np.median(error)))))
+    return SimpleNamespace(
+        rms=float(error.std()), bulk=1.4826 * float(np.median(np.abs(error - np.median(error))))
+    )
 
 
-def prediction_error(result: Any, frames: np.ndarray, motion: torch.Tensor, k: int, *, dense: bool) -> np.ndarray:
+def prediction_error(
+    result: Any, frames: np.ndarray, motion: torch.Tensor, k: int, *, dense: bool
+) -> np.ndarray:
     """Prediction of frame `k` less the frame, at the samples that its motion has not seen.
 
     Scene and sensor stay; the motion starts where the frame registers. Displacements begin, as in the problem, from
@@ -143,7 +149,9 @@ def prediction_error(result: Any, frames: np.ndarray, motion: torch.Tensor, k: i
     field: Any = (Flow if dense else Homography)((2, 3, 3), size=size)
     field.init_from(motion[[0, k]])
     maps = {"scene": scene, "gain": result.gain, "offset": result.offset}
-    fields = {"motion": field, "level": Pixels((2, 1, 1, 1))} | {name: known(each) for name, each in maps.items()}
+    fields = {"motion": field, "level": Pixels((2, 1, 1, 1))} | {
+        name: known(each) for name, each in maps.items()
+    }
     data = torch.from_numpy(frames[[0, k]])[:, None]
     operator = Chain({"warp": Warp(size, size, (0, 0)), "sensor": Sensor()})
     problem = Problem(operator, fields, data, torch.full_like(data, NOISE**-2))

@@ -69,7 +69,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
             )
         settings = _slot_settings(slots[stage].get(own), neutral, where)
         size = getattr(operator.stages[stage], "size", burst.size)
-        fits = partial(operator.stages[stage].fits, own, shape)  # type: ignore[union-attr, operator, arg-type]
+        fits = partial(dict(operator.named())[stage].fits, own, shape)
         fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, geometry.ratio, where, fits)
         penalties[names[slot]] = _penalties(settings, where, shape)
         _start(fields[names[slot]], settings, motion, geometry, where)

@@ -142,7 +142,7 @@ def _tensors(
     scales = []
     for field in fields:
         moves = isinstance(field, Motion | Flow)
-        known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0
+        known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
         scales.append(1 / known if known > 0 else 1 / mean)
     inverse = _slow(problem, slow, drift, eliminated)
     if not eliminated:

@@ -40,13 +40,12 @@ def optical_flow(frames: Tensor, known: Tensor, flow: Flow) -> Tensor:
     Each frame begins as the one before it that explains it best has ended, or without displacements: of a camera that
     drives on, the last frames show near things far from where the first does.
 
-    frames: (N, h, w), without the sensor's pattern. known: the same shape, bool, where they show something.
+    frames: (N, h, w), without the sensor's pattern. known: the same shape, bool, where they show something. All on the
+    CPU, in float32.
     """
     height, width = frames.shape[1:]
-    coarse = [
-        averaged(frames, known, factor) for factor in FACTORS if min(height, width) // factor >= LEAST
-    ]
-    found = frames.new_zeros(len(frames), 2, height, width)
+    coarse = [averaged(frames, known, factor) for factor in FACTORS if min(height, width) // factor >= LEAST]
+    found = torch.zeros(len(frames), 2, height, width)
     for k in range(1, len(frames)):
         beside = found[:k]
         for pictures in coarse:

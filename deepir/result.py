@@ -19,6 +19,8 @@ class Result:
 
     `scene` (H, W) float32 lies on frame 0's grid, `gain` and `offset` (h, w) on the detector's; `motion` (N, 3, 3)
     holds pull homographies in px of the scene's grid about the frame's centre, NaN for unused frames; `level` (N,).
+    A dense motion is `extra["flow"]` (N, 2, h, w), from each pixel to where it looks, x and y; `motion` is then the
+    homographies nearest to it.
     """
 
     scene: Array
@@ -41,6 +43,7 @@ class Result:
 
     def save(self, folder: Path, example: Array) -> None:
         """Write all files of a finished run; `example` is a raw frame for the summary. Each is replaced whole."""
+        from deepir.report.flow import write_flow
         from deepir.report.summary import write_summary
 
         write_npz(folder / "result.npz", self.arrays())
@@ -49,6 +52,8 @@ class Result:
         write_tiff(folder / "scene.tiff", self.scene)
         write_preview(folder / "scene_preview.png", self.scene)
         write_summary(folder / "summary.png", self, example)
+        if "flow" in self.extra:
+            write_flow(folder / "flow.png", self.extra["flow"], self.motion)
         write_json(folder / "metrics.json", self.metrics)
 
 

@@ -20,8 +20,8 @@ NOISE_GAIN = 12**0.5
 class Pull(torch.autograd.Function):
     """The coefficients `scene` (1 or N, C, Hc, Wc) as a motion sees them, (N, C, h, w).
 
-    `motion`: homographies (N, 3, 3), float64, or points (N, 2, h, w), x and y, of the scene's type. Origins are centres:
-    of the frame, and of the canvas.
+    `motion`: homographies (N, 3, 3), float64, or points (N, 2, h, w), x and y, of the scene's type. Origins are
+    centres: of the frame, and of the canvas.
     """
 
     @staticmethod

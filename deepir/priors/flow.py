@@ -21,7 +21,7 @@ ROUNDING = 0.05  # px between control points below which a difference costs its 
 
 @register("field", "flow")
 class Flow(Field):
-    """A homography for each frame, and displacements on a grid of cubic B-splines, `frame_k(p) = scene(T_k p + u_k(p))`.
+    """Dense motion, `frame_k(p) = scene(T_k p + u_k(p))`: homographies, and displacements on a grid of cubic B-splines.
 
     The value is where each pixel looks, (N, h, w, 2), from the frame's centre; frame 0 does not move, ever. Its own
     penalty is the total variation of the displacements, so that they may jump where a near thing ends. (Grids that
@@ -56,9 +56,11 @@ class Flow(Field):
             raise ValueError(f"spacing must be a number of at least 2 px, not {spacing}")
         if not 0 <= weight < math.inf:
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
-        self.size, self.ratio, self.spacing = tuple(size), ratio, spacing
+        self.size, self.ratio, self.spacing = (size[0], size[1]), ratio, spacing
         self.step = STEP / spacing
-        self.felt = (0.479 * spacing * ratio) ** 2  # how many samples feel a step of one parameter: its square, summed
+        self.felt = (
+            0.479 * spacing * ratio
+        ) ** 2  # how many samples feel a step of one parameter: its square, summed
         self.register_buffer("weight", torch.tensor(float(weight)))
         still = coords(torch.eye(3)[None], self.size).expand(self.shape)
         self.register_buffer("start", still, persistent=False)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import copy
+from typing import Any
+
 import torch
 
 from deepir.curvature import modelled
+from deepir.errors import ConfigError
 from deepir.optical_flow import optical_flow
+from deepir.priors.flow import Flow
 from deepir.problem import Problem
-from deepir.problems.nuc import NUC, WEAK
+from deepir.problems.nuc import NUC, finish, update
 from deepir.registry import register
 from deepir.solve import Stage, Step
-from deepir.strengths import keep_gauge, update_noise, update_parts, weigh_scene
 
 
 @register("problem", "flow")
-class FlowProblem(NUC):
+class DenseMotion(NUC):
     """Scene, sensor and a dense motion: for parallax, and scenes that are not rigid.
 
     First the sensor, as in `nuc`, at the registered homographies. Frames without its pattern then show how each is
@@ -22,47 +26,46 @@ class FlowProblem(NUC):
     """
 
     def initialise(self, problem: Problem, seed: int) -> None:
-        """As for `nuc`."""
+        """As for `nuc`.
+
+        Raises:
+            ConfigError: The motion is no flow.
+        """
+        self.seed, self.name = seed, problem.slots.get("warp.motion", "motion")
+        if not isinstance(problem.fields.get(self.name), Flow):
+            raise ConfigError(
+                "physics.warp.motion: problem 'flow' estimates a dense motion; take physics.warp.motion=flow, or "
+                "problem=nuc for one motion of the whole frame"
+            )
         super().initialise(problem, seed)
-        self.seed = seed
 
     def plan(self, problem: Problem) -> list[Stage]:
         """A round at the homographies, three with displacements; then the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        still = tuple(name for name in free if name != "motion")
+        still = tuple(name for name in free if name != self.name)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if modelled(problem) else (25, 35)
         return [
             Stage("homography", (Step(still), *eliminate), short),
             Stage("flow 1", (Step(free), *eliminate), 25, prepare=self._displace),
-            Stage("flow 2", (Step(free), *eliminate), 25, prepare=_update),
-            Stage("flow 3", (Step(free), *eliminate), 30, prepare=_update),
-            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
+            Stage("flow 2", (Step(free), *eliminate), 25, prepare=update),
+            Stage("flow 3", (Step(free), *eliminate), 30, prepare=update),
+            Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
         ]
 
+    @torch.no_grad()
     def _displace(self, problem: Problem) -> None:
         """Start again, at displacements that the frames show."""
-        _update(problem)
-        with torch.no_grad():
-            values = problem.values()
-            corrected = (problem.data - values["offset"] - values["level"]) / values["gain"]
-        motion = problem.fields["motion"]
-        beside = optical_flow(corrected[:, 0], problem.precision[:, 0] > 0, motion)
-        motion.init_from(motion.start + beside.permute(0, 2, 3, 1))
-        for name in problem.closed_form():
-            field = problem.fields[name]
-            field.init_from(torch.full(field.shape, field.neutral))
+        values = problem.values()
+        corrected = (problem.data - values["offset"] - values["level"]) / values["gain"]
+        flow: Any = problem.fields[self.name]
+        with torch.enable_grad():
+            moved = optical_flow(
+                corrected[:, 0].cpu(), (problem.precision[:, 0] > 0).cpu(), copy.deepcopy(flow).cpu()
+            )
+        flow.init_from(flow.start + moved.permute(0, 2, 3, 1).to(flow.start))
+        for field in (problem.fields[name] for name in problem.closed_form()):
+            field.init_from(torch.full(field.shape, field.neutral).to(corrected))
+        problem.precision *= problem.valid(problem.values())
         super().initialise(problem, self.seed)
-
-
-def _update(problem: Problem) -> None:
-    update_noise(problem)
-    keep_gauge(problem)
-    update_parts(problem)
-    weigh_scene(problem, WEAK)
-
-
-def _finish(problem: Problem) -> None:
-    update_noise(problem, settled=True)
-    weigh_scene(problem)

@@ -29,7 +29,9 @@ class Truth:
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
-    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: the motion and the parallax
+    flow: (
+        np.ndarray
+    )  # (N, 2, H, W), px, x and y from each pixel to where it looks: the motion and the parallax
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
     failed: np.ndarray  # (N,) bool: frames of another place
@@ -75,7 +77,17 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
     streams = np.random.default_rng(seed).spawn(9)
-    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng, hills_rng = streams
+    (
+        motion_rng,
+        pattern_rng,
+        level_rng,
+        noise_rng,
+        shading_rng,
+        defects_rng,
+        walk_rng,
+        place_rng,
+        hills_rng,
+    ) = streams
     motion = move(settings, motion_rng)
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene

@@ -43,8 +43,8 @@ def render(
     centre_y, centre_x = (np.array(picture.shape) - 1) / 2
     frames = np.zeros((len(motion), *shape))
     for k, T in enumerate(motion):
-        more = np.zeros((2, 1, 1)) if beside is None else beside[k]
-        along_y, along_x = np.gradient(more, axis=(1, 2)) if beside is not None else (more, more)
+        more = np.zeros((2, *shape)) if beside is None else beside[k]
+        along_y, along_x = (np.gradient(more, axis=axis) for axis in (1, 2))
         for v, weight_v in zip(nodes / 2, weights / 2, strict=True):
             for u, weight_u in zip(nodes / 2, weights / 2, strict=True):
                 at_x, at_y, w = (row[0] * (x + u) + row[1] * (y + v)[:, None] + row[2] for row in T)

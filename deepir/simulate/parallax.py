@@ -4,17 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
+from deepir.errors import ConfigError
 from deepir.simulate.settings import Settings
 
 HILLS = 8  # that the scene is made of
 WIDTH = (0.08, 0.2)  # of a hill (sigma), fractions of the frame's shorter side
+MOST = 0.05  # of the frame's shorter side: a parallax for which no hill hides another
 PASSES = 60  # of the fixed point at most
 
 
 def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """Hills: place (x, y) in detector px from the centre, width, height; scaled so that nearness is within [0, 1]."""
+    """Hills: place (x, y) in detector px from the centre, width, height; scaled so that nearness is within [0, 1].
+
+    Raises:
+        ConfigError: A parallax for which hills hide each other, or of a camera that does not shift.
+    """
     height, width = settings.shape
     side = min(height, width)
+    if settings.parallax > MOST * side:
+        raise ConfigError(
+            f"simulate.parallax = {settings.parallax:g}: hills would hide each other; at most {MOST * side:g} px for "
+            f"frames of {height} x {width} px"
+        )
+    if not settings.max_shift:
+        raise ConfigError(
+            "simulate.parallax: a camera that does not shift sees none; raise simulate.max_shift, or take 0"
+        )
     places = rng.uniform(-0.5, 0.5, (HILLS, 2)) * (width, height)
     hills = np.column_stack((places, side * rng.uniform(*WIDTH, HILLS), rng.uniform(0.5, 1, HILLS)))
     y, x = (np.arange(n) - (n - 1) / 2 for n in settings.shape)
@@ -25,7 +40,8 @@ def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
 def nearness(hills: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """How near the scene is at points of frame 0: 0 is the farthest, 1 the nearest."""
     return sum(
-        tall * np.exp(((x - at_x) ** 2 + (y - at_y) ** 2) / (-2 * wide**2)) for at_x, at_y, wide, tall in hills
+        tall * np.exp(((x - at_x) ** 2 + (y - at_y) ** 2) / (-2 * wide**2))
+        for at_x, at_y, wide, tall in hills
     )
 
 
@@ -58,5 +74,7 @@ def seen_at(T: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarr
 def flow_of(motion: np.ndarray, shape: tuple[int, int], beside: np.ndarray | None) -> np.ndarray:
     """From each pixel to where it looks, (N, 2, H, W)."""
     y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
-    looks = np.array([np.stack(seen_at(T, shape)) - np.stack(np.broadcast_arrays(x, y[:, None])) for T in motion])
+    looks = np.array(
+        [np.stack(seen_at(T, shape)) - np.stack(np.broadcast_arrays(x, y[:, None])) for T in motion]
+    )
     return looks if beside is None else looks + beside

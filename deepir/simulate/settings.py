@@ -19,7 +19,6 @@ CHOICES = {
     "jitter": ("both", "x", "y"),
     "gain_distribution": ("normal", "uniform"),
 }
-PARALLAX = 0.05  # of the frame's shorter side: the most, for which no hill hides another
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,9 @@ class Settings:
     walker_contrast: float = 0.3  # how much warmer than the scene's mean the person is, fraction of the range
     walker_speed: float = 8.0  # px that the person walks from frame to frame
     failed_frame: int = 0  # the frame of this number is of another place
-    parallax: float = 0.0  # px that the nearest moves more than the farthest in a frame that is shifted by max_shift
+    parallax: float = (
+        0.0  # px that the nearest moves more than the farthest in a frame that is shifted by max_shift
+    )
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
@@ -87,11 +88,6 @@ class Settings:
         if (bad := self.dead_pixels + self.stuck_pixels + self.noisy_pixels) > 0.5:
             raise ConfigError(
                 f"simulate.dead_pixels, stuck_pixels, noisy_pixels = {bad:g} together: a fraction up to 0.5 is needed"
-            )
-        if self.parallax > (most := PARALLAX * min(self.shape)) or (self.parallax and not self.max_shift):
-            raise ConfigError(
-                f"simulate.parallax = {self.parallax}: hills would hide each other; at most {most:.1f} px for frames of "
-                f"{self.shape[0]} x {self.shape[1]} px, and 0 where max_shift is 0"
             )
         for key in ("gain_shading", "walker"):
             if (value := getattr(self, key)) > 1:
