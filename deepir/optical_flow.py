@@ -22,6 +22,7 @@ from deepir.solve import Stage, Step, solve
 FACTORS = (8, 4, 2)  # by which the pictures are coarser
 LEAST = 16  # px of a picture's shorter side
 SPACING = 4  # of the control points on each picture, in its px
+LOOSER = 0.3  # weight of the displacements' penalty, to the flow's own: a start has far to go
 ITERATIONS = 40
 ROUNDS = 3  # at each factor, with new weights
 
@@ -68,7 +69,7 @@ def _fitted(pictures: Pictures, k: int, flow: Flow, guesses: Tensor) -> Tensor:
     factor, data, seen = pictures.factor, pictures.frames[[0, k]], pictures.known[[0, k]]
     size = (data.shape[1], data.shape[2])
     spacing = max(factor * SPACING, flow.spacing)
-    field = Flow((2,), size=size, ratio=1 / factor, spacing=spacing, weight=float(flow.weight))
+    field = Flow((2,), size=size, ratio=1 / factor, spacing=spacing, weight=LOOSER * float(flow.weight))
     field.start = resized(flow.start[[0, k]].permute(0, 3, 1, 2) / factor, size).permute(0, 2, 3, 1)
     problem = _problem(field, data, seen)
 

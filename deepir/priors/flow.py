@@ -15,7 +15,7 @@ from deepir.priors.motion import STEP
 from deepir.registry import register
 
 #: Nats that a step of one px costs for each px of its length. Where the scene has no texture nothing else holds it.
-WEIGHT = 0.3
+WEIGHT = 1.0
 ROUNDING = 0.05  # px between control points below which a difference costs its square
 
 

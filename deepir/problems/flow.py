@@ -26,24 +26,20 @@ class DenseMotion(NUC):
     """
 
     def initialise(self, problem: Problem, seed: int) -> None:
-        """As for `nuc`.
-
-        Raises:
-            ConfigError: The motion is no flow.
-        """
-        self.seed, self.name = seed, problem.slots.get("warp.motion", "motion")
-        if not isinstance(problem.fields.get(self.name), Flow):
-            raise ConfigError(
-                "physics.warp.motion: problem 'flow' estimates a dense motion; take physics.warp.motion=flow, or "
-                "problem=nuc for one motion of the whole frame"
-            )
+        """As for `nuc`."""
+        self.seed = seed
         super().initialise(problem, seed)
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """A round at the homographies, three with displacements; then the scene on all samples."""
+        """A round at the homographies, three with displacements; then the scene on all samples.
+
+        Raises:
+            ConfigError: The motion is no flow, or fixed.
+        """
+        motion = _name(problem)
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        still = tuple(name for name in free if name != self.name)
+        still = tuple(name for name in free if name != motion)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if modelled(problem) else (25, 35)
         return [
@@ -59,7 +55,7 @@ class DenseMotion(NUC):
         """Start again, at displacements that the frames show."""
         values = problem.values()
         corrected = (problem.data - values["offset"] - values["level"]) / values["gain"]
-        flow: Any = problem.fields[self.name]
+        flow: Any = problem.fields[_name(problem)]
         with torch.enable_grad():
             moved = optical_flow(
                 corrected[:, 0].cpu(), (problem.precision[:, 0] > 0).cpu(), copy.deepcopy(flow).cpu()
@@ -69,3 +65,14 @@ class DenseMotion(NUC):
             field.init_from(torch.full(field.shape, field.neutral).to(corrected))
         problem.precision *= problem.valid(problem.values())
         super().initialise(problem, self.seed)
+
+
+def _name(problem: Problem) -> str:
+    """The unknown that is a dense motion and free."""
+    found = [name for name in problem.free() if isinstance(problem.fields[name], Flow)]
+    if not found and len(problem.data) > 1:
+        raise ConfigError(
+            "physics.warp.motion: problem 'flow' estimates a dense motion; take physics.warp.motion=flow, not fixed, or "
+            "problem=nuc for one motion of the whole frame"
+        )
+    return found[0] if found else "motion"
