@@ -72,7 +72,7 @@ def _name(problem: Problem) -> str:
     found = [name for name in problem.free() if isinstance(problem.fields[name], Flow)]
     if not found and len(problem.data) > 1:
         raise ConfigError(
-            "physics.warp.motion: problem 'flow' estimates a dense motion; take physics.warp.motion=flow, not fixed, or "
-            "problem=nuc for one motion of the whole frame"
+            "physics.warp.motion: problem 'flow' estimates a dense motion; take physics.warp.motion=flow, not fixed, "
+            "or problem=nuc for one motion of the whole frame"
         )
     return found[0] if found else "motion"

@@ -100,7 +100,7 @@ def test_a_flow_is_a_motion_for_other_problems_too(sim):
 
 
 def test_one_motion_of_the_whole_frame_is_refused(sim):
-    with pytest.raises(ConfigError, match="take physics.warp.motion=flow, not fixed, or problem=nuc"):
+    with pytest.raises(ConfigError, match=r"take physics\.warp\.motion=flow, not fixed, or problem=nuc"):
         deepir.run("flow", frames=sim.frames, physics={"warp": {"motion": {"type": "rigid"}}}, **QUICK)
 
 
@@ -109,18 +109,15 @@ def test_an_interrupted_run_goes_on_to_the_same_result(sim, tmp_path, quick):
     from deepir.config import load
     from deepir.joint import joint
 
-    class Stop(Exception):
-        pass
-
     def at_the_second_flow(progress):
         if progress.stage == "flow 2":
-            raise Stop
+            raise InterruptedError
 
     config = load("flow", [], QUICK)
     size = sim.frames.shape
     burst = Burst(sim.frames.astype(np.float32), np.ones(size, bool), np.zeros(size[1:], bool), "test")
     whole = joint(burst, config)
-    with pytest.raises(Stop):
+    with pytest.raises(InterruptedError):
         joint(burst, config, callbacks=[at_the_second_flow], checkpoint=tmp_path / "state")
     resumed = joint(burst, config, checkpoint=tmp_path / "state")
     assert np.array_equal(resumed.extra["flow"], whole.extra["flow"])
