@@ -9,6 +9,7 @@ Constants were tuned on other pictures and seeds.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import platform
 from collections.abc import Iterator
@@ -33,6 +34,7 @@ from deepir.priors.motion import Homography
 from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
 from deepir.registration import register
+from deepir.report.panels import write_panels
 from deepir.simulate import Settings, Simulation, simulate
 from deepir.solve import Stage, Step, solve
 from deepir.strengths import update_noise
@@ -46,6 +48,7 @@ CAMERA = Settings(
 MARGIN = 8  # px at the frame's edge that the end-point error leaves out: some frames do not see them
 CROP, HELD_OUT = (slice(20, 400), slice(60, 580)), (3, 5, 7)
 NOISE = 6.0  # counts, of the A65's frames
+SHOWN = 150  # counts that are white in a picture of errors
 HOMOGRAPHY = "physics.warp.motion=homography"
 
 
@@ -53,6 +56,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--prior", action="append", help="of the scene; may be given several times")
     parser.add_argument("--held-out", type=int, action="append", help="frames of the A65 burst")
+    parser.add_argument("--panels", type=Path, help="write a picture of the A65's errors here")
     parser.add_argument("--threads", type=int, default=2, help="the machine's, for the seconds")
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
@@ -61,7 +65,7 @@ def main() -> None:
         f"<!-- written by benchmarks/flow.py: deepir {deepir.__version__}, torch {torch.__version__}, "
         f"python {platform.python_version()} -->"
     ]
-    for line in [*simulated(options), *real(options)]:
+    for line in itertools.chain(simulated(options), real(options)):
         print(line, flush=True)
         lines.append(line)
     if options.output:
@@ -119,10 +123,15 @@ def real(options: argparse.Namespace) -> Iterator[str]:
     for k in options.held_out or HELD_OUT:
         kept = np.delete(frames, k, axis=0)
         still, found = run("nuc", kept, options, HOMOGRAPHY), run("flow", kept, options)
-        flat, dense = (
-            spread(prediction_error(result, frames, motion, k, dense=result is found))
-            for result in (still, found)
-        )
+        errors = [
+            prediction_error(result, frames, motion, k, dense=result is found) for result in (still, found)
+        ]
+        scored = held_out(kept.shape[1:]).numpy() & np.isfinite(errors).all(0)  # the same for both
+        flat, dense = (spread(each[scored]) for each in errors)
+        if options.panels:
+            panels = [("homography", errors[0], -SHOWN, SHOWN), ("flow", errors[1], -SHOWN, SHOWN)]
+            low, high = np.percentile(frames[k], [1, 99])
+            write_panels(options.panels, [(f"A65, frame {k}", frames[k], low, high), *panels])
         yield (
             f"| frame {k} | {flat.rms:.1f}, {flat.bulk:.1f} | {dense.rms:.1f}, {dense.bulk:.1f} | "
             f"**{100 * (1 - dense.rms / flat.rms):.0f} %** | {found.metrics['seconds']:.0f} |"
@@ -130,18 +139,18 @@ def real(options: argparse.Namespace) -> Iterator[str]:
 
 
 def spread(error: np.ndarray) -> SimpleNamespace:
-    return SimpleNamespace(
-        rms=float(error.std()), bulk=1.4826 * float(np.median(np.abs(error - np.median(error))))
-    )
+    """Standard deviation, `rms`, and that of the bulk."""
+    bulk = 1.4826 * float(np.median(np.abs(error - np.median(error))))
+    return SimpleNamespace(rms=float(error.std()), bulk=bulk)
 
 
 def prediction_error(
     result: Any, frames: np.ndarray, motion: torch.Tensor, k: int, *, dense: bool
 ) -> np.ndarray:
-    """Prediction of frame `k` less the frame, at the samples that its motion has not seen.
+    """Prediction of frame `k` less the frame, (h, w); NaN where there is none.
 
-    Scene and sensor stay; the motion starts where the frame registers. Displacements begin, as in the problem, from
-    those of another frame: of the two beside it.
+    Of the samples in `held_out` the motion has seen nothing. Scene and sensor stay; the motion starts where the frame
+    registers. Displacements begin, as in the problem, from those of another frame: of the two beside it.
     """
     size = frames.shape[1:]
     scene = ndimage.spline_filter(result.scene.astype(float), order=3, mode="mirror")
@@ -172,11 +181,11 @@ def prediction_error(
     solve(problem, [Stage(f"{i}", step, 40, prepare=update_noise) for i in range(3)])
     with torch.no_grad():
         error = (problem.predict(problem.values()) - data)[1, 0]
-    return error[usable & held].numpy()
+    return np.where(usable, error, np.nan)
 
 
 def held_out(size: tuple[int, ...]) -> torch.Tensor:
-    """Half of the squares of 4 x 4 px."""
+    """Half of the squares of 4 x 4 px, bool (h, w)."""
     chosen = torch.rand(-(-size[0] // 4), -(-size[1] // 4), generator=torch.Generator().manual_seed(0)) < 0.5
     return chosen.repeat_interleave(4, 0).repeat_interleave(4, 1)[: size[0], : size[1]]
 
