@@ -74,7 +74,7 @@ def find(name: str | Path) -> Path:
         use = (
             f"resume {name}"
             if (path / "config.yaml").is_file()
-            else f"run {shipped_names()[0]} data.path={name}"
+            else f"run nuc data.path={name}"
         )
         raise ConfigError(f"{name}: not a configuration (a .yaml file); did you mean `deepir {use}`?")
     here = [str(each) for each in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
