@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -76,15 +77,18 @@ def _fitted(pictures: Pictures, k: int, flow: Flow, guesses: Tensor) -> Tensor:
     def misfit(guess: Tensor) -> float:
         field.init_from(field.start + resized(guess[None] / factor, size).permute(0, 2, 3, 1))
         residual = _residual(problem, seen)
-        return float(residual.abs().mean())
+        return float(residual.abs().mean()) if len(residual) else math.inf
 
     best = min(guesses, key=misfit)
-    misfit(best)
+    if misfit(best) == math.inf:  # they share nothing
+        return best[None]
+    least = 1e-4 * float(data[seen].std())  # of pictures without noise
 
     def weigh(problem: Problem) -> None:
-        spread = MAD * float(_residual(problem, seen).abs().median())
+        residual = _residual(problem, seen)
+        spread = max(MAD * float(residual.abs().median()) if len(residual) else 0.0, least)
         counts = problem.valid(problem.values()) & seen[:, None]
-        problem.precision.copy_(counts * (factor / max(spread, 1e-30)) ** 2)  # a mean stands for factor² px
+        problem.precision.copy_(counts * (factor / spread) ** 2)  # a mean stands for factor² px
 
     step = (Step(("motion",)),)
     solve(problem, [Stage(f"{i}", step, ITERATIONS, prepare=weigh) for i in range(ROUNDS)])

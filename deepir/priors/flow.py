@@ -58,9 +58,8 @@ class Flow(Field):
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
         self.size, self.ratio, self.spacing = (size[0], size[1]), ratio, spacing
         self.step = STEP / spacing
-        self.felt = (
-            0.479 * spacing * ratio
-        ) ** 2  # how many samples feel a step of one parameter: its square, summed
+        # How many samples feel a step of one parameter: the spline's square, summed.
+        self.felt = (0.479 * spacing * ratio) ** 2
         self.register_buffer("weight", torch.tensor(float(weight)))
         still = coords(torch.eye(3)[None], self.size).expand(self.shape)
         self.register_buffer("start", still, persistent=False)
