@@ -18,13 +18,13 @@ from deepir.contest import Contest
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
+from deepir.operators.points import displacements, homographies
 from deepir.order import bridge_message, bridged
 from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.problems.definition import Definition
 from deepir.registration import register as register_frames
-from deepir.registration.motion import PARAMETERS
-from deepir.registry import lookup, register
+from deepir.registry import components, lookup, register
 from deepir.result import Result, neutral, to_gauge
 from deepir.slow_strengths import shading_message
 from deepir.solve import Progress, Solution, Stage, Step, solve
@@ -106,8 +106,9 @@ def _motion_model(config: Config) -> str | None:
         slot = (stage or {}).get("motion")
         settings = slot if isinstance(slot, dict) else {"type": slot}
         kind = settings.get("type")
-        if settings.get("init", "register" if kind in PARAMETERS else None) == "register":
-            return str(kind)
+        model = getattr(components("field").get(str(kind)), "model", None)
+        if settings.get("init", "register" if model else None) == "register":
+            return str(model or kind)
     return None
 
 
@@ -230,8 +231,12 @@ def _result(
         elif kind == "level":
             result.level[taken] = value.ravel()
         elif kind == "motion":
-            result.motion[taken] = value
+            result.motion[taken] = homographies(solution.values[name]).cpu().numpy()
             result.motion[~taken] = np.nan
+            if value.ndim == 4:
+                flow = displacements(solution.values[name]).cpu().numpy()
+                result.extra["flow"] = np.full((len(used), *flow.shape[1:]), np.nan, np.float32)
+                result.extra["flow"][taken] = flow
         else:
             result.extra[name] = value.squeeze()
     result.frames_used, result.history, result.messages = used, solution.history, messages

@@ -14,6 +14,7 @@ from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.joint import registered
+from deepir.operators.points import homographies
 from deepir.problems.definition import filled
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral
@@ -65,7 +66,7 @@ def average(
             scene = geometry.crop(filled(mean, weight > 0.3 * weight.max()))
     result = neutral(scene.numpy(), len(used), burst.size, burst.bad_pixels)
     if motion is not None:
-        result.motion[used] = problem.values()["motion"].detach().numpy()
+        result.motion[used] = homographies(problem.values()["motion"]).detach().numpy()
         result.motion[~used] = float("nan")
     result.frames_used, result.messages = used, messages
     result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}

@@ -16,6 +16,7 @@ from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
 from deepir.simulate.lag import constants, lagged, path
 from deepir.simulate.optics import at_rest, drawn, homographies, move, reach_of, scale_of
+from deepir.simulate.parallax import flow_of, parallax, relief
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
@@ -32,6 +33,7 @@ class Truth:
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
+    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: motion and parallax
     tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
     housing: np.ndarray  # (N, H, W), flux of the housing above that of the first frame
     bad_pixels: np.ndarray  # (H, W) bool
@@ -81,9 +83,9 @@ def simulate(
         DataError: A picture is no picture, or is too small for the frames and their motion; or there are too few.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(11)
+    streams = np.random.default_rng(seed).spawn(12)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
-    motion, tau = move(settings, motion_rng), np.zeros(settings.shape)
+    motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
         motion, tau = homographies(settings, path(settings, streams[8])), constants(settings, streams[8])
     gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
@@ -98,7 +100,9 @@ def simulate(
         reach = reach_of(motion, settings)
         picture = drawn(partial(procedural, seed) if scene is None else scene, reach, settings)
         scale = scale_of(picture.shape, reach, settings)
-        flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
+        if settings.parallax:
+            beside = parallax(motion, relief(settings, streams[11]), settings)
+        flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
         if settings.tau:
             flux, motion, moving = (
                 lagged(flux, tau, settings),
@@ -122,6 +126,7 @@ def simulate(
         offset=offset,
         level=level,
         motion=motion,
+        flow=flow_of(motion, settings.shape, beside),
         tau=tau,
         housing=warmth,
         bad_pixels=bad > 0,

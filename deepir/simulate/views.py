@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from deepir.errors import ConfigError, DataError
+from deepir.errors import DataError
 from deepir.scenes import procedural
 from deepir.simulate.optics import at_rest, drawn, reach_of, render, scale_of
 from deepir.simulate.pictures import Scene
@@ -28,8 +28,6 @@ def look(
         ConfigError: Something is asked for that a scene has for several frames.
         DataError: There are fewer scenes than frames, or one is no picture, or too small.
     """
-    if settings.walker or settings.failed_frame:
-        raise ConfigError("simulate.own_scenes: walker and failed_frame are for frames that share a scene")
     if scenes is None:
         seeds = rng.integers(2**31, size=settings.n_frames)
         scenes = [partial(procedural, int(seed)) for seed in seeds]
