@@ -16,17 +16,19 @@ from deepir.simulate.optics import at_rest, move, reach_of, scale_of
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
+from deepir.simulate.stray import stray_flux
 
 
 @dataclass(frozen=True)
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
+    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
     scene: np.ndarray  # (Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
+    stray: np.ndarray  # (H, W), mean zero over good pixels, where it is the scene's level
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
@@ -72,8 +74,10 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         DataError: The picture is no picture, or is too small for the frames and their motion.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(8)
-    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams
+    streams = np.random.default_rng(seed).spawn(9)
+    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng, stray_rng = (
+        streams
+    )
     motion = move(settings, motion_rng)
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene
@@ -95,6 +99,8 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
     gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
     bad = more_defects(bad, settings, defects_rng)
     gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
+    stray = settings.range * stray_flux(settings, stray_rng)
+    flux, static, stray = flux + stray, static + stray[bad == 0].mean(), stray - stray[bad == 0].mean()
     level = settings.range * settings.level_drift * np.cumsum(level_rng.standard_normal(settings.n_frames))
     level -= level.mean()
     failed = np.arange(settings.n_frames) == (settings.failed_frame or -1)
@@ -103,6 +109,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         gain=gain,
         offset=offset,
         level=level,
+        stray=stray,
         motion=motion,
         bad_pixels=bad > 0,
         moving=moving,
