@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, ROW
-from deepir.operators.warp import Warp
+from deepir.operators import Add, Warp
 from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
 from deepir.priors.shading import Shading
+from deepir.priors.terms import Terms
 from deepir.problem import Problem, Values
 from deepir.slow import Slow, expected, variances
 from deepir.thin import thinned
@@ -25,12 +26,16 @@ RARE = 15  # the same of a drift where it may be shading, which is far more comm
 
 @torch.no_grad()
 def estimate_slow(problem: Problem, *, start: bool = False) -> None:
-    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too."""
+    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too.
+
+    Stray flux is shading of another shape: there is some if there is shading, and it is as strong as it was found.
+    """
     shadings, drifts = _unknown(problem)
-    if not (shadings or drifts):
+    strays = _strays(problem)
+    if not (shadings or drifts or strays):
         return
     evidence = _Evidence(problem, problem.closed_form())
-    smooth, drift = evidence.most_likely(smooth=bool(shadings), drift=bool(drifts))
+    smooth, drift = evidence.most_likely(smooth=bool(shadings or strays), drift=bool(drifts))
     if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
         smooth = drift = 0.0
     for part in shadings:
@@ -40,6 +45,15 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
         if start:
             field.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
             field.init_from(evidence.levels(smooth, drift))
+    for stray in strays:
+        slow = evidence.slow.of_terms(stray)[1:]
+        unit = slow.square().mean().sqrt() * len(stray.values) ** 0.5  # of shading for a strength of one
+        found = stray.coefficients.square().mean().sqrt() if stray.sigma > 0 else smooth / unit
+        if not stray.given:
+            stray.sigma.fill_(found)
+        if start:
+            stray.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
+            stray.init_from(evidence.slow_pattern(smooth, drift))
     if start and (smooth or drift):
         scene = problem.fields["scene"]
         scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
@@ -75,6 +89,13 @@ def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
     )
 
 
+def _strays(problem: Problem) -> list[Terms]:
+    """Free maps that are added before the sensor."""
+    stages = dict(problem.operator.named())
+    names = [name for slot, name in problem.slots.items() if isinstance(stages[slot.rpartition(".")[0]], Add)]
+    return [field for name in names if name in problem.free() and isinstance(field := problem.fields[name], Terms)]
+
+
 class _Evidence:
     """How likely the slow parts of the frames are, for strengths (shading, drift); the scene's may be anything."""
 
@@ -89,8 +110,9 @@ class _Evidence:
         middle = some.median()
         limit = OUTLIER * float((some - middle).abs().median())
         self.count, self.free = len(residual), len(self.slow.scene.white) + 1
-        self.normal = self.slow.normal(levels=True)
-        self.rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels=True)
+        levels = self.slow.levels()
+        self.normal = self.slow.normal(levels)
+        self.rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels)
         a, b = self.normal[: self.free, : self.free], self.normal[: self.free, self.free :]
         a = a + 1e-9 * a.diagonal().mean() * torch.eye(self.free, dtype=a.dtype, device=a.device)
         self.back = torch.linalg.solve(a, torch.cat((b, self.rhs[: self.free, None]), 1))
@@ -157,6 +179,10 @@ class _Evidence:
         found = self._posterior(smooth, drift)[1][-self.count :]
         return (found - found.mean())[:, None, None, None]
 
+    def slow_pattern(self, smooth: float, drift: float) -> Tensor:
+        """What is slow of the pattern, (h, w)."""
+        return self.slow.frame.spread(self._posterior(smooth, drift)[1][: -self.count])
+
     def slow_scene(self, smooth: float, drift: float) -> Tensor:
         """What the scene lacks, on its grid."""
         return self.slow.scene.spread(self._posterior(smooth, drift)[0][:-1])
@@ -167,15 +193,22 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
     closed = problem.closed_form()
     values = dict(values)
     problem.eliminate(values, closed)
+    for name, field in problem.fields.items():
+        if isinstance(field, Terms):
+            values[name] = values[name] - _slow_part(values[name], frame)
     quick = {}
     for kind, neutral in (("gain", 1.0), ("offset", 0.0)):
         name = problem.slots[f"{problem.operator.named()[-1][0]}.{kind}"]
         quick[kind] = values[name]
         if name in closed:
-            own = (values[name] - neutral)[0, 0].double()
-            slow = own.mean() + frame.spread(frame.sums(own) / own.numel())
-            quick[kind] = quick[kind] - slow.to(quick[kind])
+            quick[kind] = quick[kind] - _slow_part(values[name] - neutral, frame)
     return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"])[:, 0]
+
+
+def _slow_part(value: Tensor, frame: Shading) -> Tensor:
+    """Level and polynomials of a map (1, 1, h, w), (h, w)."""
+    own = value[0, 0].double()
+    return (own.mean() + frame.spread(frame.sums(own) / own.numel())).to(value)
 
 
 def shifts(problem: Problem) -> Tensor:

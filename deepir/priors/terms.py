@@ -1,0 +1,162 @@
+"""Maps that few terms make: a low-order cosine transform, a profile about a centre."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from deepir.priors.field import Field, Shape
+from deepir.registry import register
+
+
+class Terms(Field):
+    """`neutral + Σ a_i t_i` over the frame; the terms t_i have mean zero, and a_i the standard deviation `sigma`.
+
+    `sigma`, in the data's units, is estimated from the burst if it is not given; without strength the map is zero.
+    A subclass says what the terms are: how much of each (a smooth map has little of those that are fine) is in them.
+    """
+
+    sigma: Tensor
+    step: Tensor
+
+    def __init__(self, shape: Shape, neutral: float, count: int, *, sigma: float | None = None) -> None:
+        super().__init__(shape, neutral)
+        if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
+            raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
+        self.given = sigma is not None
+        self.register_buffer("sigma", torch.tensor(sigma or 0.0))
+        #: What a coefficient moves for a step of one: all pixels feel it, see `Field`.
+        self.register_buffer("step", torch.tensor(1.0))
+        self.values = nn.Parameter(torch.zeros(count))
+
+    def spread(self, coefficients: Tensor) -> Tensor:
+        """The map (h, w) of coefficients (terms,)."""
+        raise NotImplementedError
+
+    @property
+    def coefficients(self) -> Tensor:
+        """The a_i, (terms,)."""
+        return self.step * (self.sigma > 0) * self.values
+
+    def forward(self) -> Tensor:
+        """The map, (1, 1, h, w)."""
+        return (self.neutral + self.spread(self.coefficients)).expand(self.shape)
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """The nearest map, in the least squares sense."""
+        rest = (value.to(self.values).expand(self.shape) - self.neutral).flatten()
+        terms = self.terms().flatten(1)
+        rest = terms @ (rest - rest.mean())
+        self.values.copy_(torch.linalg.lstsq(terms @ terms.T, rest[:, None]).solution[:, 0] / self.step)
+
+    def terms(self) -> Tensor:
+        """All of them, (terms, h, w)."""
+        one = torch.eye(len(self.values), dtype=self.values.dtype, device=self.values.device)
+        return torch.stack([self.spread(each) for each in one])
+
+    def penalty(self) -> Tensor | None:
+        """`½ Σ a² / sigma²`."""
+        return (self.coefficients / self.sigma).square().sum() / 2 if self.sigma > 0 else None
+
+
+@register("field", "dct")
+class DCT(Terms):
+    """Cosines of up to `order` half waves along each axis, without the constant: what is smooth.
+
+    The standard deviation of a wave falls as its frequency squared: the prior is `½ Σ |Δ s|²`, a bent plate's.
+    """
+
+    in_y: Tensor
+    in_x: Tensor
+    size: Tensor
+
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, order: int = 12, sigma: float | None = None
+    ) -> None:
+        if order < 1:
+            raise ValueError(f"order must be at least 1, not {order}")
+        height, width = shape[-2:]
+        longer = max(height, width)
+        y, x = torch.meshgrid(
+            torch.arange(min(order + 1, height)) * longer / height,
+            torch.arange(min(order + 1, width)) * longer / width,
+            indexing="ij",
+        )
+        squared = y.square() + x.square()  # half waves along the longer side
+        kept = (squared > 0) & (squared <= order**2)
+        super().__init__(shape, neutral, int(kept.sum()), sigma=sigma)
+        self.register_buffer("of_y", kept.nonzero()[:, 0], persistent=False)
+        self.register_buffer("of_x", kept.nonzero()[:, 1], persistent=False)
+        self.register_buffer("size", 1 / squared[kept], persistent=False)
+        for name, side, count in (("in_y", height, y.shape[0]), ("in_x", width, x.shape[1])):
+            self.register_buffer(name, _cosines(side, count), persistent=False)
+
+    of_y: Tensor
+    of_x: Tensor
+
+    def spread(self, coefficients: Tensor) -> Tensor:
+        """Products of cosines along y and x."""
+        table = coefficients.new_zeros(len(self.in_y), len(self.in_x))
+        table = table.index_put((self.of_y, self.of_x), self.size.to(coefficients) * coefficients)
+        return self.in_y.T.to(table) @ table @ self.in_x.to(table)
+
+    @classmethod
+    def example(cls) -> DCT:
+        """A map of 6 x 7 px."""
+        return cls((1, 1, 6, 7), order=3, sigma=0.1)
+
+
+def _cosines(side: int, count: int) -> Tensor:
+    """(count, side), of mean square one."""
+    at = torch.pi * (torch.arange(side, dtype=torch.float64) + 0.5) / side
+    waves = 2**0.5 * torch.cos(torch.arange(count)[:, None] * at)
+    waves[0] = 1
+    return waves.float()
+
+
+@register("field", "radial")
+class Radial(Terms):
+    """A profile about `centre` (y, x), in px from the frame's: cosines of up to `order` half waves of the radius.
+
+    What lenses send back is so about their axis: a spot, a ring, darker corners. The standard deviation falls as the
+    square of the frequency.
+    """
+
+    profile: Tensor
+    near: Tensor
+    share: Tensor
+    mean: Tensor
+
+    def __init__(
+        self,
+        shape: Shape,
+        neutral: float = 0.0,
+        *,
+        order: int = 12,
+        centre: tuple[float, float] = (0.0, 0.0),
+        sigma: float | None = None,
+    ) -> None:
+        if order < 1:
+            raise ValueError(f"order must be at least 1, not {order}")
+        super().__init__(shape, neutral, order, sigma=sigma)
+        y, x = (torch.arange(side) - (side - 1) / 2 - at for side, at in zip(shape[-2:], centre, strict=True))
+        radius = torch.hypot(y[:, None], x)
+        count = int(radius.max()) + 2
+        self.register_buffer("near", radius.long(), persistent=False)
+        self.register_buffer("share", radius - radius.floor(), persistent=False)
+        waves = _cosines(count, order + 1)[1:] / torch.arange(1, order + 1)[:, None].square()
+        self.register_buffer("profile", waves, persistent=False)
+
+    def spread(self, coefficients: Tensor) -> Tensor:
+        """The profile, interpolated linearly between whole radii, less its mean."""
+        profile = coefficients @ self.profile.to(coefficients)
+        found = torch.lerp(profile[self.near], profile[self.near + 1], self.share.to(profile))
+        return found - found.mean()
+
+    @classmethod
+    def example(cls) -> Radial:
+        """A map of 6 x 7 px."""
+        return cls((1, 1, 6, 7), order=3, centre=(0.5, -1.0), sigma=0.1)
