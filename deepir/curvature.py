@@ -220,7 +220,7 @@ def _slow(
     scene: Any = problem.fields["scene"]
     terms = len(slow.scene.white)
     found = variances(problem, eliminated)
-    maps = [slow.levels() if isinstance(each, Drift) else slow.of_terms(each) for each in others]
+    maps = [slow.levels() if isinstance(each, Drift) else slow.of_terms(each)[0] for each in others]
     whole = slow.normal(*maps)
     unit = whole.new_full((len(whole),), float(scene.scale))
     at = 2 * terms + 1
@@ -228,7 +228,7 @@ def _slow(
         mine = slice(at, at := at + made.shape[-1])
         unit[mine] = float(each.step)
         if isinstance(each, Terms):
-            whole[mine, mine] += _rest(problem, each, made, found[PIXEL])
+            whole[mine, mine] += _rest(problem, slow, each, found)
     spread = expected(found, slow.frame) + found[SMOOTH]
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _stiffness(problem, slow)
@@ -243,13 +243,21 @@ def _slow(
     return torch.linalg.inv(system).float().contiguous()
 
 
-def _rest(problem: Problem, field: Terms, slow: Tensor, variance: float) -> Tensor:
+def _rest(problem: Problem, slow: Slow, field: Terms, variance: dict[tuple[int, ...], float]) -> Tensor:
     """Curvature of stray flux in its prior and in what is not slow of it, behind a free pattern: a matrix."""
-    maps = field.terms().flatten(1).double()
-    rest = maps @ maps.T / maps.shape[1] - slow.mT @ slow
-    told = 1 / (typical_noise(problem.precision) ** 2 / len(problem.data) + variance)
-    prior = torch.eye(len(rest), dtype=rest.dtype, device=rest.device) / field.sigma.double().square()
-    return told * maps.shape[1] * rest + prior
+    _, rest = slow.of_terms(field)
+    height, width = problem.data.shape[-2:]
+    unsure = typical_noise(problem.precision) ** 2 / len(problem.data) + variance[PIXEL]
+    columns, rows = rest.mean(1, keepdim=True).expand_as(rest), rest.mean(2, keepdim=True).expand_as(rest)
+    told = torch.eye(len(rest), dtype=rest.dtype, device=rest.device) / field.sigma.double().square()
+    for part, more in (
+        (rest - columns - rows, 0.0),
+        (columns, height * variance[COLUMN]),
+        (rows, width * variance[ROW]),
+    ):
+        flat = part.flatten(1)
+        told += height * width / (unsure + more) * flat @ flat.T / flat.shape[1]
+    return told
 
 
 def _stiffness(problem: Problem, slow: Slow) -> Tensor:

@@ -53,6 +53,7 @@ class Slow:
         )
         terms = self.frame.at(y.flatten(), x.flatten())
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
+        self.step, self.terms = (step_y, step_x), terms
         seen = self.scene.at(points[..., 1], points[..., 0])
         self.carried = torch.linalg.lstsq(terms.expand(len(seen), *terms.shape), seen).solution
         weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
@@ -82,11 +83,11 @@ class Slow:
         each = torch.eye(count, dtype=self.carried.dtype, device=self.carried.device) - 1 / count
         return torch.cat((each[:, None], each.new_zeros(count, size - 1, count)), 1)
 
-    def of_terms(self, field: Terms) -> Tensor:
-        """What the terms of a map in each frame make of its slow part, (terms + 1, its terms)."""
-        maps = field.terms().double()
-        mean = maps.mean((1, 2))[:, None]
-        return torch.cat((mean, self.frame.sums(maps) / maps[0].numel()), 1).T
+    def of_terms(self, field: Terms) -> tuple[Tensor, Tensor]:
+        """The slow part of each of the K terms of a map, (terms + 1, K), and what is not, (K, points y, points x)."""
+        maps = field.sampled(*self.step).double()
+        slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T).solution
+        return slow, maps - (self.terms @ slow).T.reshape(maps.shape)
 
     def _maps(self, more: Sequence[Tensor]) -> Tensor:
         """Of all unknowns, (N, terms + 1, unknowns): what they make of each frame's slow part."""

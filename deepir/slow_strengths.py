@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import torch
 from torch import Tensor
@@ -34,7 +34,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
     strays = _strays(problem)
     if not (shadings or drifts or strays):
         return
-    evidence = _Evidence(problem, problem.closed_form())
+    evidence = _Evidence(problem, problem.closed_form(), strays)
     smooth, drift = evidence.most_likely(smooth=bool(shadings or strays), drift=bool(drifts))
     if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
         smooth = drift = 0.0
@@ -46,9 +46,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
             field.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
             field.init_from(evidence.levels(smooth, drift))
     for stray in strays:
-        slow = evidence.slow.of_terms(stray)[1:]
-        unit = slow.square().mean().sqrt() * len(stray.values) ** 0.5  # of shading for a strength of one
-        found = stray.coefficients.square().mean().sqrt() if stray.sigma > 0 else smooth / unit
+        found = stray.coefficients.square().mean().sqrt() if stray.sigma > 0 else smooth
         if not stray.given:
             stray.sigma.fill_(found)
         if start:
@@ -99,11 +97,15 @@ def _strays(problem: Problem) -> list[Terms]:
 class _Evidence:
     """How likely the slow parts of the frames are, for strengths (shading, drift); the scene's may be anything."""
 
-    def __init__(self, problem: Problem, eliminated: Collection[str]) -> None:
+    def __init__(self, problem: Problem, eliminated: Collection[str], strays: Sequence[Terms] = ()) -> None:
         values = problem.values()
         self.slow = Slow(problem, tuple(values["scene"].shape))
         variance = variances(problem, eliminated)
         self.expected = expected(variance, self.slow.frame)
+        #: Variances of the polynomials for a strength of one.
+        self.shape = torch.ones_like(self.expected)
+        if strays:
+            self.shape = torch.stack([self.slow.of_terms(each)[0][1:].square().sum(1) for each in strays]).sum(0)
         self.slow.doubt(self._chance(variance))
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = thinned(residual[:, None])
@@ -165,7 +167,7 @@ class _Evidence:
     def _prior(self, strengths: Tensor) -> Tensor:
         """Variances of φ and of the levels, (K, terms + N)."""
         smooth, drift = strengths[:, :1].square(), strengths[:, 1:].square()
-        return torch.cat((self.expected + smooth, drift.expand(-1, self.count)), 1)
+        return torch.cat((self.expected + smooth * self.shape, drift.expand(-1, self.count)), 1)
 
     def _posterior(self, smooth: float, drift: float) -> tuple[Tensor, Tensor]:
         """Means of (θ, level of the pattern) and of (φ, levels)."""

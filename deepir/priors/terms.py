@@ -48,14 +48,14 @@ class Terms(Field):
     def init_from(self, value: Tensor) -> None:
         """The nearest map, in the least squares sense."""
         rest = (value.to(self.values).expand(self.shape) - self.neutral).flatten()
-        terms = self.terms().flatten(1)
+        terms = self.sampled().flatten(1)
         rest = terms @ (rest - rest.mean())
         self.values.copy_(torch.linalg.lstsq(terms @ terms.T, rest[:, None]).solution[:, 0] / self.step)
 
-    def terms(self) -> Tensor:
-        """All of them, (terms, h, w)."""
+    def sampled(self, step_y: int = 1, step_x: int = 1) -> Tensor:
+        """All terms at each so manieth pixel, (terms, h / step_y, w / step_x)."""
         one = torch.eye(len(self.values), dtype=self.values.dtype, device=self.values.device)
-        return torch.stack([self.spread(each) for each in one])
+        return torch.stack([self.spread(each)[::step_y, ::step_x] for each in one])
 
     def penalty(self) -> Tensor | None:
         """`½ Σ a² / sigma²`."""
@@ -102,6 +102,18 @@ class DCT(Terms):
         table = coefficients.new_zeros(len(self.in_y), len(self.in_x))
         table = table.index_put((self.of_y, self.of_x), self.size.to(coefficients) * coefficients)
         return self.in_y.T.to(table) @ table @ self.in_x.to(table)
+
+    def sampled(self, step_y: int = 1, step_x: int = 1) -> Tensor:
+        """All terms, as above, from the cosines."""
+        y, x = self.in_y[self.of_y, ::step_y], self.in_x[self.of_x, ::step_x]
+        return (self.size[:, None] * y)[..., None] * x[:, None]
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """The nearest map: the cosines are orthogonal."""
+        rest = (value.to(self.values).expand(self.shape) - self.neutral)[0, 0]
+        table = self.in_y.to(rest) @ rest @ self.in_x.T.to(rest) / rest.numel()
+        self.values.copy_(table[self.of_y, self.of_x] / self.size / self.step)
 
     @classmethod
     def example(cls) -> DCT:
