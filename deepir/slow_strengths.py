@@ -35,7 +35,9 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
     if not (shadings or drifts or strays):
         return
     evidence = _Evidence(problem, problem.closed_form(), strays)
-    smooth, drift = evidence.most_likely(smooth=bool(shadings or strays), drift=bool(drifts))
+    # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
+    sure = not (start and strays)
+    smooth, drift = evidence.most_likely(smooth=bool(shadings or strays), drift=bool(drifts) and sure)
     if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
         smooth = drift = 0.0
     for part in shadings:
@@ -115,6 +117,9 @@ class _Evidence:
         levels = self.slow.levels()
         self.normal = self.slow.normal(levels)
         self.rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels)
+        for each in strays:  # the residual is without what is known of them
+            slow = self.slow.of_terms(each)[0] @ each.coefficients.double()
+            self.rhs += self.normal[:, self.free - 1 : self.free + len(self.expected)] @ slow
         a, b = self.normal[: self.free, : self.free], self.normal[: self.free, self.free :]
         a = a + 1e-9 * a.diagonal().mean() * torch.eye(self.free, dtype=a.dtype, device=a.device)
         self.back = torch.linalg.solve(a, torch.cat((b, self.rhs[: self.free, None]), 1))
@@ -195,22 +200,15 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
     closed = problem.closed_form()
     values = dict(values)
     problem.eliminate(values, closed)
-    for name, field in problem.fields.items():
-        if isinstance(field, Terms):
-            values[name] = values[name] - _slow_part(values[name], frame)
     quick = {}
     for kind, neutral in (("gain", 1.0), ("offset", 0.0)):
         name = problem.slots[f"{problem.operator.named()[-1][0]}.{kind}"]
         quick[kind] = values[name]
         if name in closed:
-            quick[kind] = quick[kind] - _slow_part(values[name] - neutral, frame)
+            own = (values[name] - neutral)[0, 0].double()
+            slow = own.mean() + frame.spread(frame.sums(own) / own.numel())
+            quick[kind] = quick[kind] - slow.to(quick[kind])
     return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"])[:, 0]
-
-
-def _slow_part(value: Tensor, frame: Shading) -> Tensor:
-    """Level and polynomials of a map (1, 1, h, w), (h, w)."""
-    own = value[0, 0].double()
-    return (own.mean() + frame.spread(frame.sums(own) / own.numel())).to(value)
 
 
 def shifts(problem: Problem) -> Tensor:

@@ -26,9 +26,8 @@ class Narcissus(NUC):
         """As in `nuc`."""
         start_precision(problem)
         start_scene(problem)
-        start_parts(problem)
         estimate_slow(problem, start=True)
-        problem.fields["gain"].init_from(problem.data.new_ones(()))
+        start_parts(problem)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
 
