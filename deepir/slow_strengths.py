@@ -30,30 +30,29 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
 
     Stray flux is shading of another shape: there is some if there is shading, and it is as strong as it was found.
     """
-    shadings, drifts = _unknown(problem)
-    strays = _strays(problem)
-    if not (shadings or drifts or strays):
+    shadings, stray, drifts = _unknown(problem)
+    if not (shadings or stray or drifts):
         return
-    evidence = _Evidence(problem, problem.closed_form(), strays)
+    evidence = _Evidence(problem, problem.closed_form(), stray)
     # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
-    sure = not (start and strays)
-    smooth, drift = evidence.most_likely(smooth=bool(shadings or strays), drift=bool(drifts) and sure)
+    sure = not (start and stray)
+    smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
     if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
         smooth = drift = 0.0
+    step = problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5
     for part in shadings:
         part.sigma.fill_(smooth)
     for field in drifts:
         field.sigma.fill_(drift)
         if start:
-            field.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
+            field.step.copy_(step)
             field.init_from(evidence.levels(smooth, drift))
-    for stray in strays:
-        found = stray.coefficients.square().mean().sqrt() if stray.sigma > 0 else smooth
-        if not stray.given:
-            stray.sigma.fill_(found)
+    for each in stray:
+        if not each.given:
+            each.sigma.copy_(each.coefficients.square().mean().sqrt() if each.sigma > 0 and smooth else smooth)
         if start:
-            stray.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
-            stray.init_from(evidence.slow_pattern(smooth, drift))
+            each.step.copy_(step)
+            each.init_from(evidence.slow_pattern(smooth, drift))
     if start and (smooth or drift):
         scene = problem.fields["scene"]
         scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
@@ -62,10 +61,11 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
 @torch.no_grad()
 def shading_message(problem: Problem) -> list[str]:
     """Say so if too few frames are shaded."""
-    shadings, drifts = _unknown(problem)
-    if not shadings or len(problem.data) >= ENOUGH:
+    shadings, stray, drifts = _unknown(problem)
+    if not (shadings or stray) or len(problem.data) >= ENOUGH:
         return []
-    smooth, _ = _Evidence(problem, problem.closed_form()).most_likely(smooth=True, drift=bool(drifts))
+    evidence = _Evidence(problem, problem.closed_form(), stray)
+    smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
     if not smooth:
         return []
     return [
@@ -74,26 +74,28 @@ def shading_message(problem: Problem) -> list[str]:
     ]
 
 
-def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
-    """Shadings of the offset and drifts whose strengths are to be found; none unless a warp makes the frames."""
+def _unknown(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
+    """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
     first = problem.operator.named()[0][1]
     if not isinstance(first, Warp) or first.size != problem.data.shape[-2:] or len(problem.data) < 2:
-        return [], []
+        return [], [], []
     closed, free = problem.closed_form(), problem.free()
     offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]
     parts = [part for name in offsets for part in problem.fields[name].parts()]
     fields = [problem.fields[name] for name in free]
     return (
         [part for part in parts if isinstance(part, Shading) and not part.given],
+        strays(problem),
         [field for field in fields if isinstance(field, Drift) and not field.given],
     )
 
 
-def _strays(problem: Problem) -> list[Terms]:
+def strays(problem: Problem) -> list[Terms]:
     """Free maps that are added before the sensor."""
     stages = dict(problem.operator.named())
-    names = [name for slot, name in problem.slots.items() if isinstance(stages[slot.rpartition(".")[0]], Add)]
-    return [field for name in names if name in problem.free() and isinstance(field := problem.fields[name], Terms)]
+    added = {name for slot, name in problem.slots.items() if isinstance(stages[slot.rpartition(".")[0]], Add)}
+    fields = [problem.fields[name] for name in problem.free() if name in added]
+    return [field for field in fields if isinstance(field, Terms)]
 
 
 class _Evidence:

@@ -15,13 +15,17 @@ class Terms(Field):
     """`neutral + Σ a_i t_i` over the frame; the terms t_i have mean zero, and a_i the standard deviation `sigma`.
 
     `sigma`, in the data's units, is estimated from the burst if it is not given; without strength the map is zero.
-    A subclass says what the terms are: how much of each (a smooth map has little of those that are fine) is in them.
+    A subclass says what the terms are, waves of a mean square of `1 / frequency⁴`, in half waves over the longer side:
+    the prior is `½ Σ |Δ s|²`, that of a bent plate.
     """
 
     sigma: Tensor
     step: Tensor
+    frequency: Tensor
 
-    def __init__(self, shape: Shape, neutral: float, count: int, *, sigma: float | None = None) -> None:
+    def __init__(
+        self, shape: Shape, neutral: float, frequency: Tensor, *, sigma: float | None = None
+    ) -> None:
         super().__init__(shape, neutral)
         if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
             raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
@@ -29,7 +33,8 @@ class Terms(Field):
         self.register_buffer("sigma", torch.tensor(sigma or 0.0))
         #: What a coefficient moves for a step of one: all pixels feel it, see `Field`.
         self.register_buffer("step", torch.tensor(1.0))
-        self.values = nn.Parameter(torch.zeros(count))
+        self.register_buffer("frequency", frequency, persistent=False)
+        self.values = nn.Parameter(torch.zeros(len(frequency)))
 
     def spread(self, coefficients: Tensor) -> Tensor:
         """The map (h, w) of coefficients (terms,)."""
@@ -64,17 +69,15 @@ class Terms(Field):
 
 @register("field", "dct")
 class DCT(Terms):
-    """Cosines of up to `order` half waves along each axis, without the constant: what is smooth.
-
-    The standard deviation of a wave falls as its frequency squared: the prior is `½ Σ |Δ s|²`, a bent plate's.
-    """
+    """Cosines of up to `order` half waves over the longer side, without the constant: what is smooth."""
 
     in_y: Tensor
     in_x: Tensor
-    size: Tensor
+    of_y: Tensor
+    of_x: Tensor
 
     def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, order: int = 12, sigma: float | None = None
+        self, shape: Shape, neutral: float = 0.0, *, order: int = 20, sigma: float | None = None
     ) -> None:
         if order < 1:
             raise ValueError(f"order must be at least 1, not {order}")
@@ -85,35 +88,31 @@ class DCT(Terms):
             torch.arange(min(order + 1, width)) * longer / width,
             indexing="ij",
         )
-        squared = y.square() + x.square()  # half waves along the longer side
-        kept = (squared > 0) & (squared <= order**2)
-        super().__init__(shape, neutral, int(kept.sum()), sigma=sigma)
+        frequency = torch.hypot(y, x)
+        kept = (frequency > 0) & (frequency <= order)
+        super().__init__(shape, neutral, frequency[kept], sigma=sigma)
         self.register_buffer("of_y", kept.nonzero()[:, 0], persistent=False)
         self.register_buffer("of_x", kept.nonzero()[:, 1], persistent=False)
-        self.register_buffer("size", 1 / squared[kept], persistent=False)
         for name, side, count in (("in_y", height, y.shape[0]), ("in_x", width, x.shape[1])):
             self.register_buffer(name, _cosines(side, count), persistent=False)
-
-    of_y: Tensor
-    of_x: Tensor
 
     def spread(self, coefficients: Tensor) -> Tensor:
         """Products of cosines along y and x."""
         table = coefficients.new_zeros(len(self.in_y), len(self.in_x))
-        table = table.index_put((self.of_y, self.of_x), self.size.to(coefficients) * coefficients)
+        table = table.index_put((self.of_y, self.of_x), coefficients / self.frequency.to(coefficients).square())
         return self.in_y.T.to(table) @ table @ self.in_x.to(table)
 
     def sampled(self, step_y: int = 1, step_x: int = 1) -> Tensor:
         """All terms, as above, from the cosines."""
         y, x = self.in_y[self.of_y, ::step_y], self.in_x[self.of_x, ::step_x]
-        return (self.size[:, None] * y)[..., None] * x[:, None]
+        return (y / self.frequency[:, None].square())[..., None] * x[:, None]
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """The nearest map: the cosines are orthogonal."""
         rest = (value.to(self.values).expand(self.shape) - self.neutral)[0, 0]
         table = self.in_y.to(rest) @ rest @ self.in_x.T.to(rest) / rest.numel()
-        self.values.copy_(table[self.of_y, self.of_x] / self.size / self.step)
+        self.values.copy_(table[self.of_y, self.of_x] * self.frequency.square() / self.step)
 
     @classmethod
     def example(cls) -> DCT:
@@ -131,35 +130,33 @@ def _cosines(side: int, count: int) -> Tensor:
 
 @register("field", "radial")
 class Radial(Terms):
-    """A profile about `centre` (y, x), in px from the frame's: cosines of up to `order` half waves of the radius.
+    """A profile about `centre` (y, x), in px from the frame's: cosines of up to `order` half waves of the longest radius.
 
-    What lenses send back is so about their axis: a spot, a ring, darker corners. The standard deviation falls as the
-    square of the frequency.
+    What lenses send back is so about their axis: a spot, a ring, darker corners.
     """
 
     profile: Tensor
     near: Tensor
     share: Tensor
-    mean: Tensor
 
     def __init__(
         self,
         shape: Shape,
         neutral: float = 0.0,
         *,
-        order: int = 12,
+        order: int = 20,
         centre: tuple[float, float] = (0.0, 0.0),
         sigma: float | None = None,
     ) -> None:
         if order < 1:
             raise ValueError(f"order must be at least 1, not {order}")
-        super().__init__(shape, neutral, order, sigma=sigma)
         y, x = (torch.arange(side) - (side - 1) / 2 - at for side, at in zip(shape[-2:], centre, strict=True))
         radius = torch.hypot(y[:, None], x)
         count = int(radius.max()) + 2
+        super().__init__(shape, neutral, torch.arange(1, order + 1) * max(shape[-2:]) / count, sigma=sigma)
         self.register_buffer("near", radius.long(), persistent=False)
         self.register_buffer("share", radius - radius.floor(), persistent=False)
-        waves = _cosines(count, order + 1)[1:] / torch.arange(1, order + 1)[:, None].square()
+        waves = _cosines(count, order + 1)[1:] / self.frequency[:, None].square()
         self.register_buffer("profile", waves, persistent=False)
 
     def spread(self, coefficients: Tensor) -> Tensor:
