@@ -94,13 +94,16 @@ def curvature(
 def modelled(problem: Problem) -> bool:
     """Whether the model holds: for pixels that a moving sensor sees, whose lines' gains do not differ by much.
 
-    Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone.
+    Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone. Not
+    so where there is stray flux to be found: along slow waves it is lost without.
     """
     stages = [type(stage) for _, stage in problem.operator.named()]
     if stages not in ([Warp, Sensor], [Warp, Add, Sensor]) or len(problem.data) < 2:
         return False
     if not isinstance(problem.fields["scene"], Pixels):
         return False
+    if any(isinstance(problem.fields[name], Terms) for name in problem.free()):
+        return True
     gains = problem.fields[problem.slots["sensor.gain"]].parts()
     return not any(part.along in (COLUMN, ROW) and part.sigma > LINES for part in gains)
 

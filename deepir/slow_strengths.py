@@ -19,7 +19,7 @@ from deepir.slow import Slow, expected, variances
 from deepir.thin import thinned
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
-ENOUGH = 4  # frames to tell shading from the scene
+ENOUGH, ENOUGH_STRAY = 4, 3  # frames to tell shading from the scene, and stray flux, which is mostly stronger
 CERTAIN = 5  # nats by which shading or drift have to make the frames likelier
 RARE = 15  # the same of a drift where it may be shading, which is far more common
 
@@ -37,7 +37,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
     # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
     sure = not (start and stray)
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
-    if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
+    if smooth and len(problem.data) < _enough(stray):  # then a drift is not told from it either
         smooth = drift = 0.0
     step = problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5
     for part in shadings:
@@ -62,7 +62,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
 def shading_message(problem: Problem) -> list[str]:
     """Say so if too few frames are shaded."""
     shadings, stray, drifts = _unknown(problem)
-    if not (shadings or stray) or len(problem.data) >= ENOUGH:
+    if not (shadings or stray) or len(problem.data) >= _enough(stray):
         return []
     evidence = _Evidence(problem, problem.closed_form(), stray)
     smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
@@ -70,8 +70,12 @@ def shading_message(problem: Problem) -> list[str]:
         return []
     return [
         f"the frames are shaded, which {len(problem.data)} of them do not tell from the scene: it is left in. "
-        f"Take {ENOUGH} or more"
+        f"Take {_enough(stray)} or more"
     ]
+
+
+def _enough(stray: Sequence[Terms]) -> int:
+    return ENOUGH_STRAY if stray else ENOUGH
 
 
 def _unknown(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
