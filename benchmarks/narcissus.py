@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from nuc_oracle import aligned, oracle
-from nuc_regimes import COUNTS, UNIT, picture
+from nuc_regimes import CLEAN, COUNTS, UNIT, picture
 from nuc_store import kept
 
 import deepir
@@ -28,7 +28,7 @@ SEED = 301
 PRIORS = ("tv", "red", "tgv")
 VERSION = 1  # to be raised with a change that gives other oracles
 HEADER = (
-    f"| camera | stray flux | % | picture | nuc | {' | '.join(PRIORS)} | oracle | gap | stray flux left, % | seconds |\n"
+    f"| camera | stray flux | % | picture | nuc | {' | '.join(PRIORS)} | oracle | gap | left, % | seconds |\n"
     f"|{'---|' * (9 + len(PRIORS))}"
 )
 
@@ -58,7 +58,7 @@ def report(*, fresh: bool) -> Iterator[str]:
     for i, (camera, shape, strength) in enumerate(cases()):
         name = PICTURES[i % len(PICTURES)]
         scene = picture(name)
-        settings = Settings(stray=strength, stray_shape=shape, **({"shading": 0.0} | CAMERAS[camera]))
+        settings = Settings(stray=strength, stray_shape=shape, **(CLEAN | CAMERAS[camera]))
         sim = simulate(scene, settings, seed=SEED + i)
         best = told(sim, scene, name, fresh=fresh)
         found = {"nuc": deepir.run("nuc", frames=sim.frames)}
@@ -84,7 +84,8 @@ def told(sim: Simulation, scene: np.ndarray, name: str, *, fresh: bool) -> float
     """The oracle's PSNR."""
     truth = sim.truth
     whole = dataclasses.replace(truth, offset=truth.offset + truth.gain * truth.stray)
-    key = ["narcissus", name, dataclasses.asdict(sim.settings), sim.seed, float(sim.frames.sum(dtype=np.float64)), VERSION]
+    total = float(sim.frames.sum(dtype=np.float64))
+    key = ["narcissus", name, dataclasses.asdict(sim.settings), sim.seed, total, VERSION]
 
     def make() -> dict[str, np.ndarray]:
         return {"psnr": np.array(oracle(dataclasses.replace(sim, truth=whole), scene))}

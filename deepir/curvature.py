@@ -54,7 +54,8 @@ class Curvature:
         self.others = [i for i, f in enumerate(mine) if isinstance(f, Drift | Terms) and f.sigma > 0]
         slow = Slow(problem, tuple(parameters[self.scene].shape))
         self.basis = slow.scene
-        self.tensors = _tensors(problem, mine, slow, [mine[i] for i in self.others], eliminated)
+        others: Any = [mine[i] for i in self.others]
+        self.tensors = _tensors(problem, mine, slow, others, eliminated)
         self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()

@@ -230,9 +230,8 @@ def _result(
             result.extra[name] = value.squeeze()
     result.frames_used, result.history, result.messages = used, solution.history, messages
     gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
-    to_gauge(
-        result, known_gain=not any(name in problem.free() for name in gains), flux=stray_names(problem)
-    )
+    known = not any(name in problem.free() for name in gains)
+    to_gauge(result, known_gain=known, flux=added_flux(problem))
     cost = pattern_cost(problem)
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
     result.uncertainty = maps | {"scene": maps["scene"][y0:y1, x0:x1]}
@@ -249,11 +248,11 @@ def _result(
     return result
 
 
-def stray_names(problem: Problem) -> list[str]:
-    """The unknowns that are added to the scene's flux in front of a sensor."""
-    stages = problem.operator.named()
-    before = {name for name, stage in stages[:-1] if isinstance(stage, Add) and isinstance(stages[-1][1], Sensor)}
-    return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in before]
+def added_flux(problem: Problem) -> list[str]:
+    """The unknowns that are added to the scene's flux in front of the sensor."""
+    *before, (_, last) = problem.operator.named()
+    added = {name for name, stage in before if isinstance(stage, Add) and isinstance(last, Sensor)}
+    return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in added]
 
 
 def cost_message(cost: float, n_frames: int) -> list[str]:

@@ -21,21 +21,18 @@ def flattest(frame: Tensor, usable: Tensor, field: Terms) -> Tensor:
     By reweighted least squares. Edges of the scene are few and steep, and count little; a slope of the scene itself is
     taken for stray flux.
     """
-    frame, known = frame.double(), usable.double()
+    one = torch.eye(len(field.values), dtype=frame.dtype, device=frame.device)
+    terms = torch.stack([field.spread(each) for each in one[field.frequency <= SLOW]])
     side = max(1, min(frame.shape) // SIDE)
-    share = F.avg_pool2d(known[None, None], side)
-    terms = torch.stack([field.spread(each) for each in torch.eye(len(field.values))[field.frequency <= SLOW]])
-    maps = torch.cat((frame[None], terms.double()))[:, None]
-    maps = (F.avg_pool2d(maps * known, side) / share.clamp(min=1e-6))[:, 0]
-    (right, sure_right), (down, sure_down) = (
-        (maps.diff(dim=axis).flatten(1), (share[0, 0] > 0.5).double().unfold(axis % 2, 2, 1).amin(-1).flatten())
-        for axis in (2, 1)
-    )
-    slopes, sure = torch.cat((right, down), 1), torch.cat((sure_right, sure_down))
+    share = F.avg_pool2d(usable.double()[None], side)
+    maps = F.avg_pool2d(torch.cat((frame[None], terms)).double() * usable, side) / share.clamp(min=1e-6)
+    known = (share > 0.5).double()
+    slopes = torch.cat([maps.diff(dim=axis).flatten(1) for axis in (1, 2)], 1)
+    sure = torch.cat([known.unfold(axis, 2, 1).amin(-1).flatten() for axis in (1, 2)])
     noise = max(2**0.5 * sample_noise(frame[None], usable[None]) / side, 1e-9 * float(slopes[0].abs().max()))
     found = slopes.new_zeros(len(terms))
     for _ in range(ROUNDS):
-        rest = (slopes[0] - found @ slopes[1:]).abs()
-        weighted = slopes[1:] * (sure / rest.clamp(min=noise))
+        left = (slopes[0] - found @ slopes[1:]).abs()
+        weighted = slopes[1:] * (sure / left.clamp(min=noise))
         found = torch.linalg.lstsq(weighted @ slopes[1:].T, weighted @ slopes[0][:, None]).solution[:, 0]
     return torch.tensordot(found, terms.double(), 1)

@@ -49,7 +49,8 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
             field.init_from(evidence.levels(smooth, drift))
     for each in stray:
         if not each.given:
-            each.sigma.copy_(each.coefficients.square().mean().sqrt() if each.sigma > 0 and smooth else smooth)
+            known = bool(smooth) and bool(each.sigma > 0)
+            each.sigma.fill_(float(each.coefficients.square().mean().sqrt()) if known else smooth)
         if start:
             each.step.copy_(step)
             each.init_from(evidence.slow_pattern(smooth, drift))
@@ -113,7 +114,9 @@ class _Evidence:
         #: Variances of the polynomials for a strength of one.
         self.shape = torch.ones_like(self.expected)
         if strays:
-            self.shape = torch.stack([self.slow.of_terms(each)[0][1:].square().sum(1) for each in strays]).sum(0)
+            self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
+                0
+            )
         self.slow.doubt(self._chance(variance))
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = thinned(residual[:, None])

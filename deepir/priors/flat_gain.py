@@ -35,7 +35,9 @@ class FlatGain(Constant):
         rise = second - first
         typical = rise.nanmedian()
         if not typical > 0:
-            raise ConfigError(f"{hot} is not hotter than {cold}: it rises by {float(typical):g} in the median")
+            raise ConfigError(
+                f"{hot} is not hotter than {cold}: it rises by {float(typical):g} in the median"
+            )
         gain = rise / typical
         answers = gain.isfinite() & (gain > 0.1) & (gain < 10)
         self.values.copy_(torch.where(answers, gain / gain[answers].mean(), torch.ones_like(gain)))

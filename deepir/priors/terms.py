@@ -99,7 +99,8 @@ class DCT(Terms):
     def spread(self, coefficients: Tensor) -> Tensor:
         """Products of cosines along y and x."""
         table = coefficients.new_zeros(len(self.in_y), len(self.in_x))
-        table = table.index_put((self.of_y, self.of_x), coefficients / self.frequency.to(coefficients).square())
+        sized = coefficients / self.frequency.to(coefficients).square()
+        table = table.index_put((self.of_y, self.of_x), sized)
         return self.in_y.T.to(table) @ table @ self.in_x.to(table)
 
     def sampled(self, step_y: int = 1, step_x: int = 1) -> Tensor:
@@ -130,7 +131,7 @@ def _cosines(side: int, count: int) -> Tensor:
 
 @register("field", "radial")
 class Radial(Terms):
-    """A profile about `centre` (y, x), in px from the frame's: cosines of up to `order` half waves of the longest radius.
+    """A profile about `centre` (y, x), in px from the frame's: cosines of up to `order` half waves of the radius.
 
     What lenses send back is so about their axis: a spot, a ring, darker corners.
     """

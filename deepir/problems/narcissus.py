@@ -55,9 +55,9 @@ class Narcissus(NUC):
         first, *others = super().plan(problem)
         closed = problem.closed_form()
         still = tuple(name for name in problem.free() if name not in closed and name != "motion")
-        offset = tuple(name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed)
+        offset = [Step((name,), "eliminate") for name in closed if name == "offset"]
         return [
-            Stage("stray", (Step(still), *((Step(offset, "eliminate"),) if offset else ())), 40),
+            Stage("stray", (Step(still), *offset), 40),
             Stage(first.name, first.steps, first.iterations, prepare=_sensor),
             *others,
         ]

@@ -23,7 +23,8 @@ from deepir.simulate.stray import stray_flux
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
+    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics and pixel's box), on a grid `factor`
+    #: times as fine.
     scene: np.ndarray  # (Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
@@ -74,10 +75,8 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         DataError: The picture is no picture, or is too small for the frames and their motion.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(9)
-    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng, stray_rng = (
-        streams
-    )
+    *streams, stray_rng = np.random.default_rng(seed).spawn(9)
+    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams
     motion = move(settings, motion_rng)
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene

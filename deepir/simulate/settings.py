@@ -60,8 +60,10 @@ class Settings:
     walker_contrast: float = 0.3  # how much warmer than the scene's mean the person is, fraction of the range
     walker_speed: float = 8.0  # px that the person walks from frame to frame
     failed_frame: int = 0  # the frame of this number is of another place
-    stray: float = 0.0  # flux that is not the scene's, in front of the sensor: peak to peak, fraction of the range
-    stray_shape: str = "smooth"  # or radial (about the lens' axis), ring (a ghost), edge (a polariser's reflection)
+    stray: float = (
+        0.0  # flux in front of the sensor that is not the scene's, peak to peak, fraction of the range
+    )
+    stray_shape: str = "smooth"  # or radial (about an axis), ring (a ghost), edge (a polariser's reflection)
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
