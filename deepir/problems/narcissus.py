@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import torch
 
+from deepir.build import MARGIN
 from deepir.errors import ConfigError
 from deepir.one_frame import flattest
-from deepir.operators import Add
+from deepir.operators import Add, Warp
 from deepir.priors.constant import Constant
 from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.problems.definition import start_precision, start_scene
 from deepir.problems.nuc import NUC, WEAK
-from deepir.registry import register
+from deepir.registration import register as register_frames
+from deepir.registration.motion import PARAMETERS
+from deepir.registry import lookup, register
 from deepir.slow_strengths import estimate_slow, strays
 from deepir.solve import Stage, Step
 from deepir.strengths import hold_out, start_parts, weigh_scene
@@ -57,10 +60,29 @@ class Narcissus(NUC):
         still = tuple(name for name in problem.free() if name not in closed and name != "motion")
         offset = [Step((name,), "eliminate") for name in closed if name == "offset"]
         return [
-            Stage("stray", (Step(still), *offset), 40),
+            Stage("stray 1", (Step(still), *offset), 20),
+            Stage("stray 2", (Step(still), *offset), 20, prepare=_register),
             Stage(first.name, first.steps, first.iterations, prepare=_sensor),
             *others,
         ]
+
+
+@torch.no_grad()
+def _register(problem: Problem) -> None:
+    """Register the frames again, without stray flux and offset: strong ones, which stand still, draw frames along."""
+    values = problem.values()
+    dark = problem.predict(values | {"scene": torch.zeros_like(values["scene"])})
+    frames, usable = (problem.data - dark)[:, 0], problem.precision[:, 0] > 0
+    for name in problem.free():
+        field = problem.fields[name]
+        model = next((kind for kind in PARAMETERS if type(field) is lookup("field", kind)), None)
+        if model is None or not isinstance(first := problem.operator.named()[0][1], Warp):
+            continue
+        found = register_frames(frames.cpu(), model=model, ignore=~usable.any(0).cpu())
+        before = field().double().cpu()
+        apart = (found.motion - before)[:, :2, 2].abs().amax()
+        if found.used.all() and first.size == frames.shape[1:] and apart < MARGIN:
+            field.init_from(found.motion.to(problem.data.device))
 
 
 def _sensor(problem: Problem) -> None:
