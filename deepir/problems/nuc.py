@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from deepir.curvature import modelled
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene
+from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
-from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
+from deepir.strengths import (
+    hold_out,
+    measure_roughness,
+    update_noise,
+    update_strengths,
+    weigh_scene,
+)
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
@@ -30,8 +36,7 @@ class NUC(Definition):
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
         start_precision(problem)
-        start_scene(problem)
-        start_parts(problem)
+        start_scene_and_parts(problem)
         estimate_slow(problem, start=True)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
@@ -55,12 +60,11 @@ class NUC(Definition):
 
 
 def _update(problem: Problem) -> None:
-    update_noise(problem)
-    keep_gauge(problem)
-    update_parts(problem)
+    update_strengths(problem)
     weigh_scene(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
     update_noise(problem, settled=True)
+    measure_roughness(problem)
     weigh_scene(problem)
