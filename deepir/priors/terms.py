@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor, nn
 
-from deepir.priors.field import Field, Shape
+from deepir.priors.field import Shape
+from deepir.priors.strength import Held
 from deepir.registry import register
 
 
-class Terms(Field):
+class Terms(Held):
     """`neutral + Σ a_i t_i` over the frame; the terms t_i have mean zero, and a_i the standard deviation `sigma`.
 
     `sigma`, in the data's units, is estimated from the burst if it is not given; without strength the map is zero.
@@ -19,20 +18,12 @@ class Terms(Field):
     the prior is `½ Σ |Δ s|²`, that of a bent plate.
     """
 
-    sigma: Tensor
-    step: Tensor
     frequency: Tensor
 
     def __init__(
         self, shape: Shape, neutral: float, frequency: Tensor, *, sigma: float | None = None
     ) -> None:
-        super().__init__(shape, neutral)
-        if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
-            raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
-        self.given = sigma is not None
-        self.register_buffer("sigma", torch.tensor(sigma or 0.0))
-        #: What a coefficient moves for a step of one: all pixels feel it, see `Field`.
-        self.register_buffer("step", torch.tensor(1.0))
+        super().__init__(shape, neutral, sigma=sigma)
         self.register_buffer("frequency", frequency, persistent=False)
         self.values = nn.Parameter(torch.zeros(len(frequency)))
 

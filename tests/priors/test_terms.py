@@ -7,8 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import fft
 
-from deepir.errors import ConfigError
-from deepir.priors.flat_gain import FlatGain
 from deepir.priors.terms import DCT, Radial
 
 SIZE = (24, 30)
@@ -65,21 +63,3 @@ def test_what_is_about_the_axis_depends_on_the_distance_alone():
     field.init_from(torch.from_numpy(truth)[None, None].float())
     error = field()[0, 0].detach().numpy() - (truth - truth.mean())
     assert np.abs(error).max() < 0.02
-
-
-def test_a_gain_from_flat_frames_does_not_see_offset_and_stray_flux(tmp_path):
-    rng = np.random.default_rng(0)
-    gain, offset, stray = 1 + 0.1 * rng.standard_normal(SIZE), rng.random(SIZE), 5 * rng.random(SIZE)
-    gain /= gain.mean()
-    paths = {}
-    for name, flux in (("cold", 20.0), ("hot", 30.0)):
-        paths[name] = str(tmp_path / f"{name}.npy")
-        np.save(paths[name], np.stack([gain * (flux + stray) + offset] * 2))
-    found = FlatGain((1, 1, *SIZE), 1.0, **paths)()[0, 0].numpy()
-    np.testing.assert_allclose(found, gain, rtol=1e-5)
-    with pytest.raises(ConfigError, match="is not hotter than"):
-        FlatGain((1, 1, *SIZE), 1.0, cold=paths["hot"], hot=paths["cold"])
-    with pytest.raises(ConfigError, match="both 'cold' and 'hot'"):
-        FlatGain((1, 1, *SIZE), 1.0, cold=paths["cold"])
-    with pytest.raises(ConfigError, match=r"flat frames of \(9, 9\) px are wanted"):
-        FlatGain((1, 1, 9, 9), 1.0, **paths)

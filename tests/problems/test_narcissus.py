@@ -58,8 +58,8 @@ def test_without_stray_flux_none_is_found():
 def test_behind_a_known_gain_stray_flux_is_told_from_the_offset_by_the_gain_alone(tmp_path):
     """`g s` repeats the gain's pattern, an offset does not: that is all there is to tell them apart."""
     sim = record("smooth", offset_pixel=0.0, offset_column=0.0, offset_row=0.0)
-    np.save(tmp_path / "gain.npy", sim.truth.gain)
-    known = f"physics.sensor.gain={{type: constant, path: {tmp_path / 'gain.npy'}}}"
+    np.savez(tmp_path / "maps.npz", gain=sim.truth.gain, offset=sim.truth.offset)
+    known = f"physics.sensor.gain={{type: constant, path: {tmp_path / 'maps.npz'}, key: gain}}"
     result = deepir.run("narcissus", known, "physics.sensor.offset=0", frames=sim.frames, threads=1)
     assert (result.extra["stray"] - sim.truth.stray).std() < 0.03 * sim.truth.stray.std()
     np.testing.assert_allclose(result.gain, sim.truth.gain, rtol=1e-5)
