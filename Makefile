@@ -16,7 +16,7 @@ demo: setup  ## correct a simulated burst; results and pictures in runs/demo/
 	$(BIN)/deepir demo
 
 test: setup lint  ## lint and tests
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow and not matrix"
 
 test-all: setup lint  ## lint and all tests, the slow ones too
 	$(BIN)/python -m pytest
