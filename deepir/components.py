@@ -14,8 +14,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from deepir.errors import ConfigError, DeepIRError, nearest
 from deepir.registry import lookup
 
-#: Arguments that the problem supplies, never a configuration.
-CONTEXT = frozenset({"shape", "neutral", "size", "canvas", "origin", "ratio", "members"})
+#: Arguments that the problem, or the run of a method, supplies, never a configuration.
+CONTEXT = frozenset(
+    {"shape", "neutral", "size", "canvas", "origin", "ratio", "members"}
+    | {"burst", "config", "callbacks", "checkpoint"}
+)
 WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
 WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
 

@@ -20,6 +20,7 @@ from deepir.build import build
 from deepir.config import Config, load
 from deepir.errors import ConfigError
 from deepir.joint import plan
+from deepir.method import chosen
 from deepir.metrics import scores
 from deepir.registry import lookup
 from deepir.result import Result
@@ -66,7 +67,7 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
         DeepIRError: Whatever is wrong with the configuration, the files or the frames.
     """
     definition = lookup("problem", config.problem, "problem")
-    lookup("method", config.method, "method")
+    chosen(config)
     _check_device(config.device)
     data = bursts.load(config.data, frames=frames, needs=definition.frames, seed=config.seed)
     check_components(config, data)
@@ -92,7 +93,7 @@ def execute(
     """Run the method on data in memory; adds time, memory and scores to the metrics."""
     torch.manual_seed(config.seed)
     start = time.perf_counter()
-    method = lookup("method", config.method)
+    name, method = chosen(config)
     with threads.for_loops(config.threads), memory.kept():
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     seconds = time.perf_counter() - start
@@ -100,7 +101,7 @@ def execute(
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
     result.metrics = measured | unknown | result.metrics | _compared(result, data)
     result.metrics |= {
-        "method": config.method,
+        "method": name,
         "prior": config.prior,
         "frames": len(result.frames_used),
         "frames_used": int(result.frames_used.sum()),
