@@ -21,7 +21,7 @@ Array = np.ndarray[Any, Any]
 #: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.joint.registered`.
 Found = tuple[torch.Tensor | None, Array, list[str]]
 
-LEAST = 0.1  # gain below which a pixel tells nothing of the scene
+LEAST, MOST = 0.2, 5.0  # gains, in medians, beyond which a pixel is a bad one
 
 
 def pulled_back(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
@@ -89,13 +89,13 @@ def averaged(burst: Burst, config: Config, frames: Array, found: Found | None = 
 def corrected(burst: Burst, config: Config, gain: Array, offset: Array, found: Found | None = None) -> Result:
     """Correct the frames for a sensor's gain and offset, (h, w) in any gauge, then register and average them.
 
-    Pixels that hardly answer to flux become bad ones.
+    Pixels that hardly answer to flux, or far too much, become bad ones.
     """
-    good = ~burst.bad_pixels
-    gain = gain / gain[good].mean()
-    offset = offset - gain * offset[good].mean()
-    burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | (gain < LEAST))
-    result = averaged(burst, config, (burst.frames - offset) / gain.clip(min=LEAST), found)
+    gain = gain / np.median(gain[~burst.bad_pixels])
+    good = ~burst.bad_pixels & (gain > LEAST) & (gain < MOST)
+    gain = np.where(good, gain, 1.0)
+    burst = dataclasses.replace(burst, bad_pixels=~good)
+    result = averaged(burst, config, (burst.frames - offset) / gain, found)
     result.gain, result.offset = gain, offset
     to_gauge(result)
     return result
