@@ -15,7 +15,12 @@ from deepir.result import Result
 
 @register("method", "flat_field")
 def flat_field(
-    burst: Burst, config: Config, *, shutter: str | None = None, cold: str | None = None, hot: str | None = None
+    burst: Burst,
+    config: Config,
+    *,
+    shutter: str | None = None,
+    cold: str | None = None,
+    hot: str | None = None,
 ) -> Result:
     """Calibrate with frames of a uniform shutter, or of a cold and a hot black body; then register and average.
 
@@ -36,7 +41,9 @@ def flat_field(
         low = flat(cold, "cold", burst.size)
         gain = flat(hot, "hot", burst.size) - low
         if not np.median(gain) > 0:
-            raise DataError(f"{hot}: the frames are not hotter than those of {cold}; exchange method.cold and hot")
+            raise DataError(
+                f"{hot}: the frames are not hotter than those of {cold}; exchange method.cold and hot"
+            )
     level = flat(shutter, "shutter", burst.size) if shutter is not None else low
     good = ~burst.bad_pixels
     gain = gain / gain[good].mean()

@@ -30,9 +30,9 @@ def galms(
 ) -> Result:
     """Least mean squares towards a smoothed frame, in small steps at edges, and only where the scene has changed.
 
-    R. C. Hardie, F. Baxley, B. Brys, P. Hytla: Scene-based nonuniformity correction with reduced ghosting using a gated
-    LMS algorithm, Optics Express 17 (2009). The target is the corrected frame smoothed by a Gaussian of `radius` px; the
-    step is `rate / (1 + M^2 v)` with the local variance v (adaptive, Vera and Torres 2005); a pixel learns only when its
+    R. C. Hardie, F. Baxley, B. Brys, P. Hytla: Scene-based nonuniformity correction with reduced ghosting using a
+    gated LMS algorithm, Optics Express 17 (2009). The target is the corrected frame smoothed by a Gaussian of `radius`
+    px; the step is `rate / (1 + M^2 v)` with the local variance v (Vera and Torres 2005); a pixel learns only when its
     target has changed by `gate` of the range since it last did. A burst is played `passes` times, forth and back.
     """
     frames, low, span = scaled(whole(burst.frames, burst.valid & ~burst.bad_pixels))

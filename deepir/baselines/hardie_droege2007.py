@@ -23,7 +23,11 @@ from deepir.problems.definition import start_scene
 from deepir.registry import register
 from deepir.result import Result, neutral, to_gauge
 
-ROUNDS, ITERATIONS, TOLERANCE = 4, 60, 1e-3  # of Gauss-Newton; of conjugate gradients in each, at most, and their end
+ROUNDS, ITERATIONS, TOLERANCE = (
+    3,
+    60,
+    1e-3,
+)  # of Gauss-Newton; of conjugate gradients in each, at most, and their end
 KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[None, None]
 
 Positive = Annotated[float, Field(gt=0)]
@@ -60,7 +64,11 @@ def hardie_droege2007(
     with torch.no_grad():
         values, chain = problem.values(), Chain(dict(optics))
         z = values["scene"]
-        slots = {slot: values[name] for slot, name in problem.slots.items() if slot.partition(".")[0] in dict(optics)}
+        slots = {
+            slot: values[name]
+            for slot, name in problem.slots.items()
+            if slot.partition(".")[0] in dict(optics)
+        }
         model = Model(
             look=lambda z: chain(z, **slots),
             back=lambda y: chain.adjoint(y, tuple(z.shape), **slots),
@@ -95,7 +103,11 @@ class Model:
     precisions: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
 
     def find_strengths(
-        self, average: Tensor, scene: float | None = None, gain: float | None = None, bias: float | None = None
+        self,
+        average: Tensor,
+        scene: float | None = None,
+        gain: float | None = None,
+        bias: float | None = None,
     ) -> None:
         """Set the precisions: as given, or as the registered average and what the frames have beside it tell."""
         n = len(self.data)
@@ -109,9 +121,7 @@ class Model:
         pattern = max(float(squares.mean()), 1e-6 * noise**2)
         of_gain = gain**2 if gain else max(float(parts[0]), 1e-4 * pattern / float((level**2).mean()))
         of_bias = bias**2 if bias else max(float(parts[1]), 1e-4 * pattern)  # neither is ruled out
-        rough = float((rest(average) ** 2).mean())
-        known = 1.25 * (noise**2 + pattern) / n
-        of_scene = scene**2 if scene else max(rough - known, 0.01 * rough)
+        of_scene = scene**2 if scene else float((rest(average) ** 2).mean())
         self.precisions = (1 / noise**2, 1 / of_scene, 1 / of_gain, 1 / of_bias)
 
     def solve(self, z: Tensor) -> tuple[Tensor, int]:
