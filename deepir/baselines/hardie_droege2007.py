@@ -28,6 +28,7 @@ ROUNDS, ITERATIONS, TOLERANCE = (
     60,
     1e-3,
 )  # of Gauss-Newton; of conjugate gradients in each, at most, and their end
+WIDE = 2.0  # the prior of D z to its root mean square, which is that of edges and texture alike
 KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[None, None]
 
 Positive = Annotated[float, Field(gt=0)]
@@ -121,7 +122,7 @@ class Model:
         pattern = max(float(squares.mean()), 1e-6 * noise**2)
         of_gain = gain**2 if gain else max(float(parts[0]), 1e-4 * pattern / float((level**2).mean()))
         of_bias = bias**2 if bias else max(float(parts[1]), 1e-4 * pattern)  # neither is ruled out
-        of_scene = scene**2 if scene else float((rest(average) ** 2).mean())
+        of_scene = scene**2 if scene else WIDE**2 * float((rest(average) ** 2).mean())
         self.precisions = (1 / noise**2, 1 / of_scene, 1 / of_gain, 1 / of_bias)
 
     def solve(self, z: Tensor) -> tuple[Tensor, int]:
