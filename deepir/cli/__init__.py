@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 import deepir
+from deepir.cli.analyze import analyze
 from deepir.cli.batch import batch
 from deepir.cli.check import check
 from deepir.cli.compare import compare
@@ -33,6 +34,7 @@ app.command()(compare)
 app.command()(batch)
 app.command("list")(list_components)
 app.command()(check)
+app.command()(analyze)
 
 
 def _version(wanted: bool) -> None:

@@ -25,14 +25,14 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     figure = Figure(figsize=(12, 12 * 0.66 * height / width + 0.9), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.subplots(2, 3)
-    _picture(grid[0, 0], example, "raw frame", "gray")
-    _picture(grid[0, 1], result.scene, "scene", "gray")
+    draw_map(grid[0, 0], example, "raw frame", "gray")
+    draw_map(grid[0, 1], result.scene, "scene", "gray")
     if "scene" in result.uncertainty:
-        _picture(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", "viridis")
+        draw_map(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", "viridis")
     else:
-        _picture(grid[0, 2], result.scene, "scene, inferno", "inferno")
-    _picture(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
-    _picture(grid[1, 1], result.offset, f"offset (σ {result.offset.std():.3g})", "RdBu_r", centre=0.0)
+        draw_map(grid[0, 2], result.scene, "scene, inferno", "inferno")
+    draw_map(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
+    draw_map(grid[1, 1], result.offset, f"offset (σ {result.offset.std():.3g})", "RdBu_r", centre=0.0)
     _loss(grid[1, 2], result.history)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
@@ -40,7 +40,8 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
         part.write_bytes(buffer.getvalue())
 
 
-def _picture(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
+def draw_map(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
+    """A map (h, w) with its scale; colours are even about the centre, where there is one."""
     low, high = np.nanpercentile(image, [0.5, 99.5])
     if centre is not None:
         reach = max(high - centre, centre - low, 1e-6)
