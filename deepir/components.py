@@ -20,6 +20,7 @@ CONTEXT = frozenset(
     | {"burst", "config", "callbacks", "checkpoint"}
 )
 WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
+SIMPLE = frozenset(kind.__name__ for kind in WANTED)
 WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
 
 
@@ -45,7 +46,8 @@ def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context
 @functools.cache
 def options_schema(component: Any) -> type[BaseModel]:
     """What a configuration may set: the constructor's arguments less the context, with types and defaults."""
-    hints = typing.get_type_hints(component.__init__ if inspect.isclass(component) else component)
+    hinted = component.__init__ if inspect.isclass(component) else component
+    hints = typing.get_type_hints(hinted, include_extras=True)
     fields: dict[str, Any] = {
         name: (hints.get(name, Any), ... if p.default is p.empty else p.default)
         for name, p in inspect.signature(component).parameters.items()
@@ -122,6 +124,8 @@ def annotation_of(schema: type[BaseModel], path: str) -> Any:
 def _steps(schema: Any, loc: tuple[int | str, ...]) -> Iterator[tuple[str, Any]]:
     """A path's keys with their types; the names that pydantic gives to a union's branches are left out."""
     for part in loc:
+        if len(_alternatives(schema)) > 1 and (part in SIMPLE or str(part).startswith("dict[")):
+            return  # pydantic's name of a branch that has no keys of its own
         models = [each for each in _alternatives(schema) if hasattr(each, "model_fields")]
         inner = next((m.model_fields[part].annotation for m in models if part in m.model_fields), None)
         if inner is None and (branch := next((m for m in models if m.__name__ == part), None)):

@@ -1,6 +1,9 @@
 """The method of a configuration, and its options."""
 
+from typing import Annotated
+
 import pytest
+from pydantic import Field
 
 from deepir import registry
 from deepir.config import dump, load, read
@@ -15,7 +18,7 @@ def mine(monkeypatch):
     monkeypatch.setattr(registry, "_components", {k: dict(v) for k, v in registry._components.items()})
 
     @register("method", "mine")
-    def mine(burst, config, *, times: int = 1):
+    def mine(burst, config, *, times: Annotated[int, Field(ge=1)] = 1):
         """Of one's own."""
         return burst, times
 
@@ -44,6 +47,7 @@ def test_options_are_written_and_read_back(mine, tmp_path):
         (["method=mines"], "method: no method is called 'mines'; did you mean 'mine'"),
         (["method=mine", "method.tims=3"], "method 'mine': no option 'tims'; did you mean 'times'"),
         (["method=mine", "method.times=x"], "method 'mine': times = 'x': a whole number is needed"),
+        (["method=mine", "method.times=0"], "times = 0: it must be greater than or equal to 1"),
         (["method=mine", "method.burst=x"], "method 'mine': no option 'burst'"),
         (["method.times=3"], "method 'joint': no option 'times'"),
     ],
