@@ -30,18 +30,27 @@ def pulled_back(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) 
     What no frame shows is filled in.
     """
     height, width = (round(ratio * side) for side in frames.shape[1:])
-    y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in (height, width))
-    points = np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
-    centre = np.array([[(side - 1) / 2] for side in (*frames.shape[:0:-1], 1)])
     total, count = np.zeros((2, height, width))
     for frame, good, back in zip(whole(frames, valid), valid, np.linalg.inv(motion), strict=True):
-        at = back @ points
-        at = ((at / at[2]) + centre)[1::-1].reshape(2, height, width)
+        at = indices(places(back, (height, width), ratio), frame.shape)
         seen = ndimage.map_coordinates(good.astype(np.float32), at, order=1, cval=0) > 0.99
         total += seen * ndimage.map_coordinates(frame, at, order=3, mode="mirror")
         count += seen
     mean = torch.from_numpy(total / count.clip(min=1))[None, None]
     return filled(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
+
+
+def places(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Where the pixels of a grid (h, w), `ratio` times as fine as a frame, look: (y, x) from the centre, (2, h, w)."""
+    y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
+    at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
+    return np.asarray((at[1::-1] / at[2]).reshape(2, *size))
+
+
+def indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Indices into an array (h, w), `ratio` times as fine as a frame, of places (2, ...) from the centre."""
+    middle = (np.array(shape) - 1) / 2
+    return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
 
 
 def whole(frames: Array, valid: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.baselines.average import Array, corrected, find, whole
+from deepir.baselines.average import Array, corrected, find, indices, places, whole
 from deepir.baselines.online import played, scaled, sensor
 from deepir.burst import Burst
 from deepir.config import Config
@@ -53,8 +53,5 @@ def learned(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple
 
 def moved(frame: Array, step: Array) -> Array:
     """A frame (h, w) as it looks after a pull (3, 3), by bilinear interpolation; NaN where it did not see."""
-    height, width = frame.shape
-    y, x = ((np.arange(side) - (side - 1) / 2) for side in (height, width))
-    at = step @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
-    at = (at / at[2])[1::-1].reshape(2, height, width) + np.array([[[(height - 1) / 2]], [[(width - 1) / 2]]])
+    at = indices(places(step, frame.shape), frame.shape)
     return ndimage.map_coordinates(frame, at, order=1, cval=np.nan)

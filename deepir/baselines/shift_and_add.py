@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from deepir.baselines.average import Array, averaged, find
+from deepir.baselines.average import Array, averaged, find, indices, places
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -33,15 +33,10 @@ def added(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) ->
 
     A hole takes the mean of what is about it, weighted by a Gaussian as narrow as reaches anything.
     """
-    height, width = frames.shape[1:]
-    ratio = shape[0] / height
-    y, x = (np.arange(side) - (side - 1) / 2 for side in (height, width))
-    points = np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
+    ratio = shape[0] / frames.shape[1]
     total, count = np.zeros((2, *shape))
     for frame, good, forth in zip(frames, valid, motion, strict=True):
-        at = forth @ points
-        at = ratio * (at / at[2])[1::-1] + (np.array(shape)[:, None] - 1) / 2
-        row, column = np.rint(at).astype(int)
+        row, column = np.rint(indices(places(forth, frame.shape), shape, ratio)).astype(int).reshape(2, -1)
         inside = good.ravel() & (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
         np.add.at(total, (row[inside], column[inside]), frame.ravel()[inside])
         np.add.at(count, (row[inside], column[inside]), 1)
