@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
-from deepir.baselines.average import Array, corrected, find, pulled_back, whole
+from deepir.baselines.average import Array, corrected, find, indices, places, pulled_back, whole
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -30,8 +31,13 @@ def hardie2000(burst: Burst, config: Config) -> Result:
 
 def along(frames: Array, valid: Array, motion: Array) -> Array:
     """The scene at each sample (N, h, w): the mean of all frames along the trajectory through it."""
-    back = np.linalg.inv(motion)
-    return np.stack([pulled_back(frames, valid, each @ motion).numpy() for each in back])
+    looks = np.stack([places(each, frames.shape[1:]) for each in motion])
+    beyond = np.abs(looks).max(axis=(0, 2, 3)) - (np.array(frames.shape[1:]) - 1) / 2
+    margin = [(0, 0), *((rim, rim) for rim in np.ceil(beyond + 1e-6).astype(int))]
+    mean = pulled_back(np.pad(frames, margin), np.pad(valid, margin), motion).numpy()
+    return np.stack(
+        [ndimage.map_coordinates(mean, indices(each, mean.shape), order=3, mode="mirror") for each in looks]
+    )
 
 
 def lines(scene: Array, frames: Array) -> tuple[Array, Array]:
