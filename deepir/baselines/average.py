@@ -100,6 +100,7 @@ def corrected(burst: Burst, config: Config, gain: Array, offset: Array, found: F
 
     Pixels that hardly answer to flux, or far too much, become bad ones.
     """
+    found = found or find(burst, config)
     gain = gain / np.median(gain[~burst.bad_pixels])
     good = ~burst.bad_pixels & (gain > LEAST) & (gain < MOST)
     gain = np.where(good, gain, 1.0)
