@@ -80,10 +80,10 @@ def main() -> None:
         f"python {platform.python_version()}, one thread -->",
         "# The default against every rival",
         "",
-        f"Medians over {', '.join(PICTURES)}; seeds {[*PICTURES.values()]}. [rivals.md](rivals.md) says what the methods",
-        "are. PSNR and SSIM are taken after one gain and level. Radiometric: root mean square error after one level, in",
-        "% of the range; columns: what is left of a column pattern, in % of the range. `joint` is deepir's default.",
-        "`flat_field` is told more than the others: sixteen frames each of a cold and a hot black body.",
+        f"Medians over {', '.join(PICTURES)}; seeds {[*PICTURES.values()]}. [rivals.md](rivals.md) says what the",
+        "methods are. PSNR and SSIM are taken after one gain and level. Radiometric: root mean square error after one",
+        "level, in % of the range; columns: what is left of a column pattern, in % of the range. `joint` is the",
+        "default. `flat_field` is told more than the others: sixteen frames each of a cold and a hot black body.",
     ]
     for line in report(options.method):
         print(line, flush=True)

@@ -12,6 +12,7 @@ from deepir.joint import LITTLE
 
 SHARED = 1.5  # px, across a line, below which a burst moves along one line
 LOOKS = 3.0  # independent looks at the pattern that are wanted
+WEAK = 1.5  # median standard deviations of the scene from which a pixel is weakly determined
 FRAMES = (5, 20)  # that are recommended: fewer cost more than 1 dB, more are seldom worth their time
 PLACES = (-1 / 3, 0.0, 1 / 3)  # of the frame's sides, at which the motion is taken
 
@@ -77,8 +78,11 @@ def _too_few(verdict: Verdict, n: int) -> list[str]:
     return []
 
 
-def words(statistics: Statistics, verdict: Verdict | None = None) -> list[str]:
-    """The answer, in lines: how far, in which directions, how many frames, for how long; and whether this suffices."""
+def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array | None = None) -> list[str]:
+    """The answer, in lines: how far, in which directions, how many frames, for how long; and whether this suffices.
+
+    `doubt` (H, W) is the standard deviation of the scene, where it is known.
+    """
     x, y = statistics.lengths
     lines = [
         f"pattern: standard deviation {statistics.pattern.std():.3g}; of its variance {_shares(statistics)}",
@@ -110,6 +114,11 @@ def words(statistics: Statistics, verdict: Verdict | None = None) -> list[str]:
             f"this burst: {n} frames; averaged, they keep {100 * verdict.left:.0f} % of the pattern's deviation "
             f"({100 / n**0.5:.0f} % at best)"
         )
+        if doubt is not None:
+            weak = 100 * float((doubt > WEAK * np.median(doubt)).mean())
+            lines.append(
+                f"{weak:.0f} % of the scene's pixels are weakly determined (over {WEAK:g} times the median)"
+            )
         lines += verdict.flags or ["this burst suffices"]
     return lines
 

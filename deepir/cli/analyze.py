@@ -45,7 +45,7 @@ def analyze(
         statistics, verdict, doubt = _of_run(path)
     else:
         statistics, verdict, doubt = _of_burst(path, settings or [])
-    for line in words(statistics, verdict):
+    for line in words(statistics, verdict, doubt):
         typer.echo(line)
     picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
     picture.parent.mkdir(parents=True, exist_ok=True)
