@@ -34,7 +34,7 @@ def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context
         ConfigError: Unknown component, unknown option, wrong type or a value that the component refuses.
     """
     component = lookup(kind, name, where)
-    accepted = inspect.signature(component).parameters
+    accepted = _arguments(component)
     values = validate(options_schema(component), options, f"{where} ({kind} '{name}')")
     supplied = {key: value for key, value in context.items() if key in accepted}
     try:
@@ -46,14 +46,29 @@ def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context
 @functools.cache
 def options_schema(component: Any) -> type[BaseModel]:
     """What a configuration may set: the constructor's arguments less the context, with types and defaults."""
-    hinted = component.__init__ if inspect.isclass(component) else component
-    hints = typing.get_type_hints(hinted, include_extras=True)
     fields: dict[str, Any] = {
-        name: (hints.get(name, Any), ... if p.default is p.empty else p.default)
-        for name, p in inspect.signature(component).parameters.items()
-        if name not in CONTEXT and p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)
+        name: (p.annotation, ... if p.default is p.empty else p.default)
+        for name, p in _arguments(component).items()
+        if name not in CONTEXT
     }
     return create_model(component.__name__, __config__=ConfigDict(extra="forbid"), **fields)
+
+
+def _arguments(component: Any) -> dict[str, inspect.Parameter]:
+    """What a function or a constructor takes by name; `**options` stands for what the class's base takes."""
+    bases = (
+        [each for each in component.__mro__ if "__init__" in vars(each)] if inspect.isclass(component) else []
+    )
+    found: dict[str, inspect.Parameter] = {}
+    for call in [vars(each)["__init__"] for each in bases] or [component]:
+        hints = typing.get_type_hints(call, include_extras=True)
+        taken = inspect.signature(call).parameters.values()
+        for each in taken:
+            if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD) and each.name != "self":
+                found.setdefault(each.name, each.replace(annotation=hints.get(each.name, Any)))
+        if not any(each.kind is each.VAR_KEYWORD for each in taken):
+            break
+    return found
 
 
 def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class Eliminated:
         return pixels.information().flatten(1), pixels.sigma[:, None] * white
 
     def freedom(self) -> tuple[Tensor, Tensor]:
-        """What it adds to the objective that each pixel has parts of its own; see `Gaussian.of_sensor`."""
+        """What it adds to the objective that each pixel has parts of its own; see `deepir.half_squares`."""
         pixels = self.solved[PIXEL]
         assert isinstance(pixels, Pixels)
         return pixels.nats, pixels.covariance()

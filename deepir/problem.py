@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from deepir.elimination import Eliminated, eliminate
 from deepir.fidelity import Fidelity, Gaussian
+from deepir.half_squares import of_sensor
 from deepir.operators import Chain, Sensor
 from deepir.operators.base import own
 from deepir.penalties.penalty import Penalty
@@ -38,6 +39,8 @@ class Problem(nn.Module):
     data: Tensor
     precision: Tensor
     held_out: Tensor
+    #: Mean gradient of the scene in standard deviations of its noise; infinite until it is measured.
+    roughness: Tensor
 
     def __init__(
         self,
@@ -64,6 +67,7 @@ class Problem(nn.Module):
         self.register_buffer("data", data)
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
+        self.register_buffer("roughness", torch.tensor(torch.inf))
 
     def values(self, free: Collection[str] | None = None, without: Collection[str] = ()) -> Values:
         """The value of each unknown but those in `without`; those not in `free` carry no gradient (None: all do)."""
@@ -126,7 +130,8 @@ class Problem(nn.Module):
         moves = slots["gain"].requires_grad or slots["offset"].requires_grad
         if isinstance(self.fidelity, Gaussian) and not moves:
             freedom = None if found is None else found.freedom()
-            return self.fidelity.of_sensor(flux, self.data, precision, **slots, freedom=freedom)
+            sensor = (slots["gain"], slots["offset"], slots["level"])
+            return of_sensor(flux, self.data, precision, sensor, freedom)
         return self.fidelity(last(flux, **slots), self.data, precision)
 
     def free(self) -> list[str]:

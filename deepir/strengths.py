@@ -14,6 +14,7 @@ from torch import Tensor
 from deepir.defects import crowded, defective, deviating
 from deepir.evidence import likeliest
 from deepir.noise import MAD
+from deepir.penalties.penalty import squared_gradient
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
@@ -23,6 +24,7 @@ from deepir.thin import thinned
 HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
+LEAST = 1.77  # mean gradient of noise alone, in its standard deviations: sqrt(π)
 ROUNDS = 2  # of the parts' strengths at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
 #: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
@@ -34,6 +36,13 @@ def hold_out(problem: Problem, seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     chosen = torch.rand(problem.data.shape, generator=generator) < HELD_OUT
     problem.held_out.copy_(chosen.to(problem.held_out.device))
+
+
+def update_strengths(problem: Problem) -> None:
+    """Noise and parts' strengths anew, in the gauge: what every round of a sensor's estimate begins with."""
+    update_noise(problem)
+    keep_gauge(problem)
+    update_parts(problem)
 
 
 @torch.no_grad()
@@ -90,7 +99,7 @@ def _bins(values: Tensor) -> Tensor:
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
-    """Set the weights of the scene's penalties: `factor` times what is given, or what suits the noise.
+    """Set the weights of the scene's penalties: `factor` times what is given, or what suits noise and roughness.
 
     What else they need they learn from the scene as it is.
     """
@@ -100,9 +109,19 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
         scene = problem.fields["scene"]()
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         noise = average * (1.0 if penalty.of_image else problem.operator.noise_gain)
-        penalty.weight.fill_(factor * (penalty.natural(noise) if penalty.given is None else penalty.given))
+        natural = penalty.natural(noise) * 2 ** (penalty.plain / float(problem.roughness)) ** 2
+        penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)
+
+
+@torch.no_grad()
+def measure_roughness(problem: Problem) -> None:
+    """Note the mean gradient of the scene, found under next to no penalty, in standard deviations of its noise."""
+    seen = problem.flux(problem.values())[:1]  # frame 0 is not interpolated
+    precision = problem.precision.sum(0)
+    gradient = squared_gradient(seen).sqrt().mean() * precision[precision > 0].median().sqrt()
+    problem.roughness.copy_(gradient.clamp(min=LEAST))
 
 
 @torch.no_grad()

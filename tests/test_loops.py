@@ -7,10 +7,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir import fidelity
+from deepir import half_squares
 from deepir.loops import spread
 from deepir.normal_equations import Pixels, PixelsOnCPU
-from deepir.penalties import tv
+from deepir.penalties.penalty import squared_gradient
+from deepir.penalties.rounded import lengths
+from deepir.penalties.tv import TV
 
 sizes = st.tuples(st.integers(1, 6), st.integers(1, 50))
 types = st.sampled_from([torch.float32, torch.float64])
@@ -80,8 +82,8 @@ def test_the_weighted_residuals_and_their_sum(size, dtype, one):
         100 + torch.randn(3, 1, *size),
     )
     data, precision = data.to(dtype), torch.rand(3, 1, *size, dtype=dtype)
-    weighted, nats = fidelity._half_squares_on_cpu(prediction, data, precision)
-    residuals, wanted = fidelity._half_squares(prediction, data, precision)
+    weighted, nats = half_squares.weighted_on_cpu(prediction, data, precision)
+    residuals, wanted = half_squares.weighted(prediction, data, precision)
     assert torch.equal(weighted, residuals)
     assert float(nats) == pytest.approx(float(wanted), rel=1e-5 if dtype == torch.float32 else 1e-12)
 
@@ -96,12 +98,11 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
     data, precision = (50 + torch.randn(shape)).double(), torch.rand(shape).double()
     gain, offset = 1 + 0.1 * torch.randn(1, *shape[1:]).double(), torch.randn(1, *shape[1:]).double()
     level = torch.randn(3, 1, 1, 1, dtype=torch.float64, requires_grad=True)
-    wanted = factor * fidelity.Gaussian()(gain * flux + offset + level, data, precision)
+    wanted = factor * half_squares.half_squares(gain * flux + offset + level, data, precision)
     given = [each.detach().to(dtype) for each in (flux, data, precision, gain, offset, level)]
     given[0].requires_grad_()
     given[-1].requires_grad_()
-    slots = dict(zip(("gain", "offset", "level"), given[3:], strict=True))
-    found = factor * fidelity.Gaussian().of_sensor(given[0].expand(shape), *given[1:3], **slots)
+    found = factor * half_squares.of_sensor(given[0].expand(shape), *given[1:3], tuple(given[3:]))
     tolerance = 1e-4 if dtype == torch.float32 else 1e-12
     assert float(found.detach()) == pytest.approx(float(wanted.detach()), rel=tolerance)
     slopes = torch.autograd.grad(found, (given[0], given[-1]))
@@ -120,11 +121,10 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
     weight=st.sampled_from([0.0, 0.1, 30.0]),
 )
 def test_total_variation_and_its_gradient(size, dtype, pictures, weight):
-    penalty, value = tv.TV(weight=weight), torch.randn(*pictures, *size, dtype=dtype, requires_grad=True)
-    rounding = penalty.rounding / penalty.weight.clamp(min=1e-12)
+    penalty, value = TV(weight=weight), torch.randn(*pictures, *size, dtype=dtype, requires_grad=True)
     tolerance = 1e-5 if dtype == torch.float32 else 1e-12
     exact = value.detach().double().requires_grad_()
-    found, wanted = penalty.energy(value), tv.total_variation(exact, rounding.double())
+    found, wanted = penalty.energy(value), lengths(squared_gradient(exact), penalty.edge.double())
     assert float(found.detach()) == pytest.approx(float(wanted.detach()), rel=tolerance)
     (slope,), (right,) = torch.autograd.grad(found, value), torch.autograd.grad(wanted, exact)
     assert slope.dtype == dtype

@@ -170,19 +170,22 @@ def test_a_motion_is_registered_unless_it_says_otherwise(frames):
     np.testing.assert_array_equal(named.motion, said.motion)
 
 
-def test_a_motion_starts_where_a_file_says(frames, tmp_path):
+@pytest.fixture
+def motion(tmp_path):
+    """Of three frames, in a file."""
     motion = np.tile(np.eye(3), (3, 1, 1))
     motion[1:, :2, 2] = [[1.5, -2.0], [0.5, 3.0]]
     np.save(tmp_path / "motion.npy", motion)
+    return motion
+
+
+def test_a_motion_starts_where_a_file_says(frames, motion, tmp_path):
     start = f"physics.warp.motion={{type: shift, init: {tmp_path / 'motion.npy'}, fixed: true}}"
     result = deepir.run("nuc", start, frames=frames, **QUICK)
     np.testing.assert_allclose(result.motion, motion, atol=1e-6)
 
 
-def test_a_known_motion_is_taken_as_it_is(frames, tmp_path):
-    motion = np.tile(np.eye(3), (3, 1, 1))
-    motion[1:, :2, 2] = [[1.5, -2.0], [0.5, 3.0]]
-    np.save(tmp_path / "motion.npy", motion)
+def test_a_known_motion_is_taken_as_it_is(frames, motion, tmp_path):
     known = f"physics.warp.motion={{type: constant, path: {tmp_path / 'motion.npy'}}}"
     result = deepir.run("nuc", known, frames=frames, **QUICK)
     np.testing.assert_array_equal(result.motion, motion)

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from deepir.penalties.penalty import Penalty, squared_gradient
-from deepir.penalties.tv import SCALE
+from deepir.penalties.rounded import PLAIN
+from deepir.penalties.tv import TV
 from deepir.registry import register
 
 
@@ -16,6 +17,8 @@ class HuberTV(Penalty):
 
     It makes no stairs of slopes, as TV does (Werlberger et al. 2009, "Anisotropic Huber-L1 optical flow").
     """
+
+    plain = PLAIN
 
     def __init__(self, *, weight: float | None = None, threshold: float = 1.0) -> None:
         super().__init__(weight=weight)
@@ -31,8 +34,8 @@ class HuberTV(Penalty):
         return torch.where(squared < d.square(), squared / (2 * d), linear).sum(dtype=torch.float64)
 
     def natural(self, noise: float) -> float:
-        """One nat for a step of `SCALE` standard deviations."""
-        return 1 / (SCALE * noise)
+        """One nat for a step of `TV.scale` standard deviations."""
+        return 1 / (TV.scale * noise)
 
     def stiffness(self, value: Tensor) -> tuple[float, float]:
         """The mean of `weight / max(|∇x|, d)`, of the gradient."""

@@ -18,6 +18,8 @@ class Penalty(nn.Module):
     weight: Tensor
     #: Whether it is of the picture that the scene shows, not of the scene's array; see `Operator.image`.
     of_image: ClassVar[bool] = False
+    #: A scene whose mean gradient is `r` standard deviations of its noise bears `2 ** (plain / r)²` times `natural`.
+    plain: ClassVar[float] = 0.0
 
     def __init__(self, *, weight: float | None = None) -> None:
         super().__init__()

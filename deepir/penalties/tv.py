@@ -7,50 +7,28 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.penalties.penalty import Penalty, squared_gradient
+from deepir.penalties.penalty import squared_gradient
+from deepir.penalties.rounded import Rounded, lengths
 from deepir.registry import register
-
-#: Typical step between neighbours, in standard deviations of the noise: the best on the truth was 1 to 3 on
-#: eight pictures with 3, 5 and 10 frames.
-SCALE = 1.6
 
 
 @register("penalty", "tv")
-class TV(Penalty):
-    """Isotropic total variation, `Σ |∇x|`, with forward differences (Rudin, Osher, Fatemi 1992).
+class TV(Rounded):
+    """Isotropic total variation, `Σ |∇x|`, with forward differences (Rudin, Osher, Fatemi 1992); rounded."""
 
-    Rounded at `rounding`, in units of `1 / weight`, so that it is smooth enough for L-BFGS.
-    """
-
-    def __init__(self, *, weight: float | None = None, rounding: float = 0.1) -> None:
-        super().__init__(weight=weight)
-        if not 0 < rounding < float("inf"):
-            raise ValueError(f"rounding must be a positive number, not {rounding}")
-        self.rounding = rounding
+    #: The best on the truth was 1 to 3 on eight pictures with 3, 5 and 10 frames.
+    scale = 1.6
 
     def energy(self, value: Tensor) -> Tensor:
         """`Σ sqrt(|∇x|² + e²) - e`, with `e = rounding / weight`."""
-        rounding = self.rounding / self.weight.clamp(min=1e-12)
         if value.device.type == "cpu":
-            energy: Tensor = _OnCPU.apply(value, float(rounding))
+            energy: Tensor = _OnCPU.apply(value, float(self.edge))
             return energy
-        return total_variation(value, rounding)
+        return lengths(squared_gradient(value), self.edge)
 
     def stiffness(self, value: Tensor) -> tuple[float, float]:
         """The mean of `weight / sqrt(|∇x|² + e²)`, of the gradient."""
-        rounding = self.rounding / self.weight.clamp(min=1e-12)
-        return 0.0, float((self.weight * (squared_gradient(value) + rounding.square()).rsqrt()).mean())
-
-    def natural(self, noise: float) -> float:
-        """One nat for a step of `SCALE` standard deviations."""
-        return 1 / (SCALE * noise)
-
-
-def total_variation(value: Tensor, rounding: Tensor) -> Tensor:
-    """`Σ sqrt(|∇x|² + e²) - e`."""
-    squared = squared_gradient(value)
-    # The same as the difference, without its cancellation.
-    return (squared / (torch.sqrt(squared + rounding.square()) + rounding)).sum(dtype=torch.float64)
+        return 0.0, float((self.weight * (squared_gradient(value) + self.edge.square()).rsqrt()).mean())
 
 
 class _OnCPU(torch.autograd.Function):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -15,10 +17,8 @@ class Coordinates(Network):
     net: nn.Module
     points: Tensor
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, bf16: bool = False
-    ) -> None:
-        super().__init__(shape, neutral, residual=residual, bf16=bf16)
+    def __init__(self, shape: Shape, neutral: float = 0.0, **options: Any) -> None:
+        super().__init__(shape, neutral, **options)
         far = max(*shape[-2:], 2) - 1
         y, x = (torch.arange(side) * 2 - (side - 1) for side in shape[-2:])
         grid = torch.stack(torch.meshgrid(x / far, y / far, indexing="xy"), -1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -19,12 +21,10 @@ class DeepDecoder(Network):
     Hand 2019, "Deep decoder"). So few parameters that it need not be stopped, but for its details.
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
-        neutral: The level, until it starts somewhere.
+        shape, neutral: See `Network`.
         width: Channels.
         blocks: How many, the last of which does not double the size.
-        residual: Whether it draws what is added to what the scene starts at.
-        bf16: Whether convolutions are computed in bfloat16.
+        options: Those of every `Network`.
     """
 
     def __init__(
@@ -34,10 +34,9 @@ class DeepDecoder(Network):
         *,
         width: int = 64,
         blocks: int = 6,
-        residual: bool = False,
-        bf16: bool = False,
+        **options: Any,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, bf16=bf16)
+        super().__init__(shape, neutral, **options)
         if width < 1 or blocks < 2:
             raise ValueError("width must be at least 1, and blocks 2")
         unit = 2 ** (blocks - 1)
@@ -46,8 +45,7 @@ class DeepDecoder(Network):
         self.mix = nn.ModuleList(nn.Conv2d(width, width, 1, bias=False) for _ in range(blocks))
         self.norm = nn.ModuleList(nn.BatchNorm2d(width, track_running_stats=False) for _ in range(blocks))
         self.last = nn.Conv2d(width, 1, 1, bias=False)
-        if residual:  # it begins at what it starts from
-            nn.init.zeros_(self.last.weight)
+        self.begin_at_start(self.last)
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def draw(self) -> Tensor:

@@ -6,7 +6,7 @@ from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from deepir.priors.field import Shape
 from deepir.priors.network import Network
@@ -21,8 +21,7 @@ class DIP(Network):
     (Ulyanov, Vedaldi, Lempitsky 2018, "Deep image prior".) Any size: the network's canvas is larger, and cropped.
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
-        neutral: The level, until it starts somewhere.
+        shape, neutral, bf16: See `Network`.
         width: Channels of each scale.
         scales: How often the size is halved.
         skip: Channels of the skip connections.
@@ -33,7 +32,6 @@ class DIP(Network):
         sigmoid: Whether the network's values are limited to what a sigmoid can give: four deviations about the mean.
         up: How sizes are doubled.
         pad: What lies beyond the edges.
-        bf16: Whether convolutions are computed in bfloat16.
     """
 
     noise: Tensor
@@ -66,9 +64,7 @@ class DIP(Network):
         self.register_buffer("noise", spread * torch.rand(1, inputs, *self.canvas))
         self.register_buffer("drawn", torch.tensor(0))
         self.net = Skip(inputs + picture, [width] * scales, skip=skip, up=up, pad=pad)
-        if picture:  # it begins at what it starts from
-            nn.init.zeros_(self.net.last.weight)
-            nn.init.zeros_(self.net.last.bias)  # type: ignore[arg-type]
+        self.begin_at_start(self.net.last)
         self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def draw(self) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -33,14 +34,12 @@ class Fourier(Coordinates):
     """Rectified layers over random waves (Tancik et al. 2020, "Fourier features let networks learn ...").
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
-        neutral: The level, until it starts somewhere.
+        shape, neutral: See `Network`.
         count: Of the waves.
         bandwidth: Standard deviation of the waves' frequencies, in periods over the scene's longer side.
         width: Of the layers.
         depth: Layers with a rectifier.
-        residual: Whether it draws what is added to what the scene starts at.
-        bf16: Whether layers are computed in bfloat16.
+        options: Those of every `Network`.
     """
 
     def __init__(
@@ -52,19 +51,16 @@ class Fourier(Coordinates):
         bandwidth: float = 10.0,
         width: int = 256,
         depth: int = 3,
-        residual: bool = False,
-        bf16: bool = False,
+        **options: Any,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, bf16=bf16)
+        super().__init__(shape, neutral, **options)
         if min(count, width, depth) < 1 or not 0 < bandwidth < float("inf"):
             raise ValueError("count, width and depth must be at least 1, and bandwidth a positive number")
         layers: list[nn.Module] = [Waves(count, bandwidth)]
         for i in range(depth):
             layers += [nn.Linear(2 * count if i == 0 else width, width), nn.ReLU()]
         last = nn.Linear(width, 1)
-        if residual:  # it begins at what it starts from
-            nn.init.zeros_(last.weight)
-            nn.init.zeros_(last.bias)
+        self.begin_at_start(last)
         self.net = nn.Sequential(*layers, last)
 
     @classmethod

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -20,13 +22,11 @@ class Grid(Network):
     (After Müller et al. 2022, "Instant neural graphics primitives"; dense, as a scene has few pixels.)
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
-        neutral: The level, until it starts somewhere.
+        shape, neutral: See `Network`.
         levels: Of resolution, the first that of the scene.
         features: Of each grid's nodes.
         width: Of the mixing network.
-        residual: Whether it draws what is added to what the scene starts at.
-        bf16: Whether the mixing network is computed in bfloat16.
+        options: Those of every `Network`.
     """
 
     def __init__(
@@ -37,10 +37,9 @@ class Grid(Network):
         levels: int = 5,
         features: int = 4,
         width: int = 16,
-        residual: bool = False,
-        bf16: bool = False,
+        **options: Any,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, bf16=bf16)
+        super().__init__(shape, neutral, **options)
         if min(levels, features, width) < 1:
             raise ValueError("levels, features and width must be at least 1")
         sizes = [[max(-(-side // 2**level), 2) for side in shape[-2:]] for level in range(levels)]
@@ -50,9 +49,7 @@ class Grid(Network):
             nn.Conv2d(levels * features, width, 1), nn.GELU(), nn.Conv2d(width, width, 1), nn.GELU()
         )
         self.last = nn.Conv2d(width, 1, 1)
-        if residual:  # it begins at what it starts from
-            nn.init.zeros_(self.last.weight)
-            nn.init.zeros_(self.last.bias)  # type: ignore[arg-type]
+        self.begin_at_start(self.last)
 
     def draw(self) -> Tensor:
         """The grids, interpolated and mixed."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from deepir.priors.field import Field, Shape
 
@@ -14,7 +14,11 @@ from deepir.priors.field import Field, Shape
 class Network(Field):
     """A picture that a network draws, in units of the spread of what it starts from: `center + scale * draw()`.
 
-    With `residual`, it is added to what the field starts from.
+    Args:
+        shape: Of the scene, (1, 1, H, W).
+        neutral: The level, until it starts somewhere.
+        residual: Whether the network draws what is added to what the scene starts at.
+        bf16: Whether its layers are computed in bfloat16.
     """
 
     center: Tensor
@@ -52,6 +56,13 @@ class Network(Field):
         self.center.copy_(value.mean())
         self.scale.copy_(torch.where(deviation > 0, deviation, torch.ones_like(deviation)))
         self.start.copy_((value - self.center) / self.scale)
+
+    def begin_at_start(self, last: nn.Linear | nn.Conv2d) -> None:
+        """Set the last layer of a `residual` to zero: the picture begins at what it starts from."""
+        if self.residual:
+            nn.init.zeros_(last.weight)
+            if last.bias is not None:
+                nn.init.zeros_(last.bias)
 
     @contextmanager
     def _computing(self) -> Iterator[None]:

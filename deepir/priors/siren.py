@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -27,13 +29,11 @@ class Siren(Coordinates):
     """Layers of sines of the coordinates (Sitzmann et al. 2020, "Implicit neural representations with periodic ...").
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
-        neutral: The level, until it starts somewhere.
+        shape, neutral: See `Network`.
         width: Of the layers.
         depth: Layers with a sine.
         omega: Factor of each sine's argument.
-        residual: Whether it draws what is added to what the scene starts at.
-        bf16: Whether layers are computed in bfloat16.
+        options: Those of every `Network`.
     """
 
     def __init__(
@@ -44,10 +44,9 @@ class Siren(Coordinates):
         width: int = 256,
         depth: int = 4,
         omega: float = 30.0,
-        residual: bool = False,
-        bf16: bool = False,
+        **options: Any,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, bf16=bf16)
+        super().__init__(shape, neutral, **options)
         if min(width, depth) < 1 or not 0 < omega < float("inf"):
             raise ValueError("width and depth must be at least 1, and omega a positive number")
         layers: list[nn.Module] = [Sine(2 if i == 0 else width, width, omega) for i in range(depth)]
@@ -58,9 +57,7 @@ class Siren(Coordinates):
             for each in linear[1:]:
                 bound = (6 / width) ** 0.5 / omega
                 each.weight.uniform_(-bound, bound)
-            if residual:  # it begins at what it starts from
-                linear[-1].weight.zero_()
-                linear[-1].bias.zero_()
+        self.begin_at_start(linear[-1])
 
     @classmethod
     def example(cls) -> Siren:

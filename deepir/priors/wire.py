@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -42,14 +44,12 @@ class Wire(Coordinates):
     """Layers of complex Gabor wavelets of the coordinates (Saragadam et al. 2023, "WIRE").
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
-        neutral: The level, until it starts somewhere.
+        shape, neutral: See `Network`.
         width: Complex units of the layers.
         depth: Layers with a wavelet after the first.
         omega: Frequency of the wavelets.
         sharpness: One over their width.
-        residual: Whether it draws what is added to what the scene starts at.
-        bf16: Whether layers are computed in bfloat16.
+        options: Those of every `Network`.
     """
 
     def __init__(
@@ -61,19 +61,16 @@ class Wire(Coordinates):
         depth: int = 2,
         omega: float = 10.0,
         sharpness: float = 10.0,
-        residual: bool = False,
-        bf16: bool = False,
+        **options: Any,
     ) -> None:
-        super().__init__(shape, neutral, residual=residual, bf16=bf16)
+        super().__init__(shape, neutral, **options)
         if min(width, depth) < 1 or not (0 < omega < float("inf") and 0 <= sharpness < float("inf")):
             raise ValueError("width and depth must be at least 1, omega positive and sharpness not negative")
         first = Gabor(2, width, omega, sharpness, real=True)
         inner = [Gabor(width, width, omega, sharpness) for _ in range(depth)]
         last = nn.Linear(2 * width, 1)  # the real part of a complex one
         nn.init.uniform_(last.weight, -(width**-0.5), width**-0.5)
-        if residual:  # it begins at what it starts from
-            nn.init.zeros_(last.weight)
-            nn.init.zeros_(last.bias)
+        self.begin_at_start(last)
         self.net = nn.Sequential(first, *inner, last)
 
     @classmethod

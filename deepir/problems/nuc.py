@@ -8,7 +8,14 @@ from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
-from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
+from deepir.strengths import (
+    hold_out,
+    measure_roughness,
+    start_parts,
+    update_noise,
+    update_strengths,
+    weigh_scene,
+)
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
@@ -55,12 +62,11 @@ class NUC(Definition):
 
 
 def _update(problem: Problem) -> None:
-    update_noise(problem)
-    keep_gauge(problem)
-    update_parts(problem)
+    update_strengths(problem)
     weigh_scene(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
     update_noise(problem, settled=True)
+    measure_roughness(problem)
     weigh_scene(problem)

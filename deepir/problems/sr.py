@@ -10,7 +10,7 @@ from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
 from deepir.solve import Stage, Step
-from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
+from deepir.strengths import hold_out, start_parts, update_noise, update_strengths, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
@@ -75,9 +75,7 @@ def few_frames(count: int, factor: int) -> list[str]:
 
 
 def _update(problem: Problem) -> None:
-    update_noise(problem)
-    keep_gauge(problem)
-    update_parts(problem)
+    update_strengths(problem)
     weigh_by_trials(problem, WEAK)
 
 

@@ -1,0 +1,120 @@
+"""Half the sum of squared, weighted residuals, with the gradient that is at hand; on the CPU in one pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def half_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
+    """`½ Σ w r²`, a float64 scalar with a gradient in the prediction."""
+    nats: Tensor = _HalfSquares.apply(prediction, data, precision)
+    return nats
+
+
+def of_sensor(
+    flux: Tensor,
+    data: Tensor,
+    precision: Tensor,
+    sensor: tuple[Tensor, Tensor, Tensor],
+    freedom: tuple[Tensor, Tensor] | None = None,
+) -> Tensor:
+    """The same of `gain * flux + offset + level`, with a gradient in flux and level.
+
+    Args:
+        flux: (N, 1, h, w), as are data and precision.
+        data: The frames.
+        precision: 1 / variance of each sample.
+        sensor: Gain (1, 1, h, w), offset (1, 1, h, w), level (N, 1, 1, 1).
+        freedom: What the pixels add that have gain and offset of their own, in nats, and the covariances
+            (2, h, w) of which it has its gradient in the flux, `precision * (of gain * flux + with offset)`.
+    """
+    if freedom is None:
+        zero = flux.new_zeros((), dtype=torch.float64)
+        freedom = (zero, zero.expand(2, *flux.shape[1:]))
+    nats: Tensor = _OfSensor.apply(flux, data, precision, *sensor, *freedom)
+    return nats
+
+
+class _HalfSquares(torch.autograd.Function):
+    """Its gradient is `w r`: half the passes over the frames that autograd makes."""
+
+    @staticmethod
+    def forward(ctx: Any, *frames: Tensor) -> Tensor:
+        compute = weighted_on_cpu if frames[0].device.type == "cpu" else weighted
+        slope, nats = compute(*frames)
+        ctx.save_for_backward(slope)
+        return nats
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, None, None]:
+        (slope,) = ctx.saved_tensors
+        return _times(gradient, slope), None, None
+
+
+class _OfSensor(torch.autograd.Function):
+    """Its gradients in flux and level are at hand."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Tensor) -> Tensor:
+        *terms, nats, covariance = given
+        compute = weighted_sensor_on_cpu if terms[0].device.type == "cpu" else weighted_sensor
+        slope, drift, half = compute(*terms, covariance)
+        ctx.save_for_backward(slope, drift.to(terms[-1]).reshape(terms[-1].shape))
+        return half + nats
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        slope, drift = (_times(gradient, each) for each in ctx.saved_tensors)
+        return slope, None, None, None, None, drift, None, None
+
+
+def _times(gradient: Tensor, slope: Tensor) -> Tensor:
+    """Their product; mostly the gradient is one, which spares a pass over the frames."""
+    return slope if gradient == 1 else gradient.to(slope) * slope
+
+
+def weighted(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
+    """`w r` and `½ Σ w r²`."""
+    residual = prediction - data
+    slope = precision * residual
+    return slope, residual.mul_(slope).sum(dtype=torch.float64) / 2
+
+
+def weighted_on_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
+    """The same in one pass."""
+    from deepir.loops import spread
+    from deepir.loops.half_squares import half_squares
+
+    prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
+    slope = torch.empty_like(prediction)
+    nats = torch.empty(prediction.shape[:-1], dtype=torch.float64).flatten()
+    rows = (each.flatten(0, -2) for each in (prediction, data, precision, slope))
+    spread(half_squares, len(nats), *rows, nats)
+    return slope, nats.sum()
+
+
+def weighted_sensor(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Slope in the flux, slope in each frame's level (N), and `½ Σ w r²`."""
+    flux, data, precision, gain, offset, level, covariance = given
+    slope, half = weighted(torch.addcmul(offset, gain, flux) + level, data, precision)
+    free = torch.addcmul(covariance[1], covariance[0], flux.double()).to(flux)
+    return gain * slope + precision * free, slope.sum((1, 2, 3), dtype=torch.float64), half
+
+
+def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The same in one pass."""
+    from deepir.loops import spread
+    from deepir.loops.half_squares import of_sensor
+
+    flux, data, precision, gain, offset, level, covariance = given
+    maps = (each.expand(1, *flux.shape[1:]).contiguous().flatten(0, -2) for each in (gain, offset))
+    frames = [each.contiguous().flatten(0, -2) for each in (flux, data, precision)]
+    slope = torch.empty_like(frames[0])
+    half, drift = frames[0].new_empty(2, len(slope), dtype=torch.float64)
+    free = covariance.contiguous().flatten(1, -2)
+    spread(of_sensor, len(slope), *frames, *maps, free, level.flatten(), slope, half, drift)
+    return slope.reshape(flux.shape), drift.reshape(len(flux), -1).sum(1), half.sum()

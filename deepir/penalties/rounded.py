@@ -1,0 +1,41 @@
+"""What penalties of a length have in common."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from deepir.penalties.penalty import Penalty
+
+#: The best weights on the truth are so, of 65 bursts of plain pictures and of rich ones: 0.15 dB are lost.
+PLAIN = 3.1
+
+
+class Rounded(Penalty):
+    """A sum of lengths, rounded at `rounding`, in units of `1 / weight`, so that it is smooth enough for L-BFGS."""
+
+    #: The step or kink, in standard deviations of the noise, that costs one nat.
+    scale: ClassVar[float]
+    plain = PLAIN
+
+    def __init__(self, *, weight: float | None = None, rounding: float = 0.1) -> None:
+        super().__init__(weight=weight)
+        if not 0 < rounding < float("inf"):
+            raise ValueError(f"rounding must be a positive number, not {rounding}")
+        self.rounding = rounding
+
+    @property
+    def edge(self) -> Tensor:
+        """The length `e` below which it is round."""
+        return self.rounding / self.weight.clamp(min=1e-12)
+
+    def natural(self, noise: float) -> float:
+        """One nat for `scale` standard deviations."""
+        return 1 / (self.scale * noise)
+
+
+def lengths(squared: Tensor, edge: Tensor) -> Tensor:
+    """`Σ sqrt(|v|² + e²) - e` of squared lengths: the same as the difference, without its cancellation."""
+    return (squared / (torch.sqrt(squared + edge.square()) + edge)).sum(dtype=torch.float64)
