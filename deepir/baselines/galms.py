@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from deepir.baselines.average import Array, corrected, whole
-from deepir.baselines.online import played, scaled, sensor
+from deepir.baselines.online import STABLE, played, scaled, sensor
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -42,6 +42,7 @@ def galms(
 
 def learned(frames: Array, rate: float, radius: float, gate: float, passes: int = 1) -> tuple[Array, Array]:
     """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one."""
+    frames = frames.clip(*STABLE)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     last = np.full(frames.shape[1:], np.inf)
     for frame in (frames[k] for k in played(len(frames), passes)):

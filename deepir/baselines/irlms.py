@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from deepir.baselines.average import Array, corrected, find, indices, places, whole
-from deepir.baselines.online import played, scaled, sensor
+from deepir.baselines.online import STABLE, played, scaled, sensor
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -41,6 +41,7 @@ def irlms(
 
 def learned(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple[Array, Array]:
     """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one, moved by (N, 3, 3)."""
+    frames = frames.clip(*STABLE)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     for before, now in itertools.pairwise(played(len(frames), passes)):
         step = np.linalg.inv(motion[before]) @ motion[now]

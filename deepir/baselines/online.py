@@ -8,6 +8,9 @@ import numpy as np
 
 from deepir.baselines.average import Array
 
+#: What is learnt from: pixels that are stuck far off, in ranges of the frames, would make the steps diverge.
+STABLE = (-1.0, 2.0)
+
 
 def scaled(frames: Array) -> tuple[Array, float, float]:
     """Frames from about zero to about one, for which step sizes are meant, their lowest value and their range."""

@@ -46,6 +46,17 @@ def test_a_scene_without_pattern_teaches_nothing():
     assert np.array_equal(bias, np.zeros((10, 12)))
 
 
+def test_a_stuck_pixel_does_not_spread():
+    scene, motion = video(n=6)
+    frames, _, _ = scaled(scene)
+    clean = learned(frames, motion, 0.1, 100)
+    frames[:, 40, 50] = 6.0
+    spoilt = learned(frames, motion, 0.1, 100)
+    for each, other in zip(clean, spoilt, strict=True):
+        assert np.isfinite(other).all()
+        assert np.abs(other - each)[:15].max() < 0.02
+
+
 def test_a_frame_moves_as_the_motion_says():
     frame = np.random.default_rng(2).random((9, 11))
     step = np.eye(3)
