@@ -9,7 +9,7 @@ setup: .venv/.done  ## make .venv with the tested versions
 
 .venv/.done: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare,hdf5,video]'
 	@touch $@
 
 demo: setup  ## correct a simulated burst; results and pictures in runs/demo/

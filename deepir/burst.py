@@ -13,6 +13,7 @@ from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
+from deepir.io.radiometry import Radiometry, chosen
 
 Array = np.ndarray[Any, Any]
 
@@ -22,7 +23,7 @@ class Burst:
     """Frames (N, h, w) float32, what may be used of them, and where they are from.
 
     `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
-    masked ones among them. `truth` holds the scene (h, w), if it is known.
+    masked ones among them. `truth` holds the scene (h, w), if it is known, and `radiometry` makes kelvin of counts.
     """
 
     frames: Array
@@ -31,6 +32,7 @@ class Burst:
     source: str = "array"
     sha256: str = ""
     truth: dict[str, Array] = field(default_factory=dict)
+    radiometry: Radiometry | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -43,21 +45,23 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
 
     Raises:
         DataError: Whatever is wrong with the files or the frames, and where.
-        ConfigError: There are two sources, or `data.simulate` is wrong.
+        ConfigError: There are two sources, or `data.simulate` or `data.radiometry` is wrong.
     """
     truth: dict[str, Array] = {}
+    found = None
     if data.path is not None and data.simulate is not None:
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
     if frames is not None:
         source, digest = "frames", ""
         stack = to_float32(select_frames(stacked(np.asanyarray(frames), source), data.frames, source))
     elif data.path is not None:
-        read = read_frames(data.path, key=data.key, select=data.frames)
-        stack, source, digest = read.frames, read.source, read.sha256
+        read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
+        stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
     elif data.simulate is not None:
         stack, source, digest, truth = _simulated(data, seed)
     else:
         raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
+    kelvin = chosen(found, data.radiometry)
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
     truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
     if data.crop is not None:
@@ -67,7 +71,7 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     bad, valid = validate(stack, source, needs=needs)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
-    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth)
+    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin)
 
 
 def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:

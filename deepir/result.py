@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from deepir.io import write_json, write_npz, write_preview, write_tiff
+from deepir.io import write_json, write_mat, write_npz, write_preview, write_tiff
+from deepir.io.radiometry import KELVIN, Radiometry, unit
+from deepir.schema import Output
 
 Array = np.ndarray[Any, Any]
 
@@ -32,6 +34,7 @@ class Result:
     history: list[dict[str, Any]] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
     extra: dict[str, Array] = field(default_factory=dict)  # what only some problems have: stray, psf ...
+    radiometry: Radiometry | None = None  # with which `extra` holds `scene_kelvin`
     uncertainty: dict[str, Array] = field(default_factory=dict)  # standard deviations of scene, gain, offset
 
     def arrays(self) -> dict[str, Array]:
@@ -39,15 +42,22 @@ class Result:
         names = ("scene", "gain", "offset", "motion", "level", "bad_pixels", "frames_used")
         return {name: getattr(self, name) for name in names} | self.extra
 
-    def save(self, folder: Path, example: Array) -> None:
-        """Write all files of a finished run; `example` is a raw frame for the summary. Each is replaced whole."""
+    def save(self, folder: Path, example: Array, output: Output) -> None:
+        """Write all files of a finished run that `output` asks for; `example` is a raw frame for the summary.
+
+        Each is replaced whole.
+        """
         from deepir.report.summary import write_summary
 
         write_npz(folder / "result.npz", self.arrays())
+        if output.mat:
+            write_mat(folder / "result.mat", self.arrays())
         if self.uncertainty:
             write_npz(folder / "uncertainty.npz", self.uncertainty)
-        write_tiff(folder / "scene.tiff", self.scene)
-        write_preview(folder / "scene_preview.png", self.scene)
+        write_tiff(folder / "scene.tiff", self.scene, unit(self.radiometry))
+        if "scene_kelvin" in self.extra:
+            write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit(KELVIN))
+        write_preview(folder / "scene_preview.png", self.scene, output.palette, output.tones)
         write_summary(folder / "summary.png", self, example)
         write_json(folder / "metrics.json", self.metrics)
 

@@ -7,6 +7,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -100,12 +101,16 @@ def execute(
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
     result.metrics = measured | unknown | result.metrics | _compared(result, data)
+    if data.radiometry is not None:
+        result.radiometry = data.radiometry
+        result.extra["scene_kelvin"] = data.radiometry.kelvin(result.scene)
     result.metrics |= {
         "method": name,
         "prior": config.prior,
         "frames": len(result.frames_used),
         "frames_used": int(result.frames_used.sum()),
         "messages": result.messages,
+        "radiometry": None if data.radiometry is None else asdict(data.radiometry),
         "input_sha256": data.sha256,
         "versions": versions(),
     }

@@ -11,6 +11,34 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)  # a folder may be called 2021
 
 
+class Raw(_Strict):
+    """How a recording without a header is laid out."""
+
+    width: int = Field(ge=1, le=2**15)  # px
+    height: int = Field(ge=1, le=2**15)  # px
+    bits: int = Field(16, ge=1, le=16)  # that count; up to 8 take one byte a sample, more take two
+    offset: int = Field(0, ge=0)  # bytes before the first frame
+    endian: Literal["little", "big"] = "little"
+
+
+class Radiometry(_Strict):
+    """Counts to kelvin, see `deepir.io.radiometry`; what is None is as the file says."""
+
+    scale: float | None = Field(default=None, gt=0)  # kelvin a count: 0.01 for TLinear
+    zero: float | None = None  # kelvin at zero counts
+    r1: float | None = Field(default=None, gt=0)  # Planck's law, in FLIR's constants
+    b: float | None = Field(default=None, gt=0)
+    f: float | None = None
+    o: float | None = None
+    r2: float | None = Field(default=None, gt=0)
+    emissivity: float | None = Field(default=None, gt=0, le=1)  # of the surface
+    reflected: float | None = Field(default=None, gt=0)  # K, of the surroundings
+    transmission: float | None = Field(default=None, gt=0, le=1)  # of the air
+    atmosphere: float | None = Field(default=None, gt=0)  # K
+    window_transmission: float | None = Field(default=None, gt=0, le=1)
+    window: float | None = Field(default=None, gt=0)  # K
+
+
 class Data(_Strict):
     """Where the frames come from."""
 
@@ -20,7 +48,9 @@ class Data(_Strict):
     mask: str | None = None  # picture or array of a frame's size; nonzero = ignore
     crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
     frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
-    key: str | None = None  # array in an .npz
+    key: str | None = None  # array in a file that holds several
+    raw: Raw | None = None  # layout of a file without a header
+    radiometry: Radiometry = Radiometry()
 
 
 class Noise(_Strict):
@@ -69,6 +99,9 @@ class Output(_Strict):
     """Where results go."""
 
     dir: str | None = None
+    palette: Literal["white-hot", "black-hot", "ironbow", "inferno", "magma", "turbo"] = "white-hot"
+    tones: Literal["percentile", "clahe"] = "percentile"
+    mat: bool = False  # result.mat beside result.npz
 
 
 class Config(_Strict):

@@ -7,7 +7,9 @@ import pytest
 import skimage.data
 import torch
 
-from deepir.registration import align, burst, register
+from deepir.registration import align, burst, likelihood, register
+from deepir.registration.flatten import flatten
+from deepir.scenes import sky
 from deepir.simulate import Settings, simulate
 
 SHAPE = (128, 160)
@@ -60,6 +62,25 @@ def test_half_the_gain_in_columns_a_tenth_in_pixels_or_few_photons_do_no_harm(ca
         result = register(frames)
         assert result.used.all()
         assert errors(result, truth).max() < 0.35
+
+
+@pytest.mark.parametrize(("number", "n_frames", "camera"), [(1, 3, {}), (2, 5, {}), (3, 3, {"counts": True})])
+def test_clouds_under_a_pattern_stronger_than_they_are_find_their_places(number, n_frames, camera):
+    settings = Settings(n_frames=n_frames, shading=0.0, dead_pixels=0.0, **camera)
+    found = simulate(sky(number, (430, 500)), settings, seed=12)
+    result = register(torch.from_numpy(found.frames.astype(np.float32)))
+    assert result.used.all()
+    assert np.abs((result.motion.numpy() - found.truth.motion)[:, :2, 2]).max() < 0.5
+
+
+def test_the_slope_of_the_shifts_likelihood_is_that_of_its_differences():
+    frames, truth = simulated("moon")
+    shifts = truth[1:, :2, 2].ravel() + 0.3
+    spectra = likelihood._Spectra(flatten(frames, None)[0].double())
+    around = [spectra.nats(shifts + 1e-5 * way * unit)[0] for unit in np.eye(len(shifts)) for way in (1, -1)]
+    np.testing.assert_allclose(
+        spectra.nats(shifts)[1], (np.array(around[::2]) - around[1::2]) / 2e-5, rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("name", ["camera", "astronaut", "grass"])

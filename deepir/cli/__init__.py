@@ -11,7 +11,9 @@ import typer
 
 import deepir
 from deepir.cli.analyze import analyze
+from deepir.cli.apply import apply
 from deepir.cli.batch import batch
+from deepir.cli.calibrate import calibrate
 from deepir.cli.check import check
 from deepir.cli.compare import compare
 from deepir.cli.demo import demo
@@ -32,6 +34,8 @@ app.command()(simulate)
 app.command()(resume)
 app.command()(compare)
 app.command()(batch)
+app.command()(calibrate)
+app.command()(apply)
 app.command("list")(list_components)
 app.command()(check)
 app.command()(analyze)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from deepir.config import Config
 
 Settings = Annotated[
     list[str] | None,
@@ -33,3 +37,20 @@ def load_plugins(modules: Sequence[str] | None) -> list[str]:
     for module in modules or ():
         load_plugin(module)
     return list(modules or ())
+
+
+def parted(what: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Files and settings among the arguments of a command that takes many of both."""
+    settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
+    return [each for each in what if each not in settings], settings
+
+
+def recording(file: str, settings: Sequence[str], keys: Sequence[str]) -> Config:
+    """How a file is to be read, and shown; `ConfigError` for settings other than of `keys`."""
+    from deepir.config import load
+    from deepir.errors import ConfigError
+
+    for each in settings:
+        if not each.startswith(tuple(f"{key}{end}" for key in keys for end in "=.")):
+            raise ConfigError(f"{each}: of the settings only {', '.join(keys)} are taken here")
+    return load("nuc", [f"data.path={file}", *settings])

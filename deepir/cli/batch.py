@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from typing import Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+from deepir.cli.arguments import Overwrite, Plugins, load_plugins, parted
 from deepir.cli.compare import Scheduler, Workers, finish, folder
 
 
@@ -38,8 +37,7 @@ def batch(
     from deepir.sweep.axes import bursts, listed
     from deepir.sweep.sweep import prepare
 
-    settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
-    patterns = [each for each in what if each not in settings]
+    patterns, settings = parted(what)
     if not patterns:
         raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")
     if any(each.partition("=")[0].strip() == "data.path" for each in settings):

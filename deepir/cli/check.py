@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +12,7 @@ import typer
 from deepir.cli.arguments import Plugins, Settings, load_plugins
 
 if TYPE_CHECKING:
-    from deepir.config import Config
+    from deepir.config import Config, Data
 
 
 def check(
@@ -22,26 +24,33 @@ def check(
 ) -> None:
     """Say what a burst holds, or what a configuration would do; run nothing."""
     load_plugins(plugin)
-    from deepir.config import shipped_names
+    from deepir.config import load, shipped_names
     from deepir.errors import ConfigError
 
     if what in shipped_names() or Path(what).suffix in (".yaml", ".yml"):
         _configuration(what, settings or [])
-    elif not settings and (Path(what).exists() or "*" in what or Path(what).suffix):
-        for line in _burst(what):
+    elif Path(what).exists() or (not settings and ("*" in what or Path(what).suffix)):
+        if wrong := next((each for each in settings or () if not each.startswith("data.")), None):
+            raise ConfigError(
+                f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}"
+            )
+        for line in _burst(load("nuc", [f"data.path={what}", *(settings or ())]).data):
             typer.echo(line)
-        typer.echo(f"to correct it: deepir run nuc data.path={what}")
-    elif settings and Path(what).exists():
-        raise ConfigError(f"{what}: settings go with a configuration: deepir check nuc data.path={what} ...")
+        typer.echo(
+            f"to correct it: {shlex.join(['deepir', 'run', 'nuc', f'data.path={what}', *(settings or ())])}"
+        )
     else:
         _configuration(what, settings or [])
 
 
-def _burst(path: str, **how: Any) -> list[str]:
+def _burst(data: Data) -> list[str]:
     from deepir.io import describe, read_frames
+    from deepir.io.radiometry import chosen
 
-    frames = read_frames(path, **how)
-    return [f"data: {frames.source}", *(f"  {line}" for line in describe(frames))]
+    frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
+    kelvin = chosen(frames.radiometry, data.radiometry)
+    lines = describe(replace(frames, radiometry=kelvin))
+    return [f"data: {frames.source}", *(f"  {line}" for line in lines)]
 
 
 def _configuration(name: str, settings: list[str]) -> None:
@@ -76,7 +85,7 @@ def _data(config: Config) -> list[str]:
         return [f"data: {burst.source}, {len(burst.frames)} frames of {burst.size[0]} x {burst.size[1]} px"]
     if config.data.path is not None:
         prepare(config)
-        return _burst(config.data.path, key=config.data.key, select=config.data.frames)
+        return _burst(config.data)
     frames = np.zeros((2, 64, 80), np.float32)
     check_components(config, Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool)))
     return ["data: none given (data.path=burst.npz)"]

@@ -58,6 +58,10 @@ def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[s
 
 def report(result: Result, folder: Path) -> None:
     """Say what came out, and where it is."""
+    import numpy as np
+
+    from deepir.io.radiometry import ZERO_CELSIUS
+
     metrics = result.metrics
     typer.echo(
         f"{metrics['stop_reason']} after {metrics['iterations']} iterations, {metrics['seconds']:.1f} s"
@@ -66,4 +70,8 @@ def report(result: Result, folder: Path) -> None:
         typer.echo(
             f"PSNR {metrics['psnr']:.2f} dB, {metrics['psnr_aligned']:.2f} dB with gain and level aligned"
         )
+    kelvin = result.extra.get("scene_kelvin", np.empty(0))
+    if (known := kelvin[np.isfinite(kelvin)]).size:
+        low, high = known.min() - ZERO_CELSIUS, known.max() - ZERO_CELSIUS
+        typer.echo(f"temperatures {low:.2f} to {high:.2f} °C: {folder}/scene_kelvin.tiff")
     typer.echo(f"results: {folder}/result.npz, {folder}/scene.tiff; pictures: {folder}/summary.png")

@@ -66,3 +66,9 @@ def farewell(error: Interrupted, folder: Path) -> int:
         what = "interrupted before anything was written"
     print(f"deepir: {what}", file=sys.stderr)
     return error.status
+
+
+def stopped(error: Interrupted) -> int:
+    """Say that a command that cannot be continued has left nothing behind; the exit status."""
+    print("deepir: interrupted; nothing was written", file=sys.stderr)
+    return error.status

@@ -2,9 +2,9 @@
 
 from deepir.io.checks import crop, validate
 from deepir.io.describe import describe
-from deepir.io.frames import Frames, read_frames
+from deepir.io.frames import Frames, read_frames, stream_frames
 from deepir.io.maps import read_mask, read_truth
-from deepir.io.write import replace, write_json, write_npz, write_preview, write_tiff
+from deepir.io.write import replace, write_json, write_mat, write_npz, write_preview, write_tiff
 
 __all__ = [
     "Frames",
@@ -14,8 +14,10 @@ __all__ = [
     "read_mask",
     "read_truth",
     "replace",
+    "stream_frames",
     "validate",
     "write_json",
+    "write_mat",
     "write_npz",
     "write_preview",
     "write_tiff",

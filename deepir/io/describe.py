@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 
 from deepir.io.frames import Frames
+from deepir.io.radiometry import ZERO_CELSIUS
 
 Array = np.ndarray[Any, np.dtype[np.float32]]
 
 FULL_SCALE = [2**bits - 1 for bits in (8, 10, 12, 14, 16)]
+TLINEAR = (23315, 42315)
+"""Kelvin x 100 from -40 to 150 °C."""
+
 BLOCK = 8
 STILL = 0.1
 """Pixels between frames below which a camera counts as still."""
@@ -29,8 +33,20 @@ def describe(burst: Frames) -> list[str]:
     if not finite.size:
         return [*lines, "no finite value at all"]
     lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
+    lines += _temperatures(burst, finite)
     lines += _unusable(burst, finite)
     return lines + _noise_and_motion(frames)
+
+
+def _temperatures(burst: Frames, finite: Array) -> list[str]:
+    ends = np.array([finite.min(), finite.max()])
+    if burst.radiometry is not None:
+        low, high = burst.radiometry.kelvin(ends) - ZERO_CELSIUS
+        return [f"radiometric: {low:.2f} to {high:.2f} °C by {burst.radiometry}"]
+    if burst.dtype == "uint16" and np.all((ends > TLINEAR[0]) & (ends < TLINEAR[1])):
+        low, high = ends / 100 - ZERO_CELSIUS
+        return [f"{low:.2f} to {high:.2f} °C if these are K x 100 (TLinear): data.radiometry.scale=0.01"]
+    return []
 
 
 def _unusable(burst: Frames, finite: Array) -> list[str]:

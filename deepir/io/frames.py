@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,11 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
+from deepir.io import raw as headerless
 from deepir.io import readers
+from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array, folder
+from deepir.schema import Raw
 
 Select = str | int | Sequence[int] | None
 
@@ -23,26 +26,45 @@ class Frames:
     """A burst as it came from a file.
 
     `frames` is `(N, h, w)` float32 in the data's units, `source` says where it is from, `dtype` is the type
-    it was stored in, and `sha256` is that of the file (where there are several, of their digests in order).
+    it was stored in, `sha256` is that of the file (where there are several, of their digests in order), and
+    `radiometry` makes kelvin of the units, if the file says how.
     """
 
     frames: np.ndarray[Any, np.dtype[np.float32]]
     source: str
     dtype: str
     sha256: str
+    radiometry: Radiometry | None = None
 
 
-def read_frames(path: str | os.PathLike[str], *, key: str | None = None, select: Select = None) -> Frames:
+def read_frames(
+    path: str | os.PathLike[str], *, key: str | None = None, select: Select = None, raw: Raw | None = None
+) -> Frames:
     """Read `(N, h, w)` frames from a file, a folder of pictures or a glob.
 
-    Contents decide the format, not names. `key` names the array in an `.npz`. `select` takes the first n
-    frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. Raises `DataError` for whatever
-    cannot be read or is no burst of numbers.
+    Contents decide the format, not names. `key` names the array where there are several. `select` takes the first
+    n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. `raw` is the layout of a file without a
+    header. Raises `DataError` for whatever cannot be read or is no burst of numbers.
     """
     file = Path(path).expanduser()
-    stored = stack(readers.read(file, key), str(file))
+    stored = stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
-    return Frames(to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest(file))
+    frames = to_float32(select_frames(stored, select, source))
+    kelvin = readers.radiometry(file) if raw is None else None
+    return Frames(frames, source, stored.dtype.name, digest(file), kelvin)
+
+
+def stream_frames(
+    path: str | os.PathLike[str], *, key: str | None = None, raw: Raw | None = None
+) -> Iterator[Array]:
+    """Frame after frame `(h, w)`, in the type they are stored in, of a recording that need not fit into memory.
+
+    What is given, and what is raised, is as for `read_frames`.
+    """
+    file = Path(path).expanduser()
+    pieces = readers.stream(file, key) if raw is None else headerless.stream(file, raw)
+    for piece in pieces:
+        yield from stack(piece, str(file))
 
 
 def digest(path: str | os.PathLike[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +21,42 @@ SMALL = GIB // 4
 """Below this a wrong claim does no harm, and a very empty mask may really be that compressible."""
 
 
-def check_size(path: Path, declared: int, stored: int, *, compressed: bool = False) -> None:
+def check_size(
+    path: Path, declared: int, stored: int, *, compressed: bool = False, at_once: bool = True
+) -> None:
     """Refuse, before memory is taken, an array of `declared` bytes that `stored` bytes of file cannot hold.
 
-    Raises `DataError` where the claim is negative, more than 8 GiB, or more than the file can hold.
+    Raises `DataError` where the claim is negative, more than the file can hold, or, of what is read `at_once`,
+    more than 8 GiB.
     """
     most = max(SMALL, MOST_COMPRESSED * stored) if compressed else stored
     if not 0 <= declared <= most:
         raise DataError(
             f"{path}: damaged or truncated: it declares {declared:,} bytes of data but holds {stored:,}"
         )
-    if declared > MOST_BYTES:
+    if at_once and declared > MOST_BYTES:
         raise DataError(
             f"{path}: {declared / GIB:.1f} GiB of data; at most {MOST_BYTES // GIB} GiB are read at once. "
             "Split the file."
         )
+
+
+def collect(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[Any, Any]:
+    """Frames `(h, w)` of the file `path` as `(N, h, w)`.
+
+    Raises `DataError` where there are none, they differ in size, or are more than the file can hold.
+    """
+    found: list[np.ndarray[Any, Any]] = []
+    stored, total = path.stat().st_size, 0
+    for frame in frames:
+        total += frame.nbytes
+        check_size(path, total, stored, compressed=True)
+        found.append(frame)
+        if frame.shape != found[0].shape:
+            raise DataError(f"{path}: frames differ in size: {found[0].shape} and {frame.shape}")
+    if not found:
+        raise DataError(f"{path}: a recording without frames")
+    return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
 
 def grey(pixels: np.ndarray[Any, Any], path: Path) -> np.ndarray[Any, Any]:

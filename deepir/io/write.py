@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
+from deepir.io.tones import PERCENTILE, TONES, WHITE_HOT, coloured
 
 PathLike = str | os.PathLike[str]
 
@@ -73,16 +74,23 @@ def write_tiff(
         )
 
 
-def write_preview(path: PathLike, image: np.ndarray[Any, Any]) -> None:
-    """Write `(h, w)` as an 8-bit PNG to look at: white is hot, percentiles 0.5 to 99.5 of finite pixels."""
+def write_preview(
+    path: PathLike, image: np.ndarray[Any, Any], palette: str = WHITE_HOT, mapping: str = PERCENTILE
+) -> None:
+    """Write `(h, w)` as an 8-bit PNG to look at, in a palette and by a tone mapping of `deepir.io.tones`."""
     from PIL import Image
 
-    finite = np.isfinite(image)
-    low, high = np.percentile(image[finite], [0.5, 99.5]) if finite.any() else (0.0, 0.0)
-    scale = 255 / (high - low) if high > low else 0.0
-    tones = np.clip((np.where(finite, image, low) - low) * scale, 0, 255)
+    shades = TONES[mapping](image)
     with replace(path) as temporary:
-        Image.fromarray(np.round(tones).astype(np.uint8)).save(temporary, format="PNG")
+        Image.fromarray(coloured(shades, palette)).save(temporary, format="PNG")
+
+
+def write_mat(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
+    """Write named arrays for MATLAB (version 5), axes as they are."""
+    import scipy.io
+
+    with replace(path) as temporary, temporary.open("wb") as file:
+        scipy.io.savemat(file, dict(arrays), do_compression=True)
 
 
 def _plain(value: Any) -> Any:

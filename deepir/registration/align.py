@@ -41,9 +41,7 @@ def align(level: Level, motion: Tensor, model: str, rounds: int) -> Aligned:
     motion, misfit = relative(motion), 1.0
     picture = pull(level, pattern, motion).mean
     if n > 2 and mean.square().mean() > picture.square().mean():
-        pattern = mean
-        for _ in range(AHEAD):
-            pattern, misfit = fixed_pattern(level, pull(level, pattern, motion).mean, motion)
+        pattern, misfit = standing(level, motion)
     before = torch.zeros(n, PARAMETERS[model], dtype=torch.float64)
     length = torch.full((PARAMETERS[model],), 1 - 1 / n, dtype=torch.float64)
     for _ in range(rounds):
@@ -57,6 +55,14 @@ def align(level: Level, motion: Tensor, model: str, rounds: int) -> Aligned:
         if float((length * delta).abs().max()) < SETTLED * level.factor:
             break
     return Aligned(motion, pattern, misfit)
+
+
+def standing(level: Level, motion: Tensor) -> tuple[Tensor, float]:
+    """The pattern `(h, w)` at these motions, from all that the frames have in common, and the misfit."""
+    pattern = level.frames.mean(0)
+    for _ in range(AHEAD):
+        pattern, misfit = fixed_pattern(level, pull(level, pattern, motion).mean, motion)
+    return pattern, misfit
 
 
 def secant(length: Tensor, delta: Tensor, before: Tensor) -> Tensor:

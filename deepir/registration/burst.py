@@ -11,6 +11,7 @@ from deepir.errors import DataError, nearest
 from deepir.registration.align import align
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, one_scene
+from deepir.registration.likelihood import settle
 from deepir.registration.motion import PARAMETERS, identity, relative
 from deepir.registration.pyramid import build_level
 
@@ -48,6 +49,7 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
     flat, weight = flatten(frames.detach().cpu(), None if ignore is None else ignore.cpu())
     coarse = build_level(flat, weight, halvings(max(frames.shape[1:]) / COARSE))
     clear, used, found = one_scene(coarse, "shift" if model == "shift" else "rigid")
+    used, found = settle(flat, coarse, used, found)
     still = at_rest(coarse, found)
     if still.any():
         return verdict(identity(len(frames)), still.double())

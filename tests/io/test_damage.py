@@ -1,78 +1,156 @@
 """Whatever happens to a file: frames or a `DeepIRError`, never another exception, never a warning."""
 
-import io
+import importlib.util
+import os
+import time
 
 import imagecodecs
 import numpy as np
 import pytest
+import recordings
 import tifffile
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
 from deepir.errors import DeepIRError
-from deepir.io import read_frames
+from deepir.io import read_frames, readers, stream_frames
+from deepir.io.frames import to_float32
+from deepir.runner import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
 
 
-def written(write):
-    buffer = io.BytesIO()
-    write(buffer)
-    return buffer.getvalue()
+def picture(path, frames):
+    Image.fromarray(frames[0].astype(np.uint8)).save(path, format=path.name)
 
 
+def plain_npz(path, frames):
+    with path.open("wb") as file:
+        np.savez(file, frames=frames)
+
+
+def imagej(path, frames):
+    tifffile.imwrite(path, frames, imagej=True)
+
+
+def colour_png(path, frames):
+    path.write_bytes(imagecodecs.png_encode(np.stack([frames[0]] * 4, axis=-1)))
+
+
+def dji(path, frames):
+    recordings.dji_jpeg(path, np.resize(frames, (1, 120, 160)))
+
+
+#: Files of each reader in this package: at least one of every reader, or the first test fails.
 FILES = {
-    "npy": written(lambda file: np.save(file, RAMP)),
-    "npz": written(lambda file: np.savez(file, frames=RAMP)),
-    "compressed npz": written(lambda file: np.savez_compressed(file, frames=RAMP, other=RAMP)),
-    "tiff": written(lambda file: tifffile.imwrite(file, RAMP, photometric="minisblack")),
-    "lzw tiff": written(
-        lambda file: tifffile.imwrite(file, RAMP, photometric="minisblack", compression="lzw", predictor=True)
-    ),
-    "imagej tiff": written(lambda file: tifffile.imwrite(file, RAMP, imagej=True)),
-    "png": imagecodecs.png_encode(RAMP[0]),
-    "colour png": imagecodecs.png_encode(np.stack([RAMP[0]] * 4, axis=-1)),
-    **{
-        kind: written(
-            lambda file, kind=kind: Image.fromarray(RAMP[0].astype(np.uint8)).save(file, format=kind)
-        )
-        for kind in ("JPEG", "BMP")
-    },
+    "npy": recordings.npy,
+    "npz": plain_npz,
+    "npz, compressed": recordings.npz,
+    "tiff": recordings.tiff,
+    "tiff, lzw": recordings.lzw_tiff,
+    "tiff, imagej": imagej,
+    "png": recordings.png,
+    "png, colour": colour_png,
+    "picture, jpeg": lambda path, frames: picture(path.with_name("JPEG"), frames),
+    "picture, bmp": lambda path, frames: picture(path.with_name("BMP"), frames),
+    "mat": recordings.mat,
+    "hdf5": recordings.hdf5,
+    "hdf5, matlab": recordings.mat73,
+    "flir_jpeg": recordings.flir_jpeg,
+    "flir_jpeg, png": recordings.flir_jpeg_png,
+    "flir_sequence, seq": recordings.seq,
+    "flir_sequence, csq": recordings.csq,
+    "cptv": recordings.cptv,
+    "dji_jpeg": dji,
+    "video, mkv": recordings.film,
 }
+NEEDS = {"hdf5": "h5py", "video": "av"}
+#: Recordings that do not say how many frames they have: where one ends, there may have been more.
+OPEN_ENDED = ("flir_sequence, seq", "flir_sequence, csq", "video, mkv")
+LONGEST = 5.0  # seconds
+MOST = 2**30  # bytes
 
 damaged = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=int(os.environ.get("DEEPIR_FUZZ", "60")),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 
+@pytest.fixture(scope="module")
+def contents(tmp_path_factory):
+    """The bytes of each kind of file, written once."""
+    written = {}
+
+    def of(kind):
+        needed = NEEDS.get(kind.partition(",")[0])
+        if needed and importlib.util.find_spec(needed) is None:
+            pytest.skip(f"{needed} is not installed")
+        if kind not in written:
+            folder = tmp_path_factory.mktemp("whole")
+            FILES[kind](folder / "file.mkv", RAMP)
+            written[kind] = next(folder.iterdir()).read_bytes()
+        return written[kind]
+
+    return of
+
+
+@pytest.fixture(scope="module", autouse=True)
+def modest():
+    """However much a file claims, reading none of them takes a gigabyte."""
+    before = peak_memory()
+    yield
+    assert 2**20 * (peak_memory() - before) < MOST
+
+
 def read_or_refuse(path, content):
-    """The frames in `content`, or None where they are refused."""
+    """The frames in `content`, or None where they are refused; frame by frame they are the same."""
     path.write_bytes(content)
-    frames, message = None, ""
+    begun = time.perf_counter()
+    frames = refused_in_one_line(path, lambda: read_frames(path).frames)
+    streamed = refused_in_one_line(path, lambda: list(stream_frames(path)))
+    assert time.perf_counter() - begun < LONGEST
+    if frames is not None and streamed is not None:
+        np.testing.assert_array_equal([to_float32(frame) for frame in streamed], frames)
+    return frames
+
+
+def refused_in_one_line(path, read):
+    """What `read` gives, or None where it raises what a user may see."""
+    found, message = None, ""
     try:
-        frames = read_frames(path).frames
+        found = read()
     except DeepIRError as error:
         message = str(error)
     assert "\n" not in message
     assert not message or str(path) in message
-    return frames
+    return found
+
+
+def test_every_reader_is_tried():
+    names = {reader.__name__.rpartition(".")[2] for reader in readers.all_readers()}
+    assert names - {"folder"} == {kind.partition(",")[0] for kind in FILES}
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_whole_files_are_read(tmp_path, kind):
-    (tmp_path / "file").write_bytes(FILES[kind])
-    assert read_frames(tmp_path / "file").frames.shape[1:] == (18, 16)
+def test_whole_files_are_read(tmp_path, contents, kind):
+    (tmp_path / "file").write_bytes(contents(kind))
+    reader = readers.find(tmp_path / "file")
+    assert reader.__name__.rpartition(".")[2] == kind.partition(",")[0]
+    assert read_frames(tmp_path / "file").frames.shape[1:] in ((18, 16), (120, 160))
 
 
 @pytest.mark.parametrize("kind", FILES)
 @damaged
 @given(share=st.floats(0, 1, exclude_max=True))
-def test_truncated_files_lose_nothing_or_are_refused_in_one_line(tmp_path, kind, share):
-    whole = read_or_refuse(tmp_path / "file", FILES[kind])
-    frames = read_or_refuse(tmp_path / "file", FILES[kind][: int(share * len(FILES[kind]))])
+def test_truncated_files_lose_nothing_or_are_refused_in_one_line(tmp_path, contents, kind, share):
+    content = contents(kind)
+    whole = read_or_refuse(tmp_path / "file", content)
+    frames = read_or_refuse(tmp_path / "file", content[: int(share * len(content))])
     if frames is not None:  # only padding, a checksum or an end mark is gone
-        np.testing.assert_array_equal(frames, whole)
+        np.testing.assert_array_equal(frames, whole[: len(frames)])
+        assert len(frames) == len(whole) or kind in OPEN_ENDED
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -80,8 +158,8 @@ def test_truncated_files_lose_nothing_or_are_refused_in_one_line(tmp_path, kind,
 @given(
     places=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=4)
 )
-def test_flipped_bits_are_read_or_refused_in_one_line(tmp_path, kind, places):
-    content = bytearray(FILES[kind])
+def test_flipped_bits_are_read_or_refused_in_one_line(tmp_path, contents, kind, places):
+    content = bytearray(contents(kind))
     for where, bits in places:
         content[int(where * len(content))] ^= bits
     read_or_refuse(tmp_path / "file", bytes(content))
@@ -90,13 +168,14 @@ def test_flipped_bits_are_read_or_refused_in_one_line(tmp_path, kind, places):
 @pytest.mark.parametrize("kind", FILES)
 @damaged
 @given(where=st.integers(0, 255), bits=st.integers(1, 255))
-def test_damaged_headers_are_read_or_refused_in_one_line(tmp_path, kind, where, bits):
-    content = bytearray(FILES[kind])
+def test_damaged_headers_are_read_or_refused_in_one_line(tmp_path, contents, kind, where, bits):
+    content = bytearray(contents(kind))
     content[where % len(content)] ^= bits
     read_or_refuse(tmp_path / "file", bytes(content))
 
 
+@pytest.mark.parametrize("kind", FILES)
 @damaged
-@given(content=st.binary(max_size=200), kind=st.sampled_from(sorted(FILES)))
-def test_rubbish_behind_a_signature_is_refused_in_one_line(tmp_path, content, kind):
-    read_or_refuse(tmp_path / "file", FILES[kind][:12] + content)
+@given(content=st.binary(max_size=200), kept=st.integers(4, 80))
+def test_rubbish_behind_a_signature_is_refused_in_one_line(tmp_path, contents, kind, content, kept):
+    read_or_refuse(tmp_path / "file", contents(kind)[:kept] + content)

@@ -8,7 +8,7 @@ import tifffile
 from PIL import Image
 
 from deepir.errors import DataError
-from deepir.io import read_frames, replace, write_json, write_npz, write_preview, write_tiff
+from deepir.io import read_frames, replace, write_json, write_mat, write_npz, write_preview, write_tiff
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -119,3 +119,16 @@ def test_preview_is_white_hot_and_outliers_do_not_matter(tmp_path):
 @pytest.mark.parametrize("value", [7.0, np.nan])
 def test_preview_of_nothing_to_see_is_black(tmp_path, value):
     assert not preview(tmp_path / "a.png", np.full((20, 24), value)).any()
+
+
+@pytest.mark.parametrize(("palette", "mode"), [("white-hot", "L"), ("ironbow", "RGB")])
+@pytest.mark.parametrize("tones", ["percentile", "clahe"])
+def test_a_preview_has_colours_and_tones_of_ones_choice(tmp_path, palette, mode, tones):
+    write_preview(tmp_path / "a.png", np.tile(np.linspace(290, 310, 64), (48, 1)), palette, tones)
+    with Image.open(tmp_path / "a.png") as picture:
+        assert (picture.mode, picture.size) == (mode, (64, 48))
+
+
+def test_mat_comes_back_exactly(tmp_path, burst):
+    write_mat(tmp_path / "a.mat", {"raw": burst[0], "gain": np.ones(3)})
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mat").frames[0], burst[0])

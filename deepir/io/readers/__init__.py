@@ -6,9 +6,14 @@ A reader is a module in this folder with
     def sniff(head: bytes, path: Path) -> bool      is it mine? by its first 64 bytes, not its name
     def read(path: Path, key: str | None) -> Array  the array as it is stored, of any shape and type
 
-and nothing else has to know of it. A reader of something general sets `GENERIC = True` and is asked last,
-so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything on
-a damaged file: `guarded` turns it into a `DataError`.
+and nothing else has to know of it. It may also have
+
+    def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in pieces of many
+    def radiometry(path: Path) -> Radiometry | None             what its files say a count is in kelvin
+
+for recordings larger than the memory, and for radiometric ones. A reader of something general sets `GENERIC = True`
+and is asked last, so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything
+on a damaged file: `guarded` turns it into a `DataError`.
 """
 
 from __future__ import annotations
@@ -26,6 +31,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 
 from deepir.errors import DataError, DeepIRError
+from deepir.io.radiometry import Radiometry
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -79,6 +85,32 @@ def read(path: Path, key: str | None = None) -> Array:
         )
     with guarded(path):
         return reader.read(path, key)
+
+
+def stream(path: Path, key: str | None = None) -> Iterator[Array]:
+    """The array stored in `path` in pieces: frames `(h, w)`, or as many at a time as `read` would give.
+
+    Raises `DataError` as `read` does, once the piece that is wrong is reached.
+    """
+    own = getattr(find(path), "stream", None)
+    pieces = own(path, key) if own else iter([read(path, key)])
+    empty = True
+    while True:
+        with guarded(path):  # not around the loop: what is done with a piece is no business of ours
+            piece = next(pieces, None)
+        if piece is None:
+            break
+        yield piece
+        empty = False
+    if empty:
+        raise DataError(f"{path}: a recording without frames")
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """What makes kelvin of the counts in `path`, if the file says it. Raises `DataError` as `read` does."""
+    own = getattr(find(path), "radiometry", None)
+    with guarded(path):
+        return own(path) if own else None
 
 
 @contextmanager

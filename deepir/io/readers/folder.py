@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.io import readers
 from deepir.io.guards import GIB, MOST_BYTES
+from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = ()
@@ -36,6 +38,17 @@ def read(path: Path, key: str | None) -> Array:
         if total > MOST_BYTES:
             raise DataError(f"{path}: more than {MOST_BYTES // GIB} GiB of pictures; name fewer with a glob")
     return np.ma.concatenate(stacks) if any(map(np.ma.isMaskedArray, stacks)) else np.concatenate(stacks)
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """File after file."""
+    for file in members(path):
+        yield from readers.stream(file, key)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """As the first picture says."""
+    return readers.radiometry(members(path)[0])
 
 
 def members(path: Path) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,6 +15,7 @@ from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
 SUFFIXES = (".npy",)
+Header = tuple[tuple[int, ...], bool, np.dtype[Any]]
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -27,7 +29,14 @@ def read(path: Path, key: str | None) -> Array:
         return read_stream(file, path, path.stat().st_size)
 
 
-def read_header(stream: IO[bytes], path: Path) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """The array as it lies on the disk, in one piece."""
+    with path.open("rb") as file:
+        _check(file, path, path.stat().st_size, at_once=False)
+    yield np.load(path, mmap_mode="r", allow_pickle=False)
+
+
+def read_header(stream: IO[bytes], path: Path) -> Header:
     """Shape, whether the order is Fortran's, and type; `stream` is left at the first byte of the data."""
     version = npy_format.read_magic(stream)
     # Version 3 only adds the names of record fields outside Latin-1, and records are no frames.
@@ -39,14 +48,32 @@ def read_header(stream: IO[bytes], path: Path) -> tuple[tuple[int, ...], bool, n
 
 def read_stream(stream: IO[bytes], path: Path, size: int) -> Array:
     """One array from `stream`, which is `size` bytes long and at its beginning; `path` is for messages."""
-    shape, fortran, dtype = read_header(stream, path)
-    if dtype.hasobject:
-        raise DataError(f"{path}: holds pickled Python objects, which are never loaded; save plain numbers")
-    stored = size - stream.tell()
+    shape, fortran, dtype = _check(stream, path, size)
     declared = math.prod(shape) * dtype.itemsize
-    check_size(path, declared, stored)
     # To the end, not only `declared` bytes: a zip checks its checksum there.
     data = stream.read()
     if len(data) != declared:
         raise DataError(f"{path}: damaged: {len(data):,} bytes where the header says {declared:,}")
     return np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
+
+
+def stream_frames(stream: IO[bytes], path: Path, size: int) -> Iterator[Array]:
+    """One array from `stream`, as `read_stream` has it: frame after frame where it is `(N, h, w)`."""
+    begin = stream.tell()
+    shape, fortran, dtype = _check(stream, path, size, at_once=False)
+    if fortran or len(shape) != 3:
+        stream.seek(begin)
+        yield read_stream(stream, path, size)
+        return
+    for _ in range(shape[0]):
+        data = stream.read(shape[1] * shape[2] * dtype.itemsize)
+        yield np.frombuffer(data, dtype).reshape(shape[1:])
+
+
+def _check(stream: IO[bytes], path: Path, size: int, *, at_once: bool = True) -> Header:
+    """The header, once what it says can be; `stream` is left at the first byte of the data."""
+    shape, fortran, dtype = read_header(stream, path)
+    if dtype.hasobject:
+        raise DataError(f"{path}: holds pickled Python objects, which are never loaded; save plain numbers")
+    check_size(path, math.prod(shape) * dtype.itemsize, size - stream.tell(), at_once=at_once)
+    return shape, fortran, dtype

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
-from deepir.errors import DataError, nearest
+from deepir.errors import DataError
 from deepir.io.guards import check_size
+from deepir.io.named import choose
 from deepir.io.readers import Array, npy
 
 SUFFIXES = (".npz",)
-DEFAULT_KEY = "frames"
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -19,13 +20,17 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The array `key`, else `frames`, else the only array with two or three dimensions.
-
-    Raises `DataError`, with the arrays there are, where that is none or several.
-    """
+    """The array `key`, or the one that `choose` takes for the frames."""
     with zipfile.ZipFile(path) as archive:
-        members = _members(archive, path)
-        return _read_member(archive, members[_choose(archive, members, path, key)], path)
+        return _read_member(archive, _chosen(archive, path, key), path)
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Frame after frame of the same array."""
+    with zipfile.ZipFile(path) as archive:
+        info = _chosen(archive, path, key, at_once=False)
+        with archive.open(info) as member:
+            yield from npy.stream_frames(member, path, info.file_size)
 
 
 def read_all(path: Path) -> dict[str, Array]:
@@ -34,7 +39,15 @@ def read_all(path: Path) -> dict[str, Array]:
         return {name: _read_member(archive, info, path) for name, info in _members(archive, path).items()}
 
 
-def _members(archive: zipfile.ZipFile, path: Path) -> dict[str, zipfile.ZipInfo]:
+def _chosen(
+    archive: zipfile.ZipFile, path: Path, key: str | None, *, at_once: bool = True
+) -> zipfile.ZipInfo:
+    members = _members(archive, path, at_once=at_once)
+    shapes = {name: _shape(archive, info, path) for name, info in members.items()}
+    return members[choose(shapes, path, key)]
+
+
+def _members(archive: zipfile.ZipFile, path: Path, *, at_once: bool = True) -> dict[str, zipfile.ZipInfo]:
     members = {
         info.filename.removesuffix(".npy"): info
         for info in archive.infolist()
@@ -42,26 +55,14 @@ def _members(archive: zipfile.ZipFile, path: Path) -> dict[str, zipfile.ZipInfo]
     }
     if not members:
         raise DataError(f"{path}: a zip archive without NumPy arrays; save the frames with np.savez")
-    check_size(path, sum(i.file_size for i in members.values()), path.stat().st_size, compressed=True)
+    declared, stored = sum(info.file_size for info in members.values()), path.stat().st_size
+    check_size(path, declared, stored, compressed=True, at_once=at_once)
     return members
 
 
-def _choose(
-    archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], path: Path, key: str | None
-) -> str:
-    if key is not None and key not in members:
-        raise DataError(f"{path}: no array '{key}'; {nearest(key, members)}")
-    if key is not None or DEFAULT_KEY in members:
-        return key or DEFAULT_KEY
-    shapes = {}
-    for name, info in members.items():
-        with archive.open(info) as stream:
-            shapes[name] = npy.read_header(stream, path)[0]
-    pictures = [name for name, shape in shapes.items() if len(shape) in (2, 3)]
-    if len(pictures) != 1:
-        listing = ", ".join(f"{name} {shape}" for name, shape in sorted(shapes.items()))
-        raise DataError(f"{path}: which array is meant? Give its key (data.key). Arrays: {listing}")
-    return pictures[0]
+def _shape(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> tuple[int, ...]:
+    with archive.open(info) as stream:
+        return npy.read_header(stream, path)[0]
 
 
 def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> Array:

@@ -21,8 +21,13 @@ def sniff(head: bytes, path: Path) -> bool:
 
 def read(path: Path, key: str | None) -> Array:
     """The picture `(h, w)`, uint8 or uint16. Raises `DataError` for a picture in colour."""
-    data = path.read_bytes()
+    pixels = decode(path.read_bytes(), path)
+    return pixels if pixels.ndim == 2 else grey(pixels, path)
+
+
+def decode(data: bytes, path: Path) -> Array:
+    """The pixels of a PNG, `(h, w)` or `(h, w, C)`; `path` is for messages."""
     width, height, depth, colour = struct.unpack(">IIBB", data[16:26])
     check_size(path, width * height * CHANNELS[colour] * depth // 8, len(data), compressed=True)
-    pixels = imagecodecs.png_decode(data)
-    return pixels if pixels.ndim == 2 else grey(pixels, path)
+    pixels: Array = imagecodecs.png_decode(data)
+    return pixels

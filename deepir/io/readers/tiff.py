@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tifffile
 
-from deepir.errors import DataError
+from deepir import schema
+from deepir.errors import ConfigError, DataError
 from deepir.io.guards import check_size, grey
+from deepir.io.radiometry import KELVIN, Radiometry, chosen
 from deepir.io.readers import Array
 
 SUFFIXES = (".tif", ".tiff")
@@ -32,20 +36,52 @@ def read(path: Path, key: str | None) -> Array:
 
     Raises `DataError` where pages differ in size, lie outside the file, or are in colour.
     """
-    # OME metadata may name other files, which would be opened: read this file's own pages only.
-    with tifffile.TiffFile(path, is_ome=False) as tiff:
-        series = [part for part in tiff.series if not part.keyframe.is_reduced]
-        if not series:
-            raise DataError(f"{path}: a TIFF without a picture")
-        _check_last(tiff, path)
-        for part in series:
-            _check(part, path)
+    with _open(path) as tiff:
+        series = _series(tiff, path)
         check_size(path, sum(p.nbytes for p in series), path.stat().st_size, compressed=True)
-        stacks = [_stack(part, path) for part in series]
+        stacks = [_stack(part.asarray(), part.axes, path) for part in series]
     sizes = {stack.shape[1:] for stack in stacks}
     if len(sizes) > 1:
         raise DataError(f"{path}: its pages differ in size: {' and '.join(map(str, sorted(sizes)))}")
     return np.ma.concatenate(stacks) if len(stacks) > 1 else stacks[0]
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Page after page, `(h, w)`; or, where all lie in one piece, that piece as it is on the disk, `(N, h, w)`."""
+    with _open(path) as tiff:
+        for part in _series(tiff, path):
+            if part.dataoffset is not None:
+                dtype = part.dtype.newbyteorder(tiff.byteorder)
+                yield _stack(np.memmap(path, dtype, "r", part.dataoffset, part.shape), part.axes, path)
+            else:
+                yield from (_stack(page.asarray(), part.axes, path) for page in part.pages)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """As deepir wrote it into the description, see `deepir.io.radiometry.unit`."""
+    with _open(path) as tiff:
+        try:
+            said = json.loads(tiff.pages.first.description)
+            if said.get("unit") == "K":
+                return KELVIN
+            return chosen(None, schema.Radiometry(**said["radiometry"]))
+        except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
+            return None
+
+
+def _open(path: Path) -> tifffile.TiffFile:
+    # OME metadata may name other files, which would be opened: read this file's own pages only.
+    return tifffile.TiffFile(path, is_ome=False)
+
+
+def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:
+    series = [part for part in tiff.series if not part.keyframe.is_reduced]
+    if not series:
+        raise DataError(f"{path}: a TIFF without a picture")
+    _check_last(tiff, path)
+    for part in series:
+        _check(part, path)
+    return series
 
 
 def _check(part: Any, path: Path) -> None:
@@ -53,7 +89,8 @@ def _check(part: Any, path: Path) -> None:
     page, size = part.keyframe, path.stat().st_size
     if page.photometric == PALETTE:
         raise DataError(f"{path}: a palette picture carries no radiometry. Export raw 16-bit data instead.")
-    check_size(path, part.nbytes, size, compressed=page.compression != tifffile.COMPRESSION.NONE)
+    compressed = page.compression != tifffile.COMPRESSION.NONE
+    check_size(path, part.nbytes, size, compressed=compressed, at_once=False)
     if part.dataoffset is not None:
         ends = [part.dataoffset + part.nbytes]
     else:
@@ -78,9 +115,8 @@ def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
         raise DataError(f"{path}: truncated: only {len(tiff.pages)} of its pages can be found")
 
 
-def _stack(part: Any, path: Path) -> Array:
-    pixels = part.asarray()
+def _stack(pixels: Array, axes: str, path: Path) -> Array:
     # Samples in planes of their own are frames: so tifffile saves a burst of three or four unless told.
-    if part.axes.endswith("S"):
+    if axes.endswith("S"):
         pixels = grey(pixels, path)
     return pixels.reshape(-1, *pixels.shape[-2:])

@@ -1,0 +1,158 @@
+"""A camera's pattern as maps: from flat frames, or from a run, and what takes it out of a recording."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.errors import DataError
+from deepir.io import readers, write_npz
+from deepir.io.readers import npz
+
+RESPONSE = 0.5
+"""A pixel whose gain is farther from the median pixel's than this share of it is no sensor."""
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Gain, offset and bad pixels of a detector, each (h, w): frame = gain scene + offset.
+
+    `result.npz` of a run holds such maps too.
+    """
+
+    gain: Array
+    offset: Array
+    bad_pixels: Array
+
+    def save(self, path: Path) -> None:
+        """Write an `.npz`."""
+        write_npz(path, {"gain": self.gain, "offset": self.offset, "bad_pixels": self.bad_pixels})
+
+    def correct(self, frames: Array) -> Array:
+        """Frames (..., h, w) of any type without the pattern, float32; bad pixels are as their neighbours.
+
+        NaN stays NaN. Raises `DataError` for frames of another size.
+        """
+        if frames.shape[-2:] != self.gain.shape:
+            sizes = [" x ".join(map(str, shape)) for shape in (frames.shape[-2:], self.gain.shape)]
+            raise DataError(
+                f"the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
+            )
+        scale, shift = self._factors
+        scene: Array = np.ma.filled(frames.astype(np.float32), np.nan)
+        scene *= scale
+        scene += shift
+        bad, sources, weights = self._around
+        flat = scene.reshape(*scene.shape[:-2], -1)
+        flat[..., bad] = (flat[..., sources] * weights).sum(-1)
+        return scene
+
+    @functools.cached_property
+    def _factors(self) -> tuple[Array, Array]:
+        gain = np.where(self.bad_pixels, 1, self.gain)
+        return (1 / gain).astype(np.float32), (-self.offset / gain).astype(np.float32)
+
+    @functools.cached_property
+    def _around(self) -> tuple[Array, Array, Array]:
+        """Bad pixels (B,), the pixels that each is made of (B, 9) and their shares: good neighbours, or the nearest."""
+        height, width = self.gain.shape
+        y, x = np.nonzero(self.bad_pixels)
+        dy, dx = np.mgrid[-1:2, -1:2].reshape(2, 9)
+        near_y, near_x = y[:, None] + dy, x[:, None] + dx
+        inside = (near_y >= 0) & (near_y < height) & (near_x >= 0) & (near_x < width)
+        near_y, near_x = near_y.clip(0, height - 1), near_x.clip(0, width - 1)
+        shares = (inside & ~self.bad_pixels[near_y, near_x]).astype(np.float32)
+        lonely = ~shares.any(axis=1)
+        if lonely.any():
+            nearest = ndimage.distance_transform_edt(
+                self.bad_pixels, return_distances=False, return_indices=True
+            )
+            near_y[lonely], near_x[lonely] = (each[y, x][lonely, None] for each in nearest)
+            shares[lonely] = 1
+        return y * width + x, near_y * width + near_x, shares / shares.sum(axis=1, keepdims=True)
+
+
+def read(path: Path) -> Maps:
+    """Maps from an `.npz` with `gain` and `offset`, or from the folder of a run.
+
+    Raises `DataError` where they are missing, differ in size or cannot be divided by.
+    """
+    file = path / "result.npz" if path.is_dir() else path
+    with readers.guarded(file):
+        if readers.find(file) is not npz:
+            raise DataError(f"{file}: maps are an .npz with gain and offset, or the folder of a run")
+        found = npz.read_all(file)
+    if missing := [name for name in ("gain", "offset") if name not in found]:
+        raise DataError(
+            f"{file}: no {' and no '.join(missing)}; maps are made by `deepir calibrate` or a run"
+        )
+    gain, offset = (np.squeeze(found[name]).astype(np.float64) for name in ("gain", "offset"))
+    bad = np.squeeze(found.get("bad_pixels", np.zeros(gain.shape))).astype(bool)
+    if gain.ndim != 2 or not gain.shape == offset.shape == bad.shape:
+        raise DataError(
+            f"{file}: gain {gain.shape}, offset {offset.shape} and bad pixels {bad.shape} differ in size"
+        )
+    bad |= ~np.isfinite(gain) | ~np.isfinite(offset) | (gain <= 0)
+    if bad.all():
+        raise DataError(f"{file}: not one pixel has a gain above zero")
+    return Maps(gain, np.where(bad, 0, offset), bad)
+
+
+def mean(frames: Iterable[Array], source: str) -> Array:
+    """The mean (h, w) of a recording of something uniform, float64; NaN for a pixel that has no value."""
+    total, count = None, 0
+    for frame in frames:
+        values = np.ma.filled(frame.astype(np.float64), np.nan)
+        total = values if total is None else total + values
+        count += 1
+    if total is None:
+        raise DataError(f"{source}: a recording without frames")
+    return total / count
+
+
+def from_flats(flats: Sequence[Array]) -> Maps:
+    """Maps from mean frames (h, w) of uniform surfaces, each of another temperature.
+
+    One gives the offset alone, the gain is one; more give both, by least squares over the flats' mean values. Gain and
+    offset are in the gauge of all of deepir: mean one and mean zero over good pixels. Raises `DataError` where
+    the flats differ in size, or not in temperature, or no pixel has a value in all.
+    """
+    import torch  # not above: `deepir --help` and `deepir apply` do without
+
+    from deepir.defects import deviating
+
+    if len({flat.shape for flat in flats}) > 1:
+        raise DataError(
+            f"flat frames differ in size: {' and '.join(sorted({str(flat.shape) for flat in flats}))}"
+        )
+    stack = np.stack(flats)
+    known = np.isfinite(stack).all(axis=0)
+    if not known.any():
+        raise DataError("no pixel has a value in all of the flat frames")
+    stack = np.where(known, stack, np.nanmedian(stack, axis=(1, 2), keepdims=True))
+    levels = np.median(stack, axis=(1, 2))
+    gain = np.ones(stack.shape[1:])
+    if len(flats) > 1:
+        around = levels - levels.mean()
+        spread = (around**2).sum()
+        if spread <= (1e-3 * np.abs(levels).max()) ** 2:
+            raise DataError(
+                f"the flat frames are at {levels[0]:g} and {levels[-1]:g}: two temperatures are needed"
+            )
+        gain = np.tensordot(around, stack - stack.mean(axis=0), 1) / spread
+    offset = stack.mean(axis=0) - gain * levels.mean()
+    bad = ~known | (np.abs(gain - 1) > RESPONSE)
+    for each in (gain, offset):
+        pattern, good = (torch.from_numpy(array)[None, None] for array in (each, ~bad))
+        bad = bad | deviating(pattern, good).numpy()[0, 0]
+    scale = gain[~bad].mean()
+    gain, shift = gain / scale, offset[~bad].mean()
+    return Maps(gain.astype(np.float32), (offset - shift * gain).astype(np.float32), bad)

@@ -1,0 +1,82 @@
+"""`deepir apply`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Settings, recording
+
+if TYPE_CHECKING:
+    from deepir.calibration import Maps
+    from deepir.config import Config, Data
+    from deepir.io.radiometry import Radiometry
+
+SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")
+
+
+def apply(
+    maps: Annotated[
+        Path, typer.Argument(metavar="MAPS", help="Maps of `deepir calibrate`, or the folder of a run.")
+    ],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of the same camera.")],
+    settings: Settings = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.", show_default=False
+        ),
+    ] = None,
+    float32: Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")] = False,
+    overwrite: Overwrite = False,
+) -> int:
+    """Correct a whole recording, frame by frame: deepir apply maps.npz flight.seq --output flight.mp4.
+
+    It need not fit into memory. Settings: data.key, data.raw, data.radiometry, output.palette, output.tones.
+    """
+    from deepir.calibration import read
+    from deepir.cli.signals import Interrupted, Interruptible, stopped
+    from deepir.errors import DataError
+
+    config = recording(file, settings or (), SETTINGS)
+    target = output or Path(f"{Path(file).stem}_corrected.tif")
+    if target.exists() and not overwrite:
+        raise DataError(f"{target} exists; replace it with --overwrite, or give another --output")
+    try:
+        with Interruptible():
+            typer.echo(_apply(read(maps), config, target, rounded=not float32))
+    except Interrupted as error:
+        return stopped(error)
+    return 0
+
+
+def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
+    """Write all frames; what was done, in a line."""
+    import itertools
+
+    from deepir.io import stream_frames
+    from deepir.io.radiometry import unit
+    from deepir.io.recording import output_type, writer
+
+    data, shown = config.data, config.output
+    frames = stream_frames(str(data.path), key=data.key, raw=data.raw)
+    first = next(frames)
+    dtype = output_type(first.dtype, rounded=rounded)
+    begun, count = time.perf_counter(), 0
+    with writer(target, dtype, unit(_radiometry(data)), shown.palette, shown.tones) as write:
+        for frame in itertools.chain([first], frames):
+            write(maps.correct(frame))
+            count += 1
+    speed = count / (time.perf_counter() - begun)
+    return f"{target}: {count} frame(s) of {' x '.join(map(str, first.shape))} px, {speed:.0f} frames/s"
+
+
+def _radiometry(data: Data) -> Radiometry | None:
+    from deepir.io import readers
+    from deepir.io.radiometry import chosen
+
+    found = readers.radiometry(Path(str(data.path)).expanduser()) if data.raw is None else None
+    return chosen(found, data.radiometry)

@@ -1,0 +1,131 @@
+"""Counts to kelvin: by a scale, as cameras with TLinear output give them, or by Planck's law."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from deepir import schema
+from deepir.errors import ConfigError
+
+Array = np.ndarray[Any, Any]
+ZERO_CELSIUS = 273.15
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Kelvin = `scale` counts + `zero`: 0.01 for TLinear (K x 100), 0.04 and 0.1 elsewhere, 1 for kelvin themselves."""
+
+    scale: float
+    zero: float = 0.0  # kelvin of zero counts; 273.15 with scale 1 for data in degrees Celsius
+
+    def kelvin(self, counts: Array) -> Array:
+        """Temperature of counts of any shape, float32."""
+        return (self.scale * counts.astype(np.float64) + self.zero).astype(np.float32)
+
+    def __str__(self) -> str:
+        return f"{self.scale:g} K a count" + (f" from {self.zero:g} K" if self.zero else "")
+
+
+@dataclass(frozen=True)
+class Planck:
+    """A calibrated camera that looks through air, and perhaps a window, at a surface that reflects its surroundings.
+
+    A black body at T gives `r1 / (r2 (exp(b / T) - f)) - o` counts; FLIR's `o` is negative. Of the surface's signal
+    the camera sees the share `emissivity transmission window_transmission`; the rest is the surroundings at
+    `reflected`, the air at `atmosphere` and the window at `window` (all kelvin). See Usamentiaga et al., "Infrared
+    thermography for temperature measurement and non-destructive testing", Sensors 14 (2014).
+    """
+
+    r1: float
+    b: float
+    f: float = 1.0
+    o: float = 0.0
+    r2: float = 1.0
+    emissivity: float = 1.0
+    reflected: float = 293.15
+    transmission: float = 1.0
+    atmosphere: float = 293.15
+    window_transmission: float = 1.0
+    window: float = 293.15
+
+    def kelvin(self, counts: Array) -> Array:
+        """Temperature of counts of any shape, float32; NaN where no temperature gives so few."""
+        air, glass = self.transmission, self.window_transmission
+        around = glass * air * (1 - self.emissivity) * self.signal(self.reflected)
+        around += glass * (1 - air) * self.signal(self.atmosphere) + (1 - glass) * self.signal(self.window)
+        own = (counts.astype(np.float64) + self.o - around) / (glass * air * self.emissivity)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            kelvin = self.b / np.log(self.r1 / (self.r2 * own) + self.f)
+        return np.where(own > 0, kelvin, np.nan).astype(np.float32)
+
+    def signal(self, kelvin: float | Array) -> Any:
+        """Counts of a black body, above those of no signal at all (`-o`)."""
+        return self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f))
+
+    def __str__(self) -> str:
+        return (
+            f"Planck's law, emissivity {self.emissivity:.3g}, surroundings at {self.reflected - ZERO_CELSIUS:.1f} °C, "
+            f"air {self.transmission:.3f} at {self.atmosphere - ZERO_CELSIUS:.1f} °C"
+        )
+
+
+Radiometry = Linear | Planck
+KELVIN = Linear(1.0)
+
+
+def unit(radiometry: Radiometry | None) -> dict[str, Any]:
+    """What a file of values says of their unit: `{"unit": "K"}`, or counts and how kelvin are made of them."""
+    if radiometry is None:
+        return {}
+    if radiometry == KELVIN:
+        return {"unit": "K"}
+    return {"unit": "counts", "radiometry": asdict(radiometry)}
+
+
+def air(
+    distance: float,
+    humidity: float,
+    kelvin: float,
+    alphas: tuple[float, float],
+    betas: tuple[float, float],
+    share: float,
+) -> float:
+    """Transmission of air at `kelvin` over a distance in m at a relative humidity of 0 to 1.
+
+    FLIR's model, see Minkina and Dudzik, "Infrared Thermography: Errors and Uncertainties" (2009).
+    """
+    celsius = kelvin - ZERO_CELSIUS
+    water = humidity * math.exp(1.5587 + 6.939e-2 * celsius - 2.7816e-4 * celsius**2 + 6.8455e-7 * celsius**3)
+    bands = [
+        math.exp(-math.sqrt(distance) * (alpha + beta * math.sqrt(water)))
+        for alpha, beta in zip(alphas, betas, strict=True)
+    ]
+    return share * bands[0] + (1 - share) * bands[1]
+
+
+def chosen(found: Radiometry | None, asked: schema.Radiometry) -> Radiometry | None:
+    """What the file says, with what the user has `asked` for (`data.radiometry`) in its place.
+
+    Raises:
+        ConfigError: A scale together with Planck's law, or a law without its constants.
+    """
+    given = asked.model_dump(exclude_none=True)
+    law = Linear if {"scale", "zero"} & given.keys() else Planck
+    if not given:
+        return found
+    known = (asdict(found) if isinstance(found, law) else {}) | given
+    if wrong := given.keys() - {each.name for each in fields(law)}:
+        raise ConfigError(
+            f"data.radiometry: scale and {min(wrong)} exclude each other: a scale or Planck's law"
+        )
+    if missing := [
+        name for name in ("scale", "r1", "b") if name in law.__annotations__ and name not in known
+    ]:
+        raise ConfigError(
+            f"data.radiometry: {min(given)} needs {' and '.join(missing)} too: the file says nothing of kelvin"
+        )
+    return law(**known)

@@ -1,0 +1,71 @@
+"""Values to shades and colours: for looking at only, there is no way back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+WHITE_HOT, PERCENTILE = "white-hot", "percentile"
+#: Colours of iron as it heats up, from cold to hot; matplotlib has the others.
+IRON = ["#000014", "#20008c", "#8b0094", "#cc4a1f", "#f29100", "#ffd93b", "#ffffe6"]
+PALETTES = {
+    WHITE_HOT: "gray",
+    "black-hot": "gray_r",
+    "ironbow": IRON,
+    "inferno": "inferno",
+    "magma": "magma",
+    "turbo": "turbo",
+}
+
+
+def coloured(shades: Array, palette: str) -> Array:
+    """Shades (..., h, w) from 0 to 1 as uint8: (..., h, w) for `white-hot`, else (..., h, w, 3)."""
+    levels = np.round(255 * shades).astype(np.uint8)
+    return levels if palette == WHITE_HOT else table(palette)[levels]
+
+
+def table(palette: str) -> Array:
+    """256 colours (256, 3), uint8, from cold to hot."""
+    from matplotlib import colormaps
+    from matplotlib.colors import LinearSegmentedColormap
+
+    known = PALETTES[palette]
+    colours = (
+        colormaps[known] if isinstance(known, str) else LinearSegmentedColormap.from_list(palette, known)
+    )
+    return np.round(255 * np.asarray(colours(np.arange(256)))[:, :3]).astype(np.uint8)
+
+
+def percentile(image: Array) -> Array:
+    """Shades of an image (h, w): 0 to 1 between its percentiles 0.5 and 99.5; 0 where it is not finite."""
+    return stretched(image, *ends(image))
+
+
+def clahe(image: Array) -> Array:
+    """Shades with the contrast of each neighbourhood evened out, for scenes with both hot and cold parts.
+
+    Pizer et al., "Adaptive histogram equalization and its variations" (1987), as scikit-image has it.
+    """
+    from skimage.exposure import equalize_adapthist
+
+    shades = percentile(image)
+    return shades if shades.min() == shades.max() else equalize_adapthist(shades, clip_limit=0.02)
+
+
+def ends(image: Array) -> tuple[float, float]:
+    """The percentiles 0.5 and 99.5 of what is finite; zeros where nothing is."""
+    finite = image[np.isfinite(image)]
+    low, high = np.percentile(finite, [0.5, 99.5]) if finite.size else (0.0, 0.0)
+    return float(low), float(high)
+
+
+def stretched(image: Array, low: float, high: float) -> Array:
+    """0 to 1 between `low` and `high`; 0 where the image is not finite, or there is nothing between."""
+    scale = 1 / (high - low) if high > low else 0.0
+    return np.clip((np.where(np.isfinite(image), image, low) - low) * scale, 0, 1)
+
+
+TONES: dict[str, Callable[[Array], Array]] = {PERCENTILE: percentile, "clahe": clahe}

@@ -1,0 +1,69 @@
+import sys
+
+import numpy as np
+import pytest
+import recordings
+
+from deepir.errors import DataError
+from deepir.io import read_frames
+
+h5py = pytest.importorskip("h5py")
+
+
+def test_the_only_recording_needs_no_key_wherever_it_lies(tmp_path, burst):
+    recordings.hdf5(tmp_path / "a.h5", burst)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.h5").frames, burst)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.h5", key="camera/frames").frames, burst)
+
+
+def test_several_recordings_are_listed_with_their_paths(tmp_path, burst):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["day/one"], file["day/two"] = burst, burst[0]
+    with pytest.raises(DataError, match=r"Arrays: day/one \(3, 20, 24\), day/two \(20, 24\)"):
+        read_frames(tmp_path / "a.h5")
+
+
+def test_matlab_73_is_turned_round(tmp_path, burst):
+    recordings.mat73(tmp_path / "a.mat", burst)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mat").frames, burst)
+
+
+def test_other_files_are_never_opened(tmp_path, burst):
+    recordings.hdf5(tmp_path / "other.h5", burst)
+    with h5py.File(tmp_path / "link.h5", "w") as file:
+        file["frames"] = h5py.ExternalLink("other.h5", "camera/frames")
+    with pytest.raises(DataError, match="Arrays: none"):
+        read_frames(tmp_path / "link.h5")
+    layout = h5py.VirtualLayout(burst.shape, "u2")
+    layout[:] = h5py.VirtualSource("other.h5", "camera/frames", burst.shape)
+    with h5py.File(tmp_path / "virtual.h5", "w") as file:
+        file.create_virtual_dataset("frames", layout)
+    with pytest.raises(DataError, match="in other files, which are never opened"):
+        read_frames(tmp_path / "virtual.h5")
+    (tmp_path / "raw").write_bytes(burst.tobytes())
+    with h5py.File(tmp_path / "external.h5", "w") as file:
+        file.create_dataset("frames", burst.shape, "u2", external=str(tmp_path / "raw"))
+    with pytest.raises(DataError, match="in other files, which are never opened"):
+        read_frames(tmp_path / "external.h5")
+
+
+def test_folders_that_hold_themselves_end(tmp_path, burst):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["frames"] = burst
+        file["again"] = file["/"]
+    with pytest.raises(DataError, match="more arrays or folders"):
+        read_frames(tmp_path / "a.h5")
+
+
+def test_a_huge_array_without_values_is_refused_at_once(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("frames", (10**6, 1000, 1000), "f4", chunks=(1, 100, 100))
+    with pytest.raises(DataError, match="declares 4,000,000,000,000 bytes"):
+        read_frames(tmp_path / "a.h5")
+
+
+def test_without_the_library_the_extra_is_named(tmp_path, burst, monkeypatch):
+    recordings.hdf5(tmp_path / "a.h5", burst)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(DataError, match=r"a\.h5: this needs h5py.*pip install 'deepir\[hdf5\]'"):
+        read_frames(tmp_path / "a.h5")

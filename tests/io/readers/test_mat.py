@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+import scipy.io
+
+from deepir.errors import DataError
+from deepir.io import read_frames
+
+
+def test_frames_are_counted_along_matlabs_last_axis(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"burst": np.moveaxis(burst, 0, -1), "name": "flight", "rate": 30.0})
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mat").frames, burst)
+
+
+def test_one_frame_is_a_matrix(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"raw": burst[0], "cal": burst[1]})
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mat").frames, burst[:1])
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mat", key="cal").frames, burst[1:2])
+
+
+@pytest.mark.parametrize("dtype", ["u1", "i2", "i4", "u8", "f4", "f8"])
+def test_every_numeric_class_is_read(tmp_path, burst, dtype):
+    scipy.io.savemat(tmp_path / "a.mat", {"frames": (burst[0] // 128).astype(dtype)})
+    read = read_frames(tmp_path / "a.mat")
+    assert read.dtype == np.dtype(dtype).name
+    np.testing.assert_array_equal(read.frames[0], burst[0] // 128)
+
+
+def test_cells_and_structures_are_no_frames(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"camera": {"frames": burst}, "notes": np.array([burst], object)})
+    with pytest.raises(DataError, match="which array is meant"):
+        read_frames(tmp_path / "a.mat")
+    with pytest.raises(DataError, match="no array 'camera'"):
+        read_frames(tmp_path / "a.mat", key="camera")
+
+
+def test_a_huge_declared_matrix_is_refused_at_once(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"frames": burst[0]})
+    content = bytearray((tmp_path / "a.mat").read_bytes())
+    at = content.index((20).to_bytes(4, "little") + (24).to_bytes(4, "little"))
+    content[at : at + 8] = (2**31 - 1).to_bytes(4, "little") * 2
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(DataError, match="declares"):
+        read_frames(tmp_path / "a.mat")

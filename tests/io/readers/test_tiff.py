@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+import recordings
+import tifffile
+
+from deepir.errors import DataError
+from deepir.io import read_frames
+
+
+def test_pages_appended_one_by_one_are_one_burst(tmp_path, burst):
+    for frame in burst:
+        tifffile.imwrite(tmp_path / "a.tif", frame, append=True)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames, burst)
+
+
+def test_imagej_stacks_are_read_whole(tmp_path, burst):
+    tifffile.imwrite(tmp_path / "a.tif", burst, imagej=True)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames, burst)
+
+
+def test_float_tiff_is_exact(tmp_path, burst):
+    kelvin = burst.astype(np.float32) / 64 + 273.15
+    tifffile.imwrite(tmp_path / "a.tif", kelvin, compression="zlib", photometric="minisblack")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames, kelvin)
+
+
+def test_pages_of_different_size_are_an_error(tmp_path):
+    for size in (20, 24):
+        tifffile.imwrite(tmp_path / "a.tif", np.zeros((size, size), np.uint16), append=True)
+    with pytest.raises(DataError, match=r"pages differ in size: \(20, 20\) and \(24, 24\)"):
+        read_frames(tmp_path / "a.tif")
+
+
+def test_grey_stored_as_rgb_tiff_is_grey(tmp_path, burst):
+    rgb = np.stack([burst[0]] * 3, axis=-1)
+    tifffile.imwrite(tmp_path / "a.tif", rgb, photometric="rgb")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames, burst[:1])
+
+
+def test_colour_tiff_is_refused(tmp_path, burst):
+    tifffile.imwrite(tmp_path / "a.tif", np.moveaxis(burst, 0, -1), photometric="rgb")
+    with pytest.raises(DataError, match="radiometry"):
+        read_frames(tmp_path / "a.tif")
+
+
+def test_three_frames_that_tifffile_took_for_colour_planes_are_three_frames(tmp_path, burst):
+    tifffile.imwrite(tmp_path / "a.tif", burst, photometric="rgb", planarconfig="separate")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames, burst)
+
+
+def test_palette_tiff_carries_no_radiometry(tmp_path, burst):
+    colours = np.zeros((3, 256), np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", burst[0].astype(np.uint8), photometric="palette", colormap=colours)
+    with pytest.raises(DataError, match="radiometry"):
+        read_frames(tmp_path / "a.tif")
+
+
+def test_a_tiff_that_claims_a_huge_picture_is_refused_at_once(tmp_path, burst):
+    tifffile.imwrite(tmp_path / "a.tif", burst[0], compression="zlib")
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as tiff:
+        for tag in ("ImageWidth", "ImageLength", "RowsPerStrip"):
+            tiff.pages[0].tags[tag].overwrite(10**6, dtype="I")
+    with pytest.raises(DataError, match="declares 2,000,000,000,000 bytes"):
+        read_frames(tmp_path / "a.tif")
+
+
+def test_a_truncated_tiff_is_not_filled_up_with_zeros(tmp_path, burst):
+    for save in (recordings.tiff, recordings.big_tiff, recordings.lzw_tiff):
+        save(tmp_path / "a.tif", burst)
+        content = (tmp_path / "a.tif").read_bytes()
+        for lost in (20, 200, len(content) // 2):
+            (tmp_path / "a.tif").write_bytes(content[:-lost])
+            with pytest.raises(DataError, match="truncated"):
+                read_frames(tmp_path / "a.tif")

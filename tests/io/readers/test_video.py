@@ -1,0 +1,66 @@
+import sys
+
+import numpy as np
+import pytest
+import recordings
+
+from deepir.errors import DataError
+from deepir.io import read_frames
+
+pytest.importorskip("av")
+
+
+def test_sixteen_bits_stay_sixteen(tmp_path, burst):
+    recordings.film(tmp_path / "a.mkv", burst)
+    read = read_frames(tmp_path / "a.mkv")
+    assert read.dtype == "uint16"
+    np.testing.assert_array_equal(read.frames, burst)
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a.mkv"])
+def test_grey_of_eight_bits_is_exact(tmp_path, burst, name):
+    burst = (burst // 64).astype(np.uint8)
+    recordings.film(tmp_path / name, burst, stored="gray")
+    read = read_frames(tmp_path / name)
+    assert read.dtype == "uint8"
+    np.testing.assert_array_equal(read.frames, burst)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mov"])
+def test_a_grey_film_in_a_colour_format_is_grey(tmp_path, name):
+    ramp = np.tile(np.arange(40, 200, 5, np.uint8), (2, 32, 1))
+    film = np.concatenate([ramp, np.full((2, 16, 32), 128, np.uint8)], axis=1)  # luma, then colourless chroma
+    import av
+
+    with av.open(tmp_path / name, "w") as container:
+        track = container.add_stream("mpeg4", rate=30)
+        track.height, track.width, track.pix_fmt = 32, 32, "yuv420p"
+        for planes in film:
+            container.mux(track.encode(av.VideoFrame.from_ndarray(planes, format="yuv420p")))
+        container.mux(track.encode())
+    read = read_frames(tmp_path / name)
+    assert read.frames.shape == (2, 32, 32)
+    expected = (ramp.astype(float) - 16) * 255 / 219  # luma counts from 16 to 235
+    np.testing.assert_allclose(read.frames, expected, atol=6)
+
+
+def test_a_film_in_colour_carries_no_radiometry(tmp_path, burst):
+    colours = np.repeat(burst[..., None] // 64, 3, axis=-1).astype(np.uint8)
+    colours[..., 2] = 0
+    import av
+
+    with av.open(tmp_path / "a.avi", "w") as container:
+        track = container.add_stream("ffv1", rate=30)
+        track.height, track.width, track.pix_fmt = 20, 24, "bgr0"
+        for frame in colours:
+            container.mux(track.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(track.encode())
+    with pytest.raises(DataError, match="carries no radiometry"):
+        read_frames(tmp_path / "a.avi")
+
+
+def test_without_the_library_the_extra_is_named(tmp_path, burst, monkeypatch):
+    recordings.film(tmp_path / "a.mkv", burst)
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(DataError, match=r"a\.mkv: this needs av.*pip install 'deepir\[video\]'"):
+        read_frames(tmp_path / "a.mkv")

@@ -1,0 +1,133 @@
+"""Counts to kelvin."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import recordings
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deepir.errors import ConfigError
+from deepir.io import read_frames, write_tiff
+from deepir.io.radiometry import KELVIN, Linear, Planck, air, chosen, unit
+from deepir.schema import Radiometry as Asked
+
+T640 = Planck(16556.0, 1428.0, 1.0, -342.0, 0.0451)
+
+
+def test_tlinear_is_a_hundredth_of_a_kelvin_a_count():
+    np.testing.assert_allclose(Linear(0.01).kelvin(np.array([27315, 29315], np.uint16)), [273.15, 293.15])
+
+
+def test_degrees_celsius_are_shifted():
+    assert Linear(1.0, 273.15).kelvin(np.array([-3.15]))[0] == pytest.approx(270.0)
+
+
+def test_the_papers_lepton_has_its_constants():
+    """Counts = R / (exp(B / T) - F) + O with R 82589, B 641, F 1, O 18955 (Saragadam et al. 2021)."""
+    kelvin = np.array([250.0, 293.15, 320.0])
+    counts = 82589 / (np.exp(641 / kelvin) - 1) + 18955
+    np.testing.assert_allclose(Planck(82589, 641, 1, -18955).kelvin(counts), kelvin, rtol=1e-6)
+
+
+@given(
+    st.floats(230, 500),
+    st.floats(0.3, 1),
+    st.floats(0.5, 1),
+    st.floats(0.5, 1),
+    st.lists(st.floats(250, 330), min_size=3, max_size=3),
+)
+def test_what_the_camera_sees_through_air_and_window_comes_back(kelvin, emissivity, through, glass, others):
+    def body(t):
+        return 16556 / (0.0451 * (np.exp(1428 / t) - 1)) + 342
+
+    reflected, atmosphere, window = others
+    at_lens = emissivity * body(kelvin) + (1 - emissivity) * body(reflected)
+    at_window = through * at_lens + (1 - through) * body(atmosphere)
+    counts = glass * at_window + (1 - glass) * body(window)
+    law = dataclasses.replace(
+        T640,
+        emissivity=emissivity,
+        reflected=reflected,
+        transmission=through,
+        atmosphere=atmosphere,
+        window_transmission=glass,
+        window=window,
+    )
+    assert law.kelvin(np.array([counts]))[0] == pytest.approx(kelvin, abs=0.01)
+
+
+def test_counts_below_any_temperature_have_none():
+    assert np.isnan(T640.kelvin(np.array([100.0, 342.0]))).all()
+
+
+def test_air_takes_more_the_farther_and_the_wetter():
+    def through(distance, humidity):
+        return air(distance, humidity, 293.15, (0.006569, 0.01262), (-0.002276, -0.00667), 1.9)
+
+    assert through(0, 0.5) == pytest.approx(1)
+    assert 1 > through(1, 0.5) > through(10, 0.5) > through(10, 0.9) > 0.8
+
+
+@pytest.mark.parametrize("write", [recordings.flir_jpeg, recordings.seq])
+def test_flirs_files_say_all_of_it(tmp_path, burst, write):
+    write(tmp_path / "a", burst)
+    law = read_frames(tmp_path / "a").radiometry
+    constants = {**recordings.PLANCK, **recordings.WINDOW}
+    for name in ("emissivity", "reflected", "atmosphere"):
+        constants[name] = recordings.SCENE[name]
+    for name, value in constants.items():
+        assert getattr(law, name) == pytest.approx(value, rel=1e-6), name
+    assert 0.98 < law.transmission < 1
+
+
+def test_a_file_without_the_cameras_record_says_nothing(tmp_path, burst):
+    (tmp_path / "a.seq").write_bytes(recordings.fff(burst[0], camera=False))
+    assert read_frames(tmp_path / "a.seq").radiometry is None
+
+
+@pytest.mark.parametrize(
+    ("name", "mean"), [("aqua_tower", 263.58693), ("example", 302.19534), ("moving_car", 277.42092)]
+)
+def test_real_pictures_have_the_temperatures_that_flyr_finds(data, name, mean):
+    """Means by flyr 5.1.0 at a distance of zero: its model of the air is another one."""
+    read = read_frames(data / "radiometric_jpg" / f"flir_{name}_cc0.jpg")
+    without_air = dataclasses.replace(read.radiometry, transmission=1.0)
+    assert without_air.kelvin(read.frames).mean(dtype=np.float64) == pytest.approx(mean, abs=1e-4)
+    assert read.radiometry.kelvin(read.frames).mean() == pytest.approx(mean, abs=0.5)
+
+
+@pytest.mark.parametrize("law", [KELVIN, Linear(0.04, 3.0), T640])
+def test_a_tiff_says_what_its_values_are(tmp_path, burst, law):
+    write_tiff(tmp_path / "a.tif", burst, unit(law))
+    assert read_frames(tmp_path / "a.tif").radiometry == law
+
+
+@pytest.mark.parametrize(
+    "said", [{}, {"unit": "counts"}, {"radiometry": {"scale": "x"}}, {"radiometry": {"a": 1}}]
+)
+def test_anybody_elses_description_says_nothing(tmp_path, burst, said):
+    write_tiff(tmp_path / "a.tif", burst, said)
+    assert read_frames(tmp_path / "a.tif").radiometry is None
+
+
+def test_the_user_has_the_last_word():
+    assert chosen(T640, Asked()) == T640
+    assert chosen(T640, Asked(emissivity=0.9)) == dataclasses.replace(T640, emissivity=0.9)
+    assert chosen(T640, Asked(scale=0.01)) == Linear(0.01)
+    assert chosen(Linear(0.01), Asked(zero=1.0)) == Linear(0.01, 1.0)
+    assert chosen(None, Asked()) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"scale": 0.01, "emissivity": 0.9}, "scale and emissivity exclude each other"),
+        ({"emissivity": 0.9}, "emissivity needs r1 and b too"),
+        ({"zero": 3.0}, "zero needs scale too"),
+    ],
+)
+def test_half_a_law_is_refused(given, message):
+    with pytest.raises(ConfigError, match=message):
+        chosen(None, Asked(**given))

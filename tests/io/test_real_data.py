@@ -1,0 +1,43 @@
+"""Every file of real cameras that is at hand opens, and is described."""
+
+import pytest
+from typer.testing import CliRunner
+
+from deepir.cli import app
+from deepir.io import read_frames
+
+FILES = {
+    "a65/a65_frames_000-009.npz": ((10, 512, 640), "uint16"),
+    "deepir_test/test1.png": ((1, 512, 640), "uint8"),
+    "deepir_test/test2.png": ((1, 512, 640), "uint8"),
+    "dji_h30t/H30T_DJI_0001_R_1280x1024_u16.npz": ((1, 1024, 1280), "uint16"),
+    "dji_h30t/H30T_DJI_0002_R_1280x1024_u16.npz": ((1, 1024, 1280), "uint16"),
+    "dji_h30t/H30T_DJI_0003_R_1280x1024_u16.npz": ((1, 1024, 1280), "uint16"),
+    "lepton/lepton_tlinear_82x120x160.npz": ((82, 120, 160), "uint16"),
+    "lepton/v2.cptv": ((100, 120, 160), "uint16"),
+    "radiometric_jpg/duo_pro_r_radiometric.tiff": ((1, 512, 640), "uint16"),
+    "radiometric_jpg/flir_aqua_tower_cc0.jpg": ((1, 180, 180), "uint16"),
+    "radiometric_jpg/flir_example_cc0.jpg": ((1, 320, 240), "uint16"),
+    "radiometric_jpg/flir_moving_car_cc0.jpg": ((1, 240, 320), "uint16"),
+    "seek/seek_face.mat": ((1, 156, 208), "float32"),
+    "seek/seek_floor.mat": ((1, 156, 208), "float32"),
+}
+
+
+def test_no_file_is_forgotten(data):
+    there = {str(path.relative_to(data)) for path in data.glob("*/*") if path.is_file()}
+    assert there <= set(FILES)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_real_files_are_read_and_described(data, name):
+    if not (data / name).exists():
+        pytest.skip(f"{data / name} is absent")
+    shape, dtype = FILES[name]
+    read = read_frames(data / name)
+    assert (read.frames.shape, read.dtype) == (shape, dtype)
+    told = CliRunner().invoke(app, ["check", str(data / name)])
+    assert told.exit_code == 0
+    count, height, width = shape
+    assert f"{count} frame(s) of {height} x {width} px (height x width), stored as {dtype}" in told.output
+    assert "values " in told.output

@@ -1,0 +1,57 @@
+import typing
+
+import numpy as np
+import pytest
+
+from deepir.io.tones import PALETTES, TONES, coloured, table
+from deepir.schema import Output
+
+
+@pytest.fixture
+def scene():
+    """A cold and a hot part, each with little contrast of its own."""
+    y, x = np.mgrid[:64, :96]
+    return 290 + 60 * (x > 48) + np.sin(x / 3) + np.cos(y / 4)
+
+
+@pytest.mark.parametrize("palette", PALETTES)
+def test_palettes_go_from_cold_to_hot(palette):
+    light = table(palette) @ [0.299, 0.587, 0.114]
+    assert table(palette).shape == (256, 3)
+    if palette == "black-hot":
+        light = light[::-1]
+    if palette != "turbo":  # a rainbow
+        assert light[0] < 20
+        assert (np.diff(light) > -1.5).all()
+        assert light[-1] > 180
+
+
+def test_white_hot_is_grey():
+    np.testing.assert_array_equal(coloured(np.array([[0, 0.5, 1]]), "white-hot"), [[0, 128, 255]])
+    np.testing.assert_array_equal(table("white-hot")[:, 0], np.arange(256))
+
+
+@pytest.mark.parametrize("tones", TONES)
+def test_shades_lie_between_nought_and_one(scene, tones):
+    scene[3, 4] = np.nan
+    shades = TONES[tones](scene)
+    assert shades.shape == scene.shape
+    assert shades.min() >= 0
+    assert shades.max() <= 1
+
+
+def test_clahe_shows_both_parts(scene):
+    cold = np.s_[:, :40]
+    assert TONES["clahe"](scene)[cold].std() > 2 * TONES["percentile"](scene)[cold].std()
+
+
+@pytest.mark.parametrize("tones", TONES)
+@pytest.mark.parametrize("value", [7.0, np.nan])
+def test_nothing_to_see_is_black(tones, value):
+    assert not TONES[tones](np.full((20, 24), value)).any()
+
+
+def test_all_can_be_chosen():
+    choices = {key: typing.get_args(field.annotation) for key, field in Output.model_fields.items()}
+    assert choices["palette"] == tuple(PALETTES)
+    assert choices["tones"] == tuple(TONES)

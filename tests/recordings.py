@@ -1,0 +1,202 @@
+"""Small files of every format that is read, written by other means than deepir's own readers."""
+
+import gzip
+import importlib.util
+import io
+import struct
+
+import imagecodecs
+import numpy as np
+import pytest
+import scipy.io
+import tifffile
+from PIL import Image
+
+
+def npz(path, frames):
+    np.savez_compressed(path, frames=frames)
+
+
+def npy(path, frames):
+    with path.open("wb") as file:
+        np.save(file, frames)
+
+
+def tiff(path, frames, **options):
+    tifffile.imwrite(path, frames, photometric="minisblack", **options)
+
+
+def big_tiff(path, frames):
+    tiff(path, frames, bigtiff=True, byteorder=">")
+
+
+def lzw_tiff(path, frames):
+    tiff(path, frames, compression="lzw", predictor=True)
+
+
+def png(path, frames):
+    path.write_bytes(imagecodecs.png_encode(frames[0]))
+
+
+def folder(path, frames):
+    path.mkdir()
+    for k, frame in enumerate(frames):
+        Image.fromarray(frame).save(path / f"frame{k + 8}.png")
+
+
+def mat(path, frames):
+    scipy.io.savemat(path, {"frames": np.moveaxis(frames, 0, -1)}, do_compression=True)
+
+
+def hdf5(path, frames, **options):
+    import h5py
+
+    with h5py.File(path, "w", **options) as file:
+        file.create_dataset("camera/frames", data=frames, compression="gzip")
+        file["temperature"] = np.zeros(3)
+
+
+def mat73(path, frames):
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["frames"] = np.swapaxes(frames, -1, -2)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+
+
+def film(path, frames, codec="ffv1", stored="gray16le"):
+    import av
+
+    with av.open(path, "w") as container:
+        track = container.add_stream(codec, rate=30)
+        track.height, track.width = frames.shape[1:]
+        track.pix_fmt = stored
+        for frame in frames:
+            container.mux(track.encode(av.VideoFrame.from_ndarray(frame, format=stored)))
+        container.mux(track.encode())
+
+
+#: A FLIR T640's constants, as its files hold them.
+PLANCK = {"r1": 16556.0, "b": 1428.0, "f": 1.0, "o": -342, "r2": 0.0451}
+AIR = {"alpha1": 0.006569, "alpha2": 0.01262, "beta1": -0.002276, "beta2": -0.00667, "x": 1.9}
+SCENE = {"emissivity": 0.95, "distance": 2.0, "reflected": 293.15, "atmosphere": 295.15, "humidity": 0.5}
+WINDOW = {"window": 298.15, "window_transmission": 0.9}
+
+
+def fff(frame, packed=None, order="<", camera=True):
+    """FLIR's FFF of one frame, with what the camera says of itself."""
+    height, width = frame.shape
+    pixels = frame.astype(f"{order}u2").tobytes() if packed is None else packed
+    raw = struct.pack(f"{order}HHH", 2, width, height).ljust(32, b"\0") + pixels
+    about = bytearray(struct.pack(f"{order}H", 2).ljust(0x310, b"\0"))
+    for offset, value in {
+        0x20: SCENE["emissivity"],
+        0x24: SCENE["distance"],
+        0x28: SCENE["reflected"],
+        0x2C: SCENE["atmosphere"],
+        0x30: WINDOW["window"],
+        0x34: WINDOW["window_transmission"],
+        0x3C: SCENE["humidity"],
+        0x58: PLANCK["r1"],
+        0x5C: PLANCK["b"],
+        0x60: PLANCK["f"],
+        0x30C: PLANCK["r2"],
+        **dict(zip(range(0x70, 0x84, 4), AIR.values(), strict=True)),
+    }.items():
+        struct.pack_into(f"{order}f", about, offset, value)
+    struct.pack_into(f"{order}i", about, 0x308, PLANCK["o"])
+    records = [(1, raw), (32, bytes(about))][: 1 + camera]
+    content = b"FFF\0" + b"CAMCTRL".ljust(16, b"\0") + struct.pack(">III", 100, 64, len(records))
+    content = content.ljust(64, b"\0")
+    offset = 64 + 32 * len(records)
+    for kind, record in records:
+        content += struct.pack(">HHIIII", kind, 1, 100, 1, offset, len(record)).ljust(32, b"\0")
+        offset += len(record)
+    return content + b"".join(record for _, record in records)
+
+
+def seq(path, frames):
+    path.write_bytes(b"".join(map(fff, frames)))
+
+
+def csq(path, frames):
+    path.write_bytes(b"".join(fff(frame, imagecodecs.jpegls_encode(frame)) for frame in frames))
+
+
+def jpeg_with(marker, parts, size):
+    """A grey JPEG of `size` (h, w) with segments before its picture."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.full(size, 90, np.uint8)).save(buffer, format="JPEG")
+    segments = b"".join(b"\xff" + bytes([marker]) + (len(part) + 2).to_bytes(2) + part for part in parts)
+    return buffer.getvalue()[:2] + segments + buffer.getvalue()[2:]
+
+
+def flir_jpeg(path, frames, packed=None, step=400):
+    content = fff(frames[0], packed)
+    parts = [content[at : at + step] for at in range(0, len(content), step)]
+    marked = [b"FLIR\0\1" + bytes([k, len(parts) - 1]) + part for k, part in enumerate(parts)]
+    path.write_bytes(jpeg_with(0xE1, marked, frames.shape[1:]))
+
+
+def flir_jpeg_png(path, frames):
+    flir_jpeg(path, frames, imagecodecs.png_encode(frames[0].byteswap()))
+
+
+def dji_jpeg(path, frames):
+    content = frames[0].astype("<u2").tobytes()
+    parts = [content[at : at + 60_000] for at in range(0, len(content), 60_000)]
+    path.write_bytes(jpeg_with(0xE3, parts, frames.shape[1:]))
+
+
+def cptv(path, frames, bits=16):
+    """Differences along a line that runs there and back, of the differences from frame to frame."""
+
+    def field(letter, value):
+        return bytes([len(value)]) + letter + value
+
+    height, width = frames.shape[1:]
+    header = [
+        (b"T", bytes(8)),
+        (b"X", struct.pack("<I", width)),
+        (b"Y", struct.pack("<I", height)),
+        (b"C", b"\1"),
+    ]
+    content = b"CPTV\2H" + bytes([len(header)]) + b"".join(field(*each) for each in header)
+    last = np.zeros(height * width, int)
+    for frame in frames:
+        line = frame.astype(int)
+        line[1::2] = line[1::2, ::-1]
+        change, last = line.ravel() - last, line.ravel()
+        steps = "".join(f"{step % 2**bits:0{bits}b}" for step in np.diff(change))
+        packed = struct.pack("<i", change[0]) + int(steps.ljust(-(-len(steps) // 8) * 8, "0"), 2).to_bytes(
+            -(-len(steps) // 8)
+        )
+        section = [(b"w", bytes([bits])), (b"f", struct.pack("<I", len(packed)))]
+        content += b"F" + bytes([len(section)]) + b"".join(field(*each) for each in section) + packed
+    path.write_bytes(gzip.compress(content, 1))
+
+
+def needs(library, *values):
+    """A parameter of a test that is left out where `library` is not installed."""
+    missing = importlib.util.find_spec(library) is None
+    return pytest.param(*values, marks=pytest.mark.skipif(missing, reason=f"{library} is not installed"))
+
+
+#: What keeps many frames of uint16, and what keeps one; the name is that of the reader where that is not its suffix.
+MANY = [
+    ("burst.npz", npz),
+    ("burst.npy", npy),
+    ("burst.tif", tiff),
+    ("big.tif", big_tiff),
+    ("lzw.tiff", lzw_tiff),
+    ("folder", folder),
+    ("burst.mat", mat),
+    ("burst.seq", seq),
+    ("burst.csq", csq),
+    ("burst.cptv", cptv),
+    needs("h5py", "burst.h5", hdf5),
+    needs("h5py", "burst73.mat", mat73),
+    needs("av", "burst.avi", film),
+]
+ONE = [("frame.png", png), ("flir.jpg", flir_jpeg), ("flir_png.jpg", flir_jpeg_png)]
