@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from deepir.baselines.average import Array, corrected
 from deepir.burst import Burst
+from deepir.calibration import from_flats, mean
 from deepir.config import Config
 from deepir.errors import ConfigError, DataError
-from deepir.io import read_frames
+from deepir.io import stream_frames
 from deepir.registry import register
 from deepir.result import Result
 
@@ -30,32 +33,27 @@ def flat_field(
 
     Raises:
         ConfigError: No file is given, or one black body only.
-        DataError: The flat frames are of another size, or hot is not hotter than cold.
+        DataError: The flat frames are of another size than the burst's, or the black bodies are at one temperature.
     """
     if (cold is None) != (hot is None) or (shutter is None and cold is None):
         raise ConfigError(
             "method 'flat_field': give flat frames: method.shutter=FILE, or method.cold=FILE method.hot=FILE"
         )
-    gain = np.ones(burst.size)
-    if cold is not None and hot is not None:
-        low = flat(cold, "cold", burst.size)
-        gain = flat(hot, "hot", burst.size) - low
-        if not np.median(gain) > 0:
-            raise DataError(
-                f"{hot}: the frames are not hotter than those of {cold}; exchange method.cold and hot"
-            )
-    level = flat(shutter, "shutter", burst.size) if shutter is not None else low
-    good = ~burst.bad_pixels
-    gain = gain / gain[good].mean()
-    return corrected(burst, config, gain, level - gain * level[good].mean())
+    named = {"shutter": shutter, "cold": cold, "hot": hot}
+    flats = {name: flat(path, name, burst.size) for name, path in named.items() if path is not None}
+    maps = from_flats([flats["cold"], flats["hot"]] if "hot" in flats else [flats["shutter"]])
+    bad, offset = maps.bad_pixels | burst.bad_pixels, maps.offset
+    if "shutter" in flats:  # the latest
+        offset = flats["shutter"] - maps.gain * flats["shutter"][~bad].mean()
+    return corrected(dataclasses.replace(burst, bad_pixels=bad), config, maps.gain, np.where(bad, 0, offset))
 
 
 def flat(path: str, option: str, size: tuple[int, int]) -> Array:
     """The mean (h, w) of the frames of a file."""
-    frames = read_frames(path).frames.astype(np.float64)
-    if frames.shape[1:] != size:
+    found = mean(stream_frames(path), path)
+    if found.shape != size:
         raise DataError(
-            f"{path}: frames of {frames.shape[1]} x {frames.shape[2]} px (method.{option}), the burst's have "
+            f"{path}: frames of {found.shape[0]} x {found.shape[1]} px (method.{option}), the burst's have "
             f"{size[0]} x {size[1]}"
         )
-    return np.asarray(frames.mean(0))
+    return found

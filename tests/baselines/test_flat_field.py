@@ -56,8 +56,8 @@ def test_errors_say_what_to_give(camera, flats, tmp_path):
         run(camera)
     with pytest.raises(ConfigError, match=r"method\.cold=FILE method\.hot=FILE"):
         run(camera, hot=flats["hot"])
-    with pytest.raises(DataError, match=r"not hotter than"):
-        run(camera, cold=flats["hot"], hot=flats["cold"])
+    with pytest.raises(DataError, match=r"two temperatures are needed"):
+        run(camera, cold=flats["hot"], hot=flats["hot"])
     np.save(tmp_path / "small.npy", np.ones((2, 30, 48)))
     with pytest.raises(DataError, match=r"30 x 48 px \(method\.shutter\), the burst's have 40 x 48"):
         run(camera, shutter=str(tmp_path / "small.npy"))
