@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Settings
+from deepir.cli.arguments import Settings, recording
 
 if TYPE_CHECKING:
     from deepir.analysis import Statistics, Verdict
@@ -27,21 +27,22 @@ def analyze(
 ) -> None:
     """Say how much jitter and how many frames a camera wants: deepir analyze burst.npz, or shutter.npz --flat.
 
-    A burst is solved first (settings are those of `deepir run nuc`), and it is said whether it suffices.
+    A burst is solved first (settings are those of `deepir run nuc`), and it is said whether it suffices; of a uniform
+    source, settings say how the file is read.
     """
     from deepir.analysis.verdict import words
     from deepir.errors import ConfigError
     from deepir.report.analysis import write_analysis
 
     path = Path(what).expanduser()
-    if flat and settings:
-        raise ConfigError("--flat takes no settings: nothing is solved")
     in_run = (path / "result.npz").is_file()
     verdict: Verdict | None = None
     doubt: Array | None = None
     if flat:
-        statistics = _of_flat(path)
+        statistics = _of_flat(path, settings or [])
     elif in_run:
+        if settings:
+            raise ConfigError(f"{what}: a run that is finished takes no settings")
         statistics, verdict, doubt = _of_run(path)
     else:
         statistics, verdict, doubt = _of_burst(path, settings or [])
@@ -53,12 +54,11 @@ def analyze(
     typer.echo(f"picture: {picture}")
 
 
-def _of_flat(path: Path) -> Statistics:
+def _of_flat(path: Path, settings: list[str]) -> Statistics:
     from deepir.analysis import of_flat
     from deepir.burst import load
-    from deepir.config import Data
 
-    flat = load(Data(path=str(path)), needs=2)
+    flat = load(recording(str(path), settings, ("data",)).data, needs=2)
     return of_flat(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
 
 

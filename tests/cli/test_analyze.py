@@ -43,6 +43,7 @@ def test_a_run_is_analysed_as_it_is(deepir, bursts):
     status, out, _ = deepir("analyze", "runs/mine")
     assert status == 0
     assert "this burst: 6 frames" in out
+    assert "takes no settings" in deepir("analyze", "runs/mine", "seed=1")[2]
     assert sorted([*before, "analysis.png"]) == sorted(path.name for path in folder.iterdir())
 
 
@@ -52,13 +53,14 @@ def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
     assert "columns 4" in out or "columns 5" in out
     assert "the pattern holds for longer than the 6 frames over which it can be seen" in out
     assert "this burst" not in out
+    assert "than the 3 frames" in deepir("analyze", "flat.npy", "data.frames=6", "--flat")[1]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nothing.npz"], "nothing.npz: no such file"),
-        (["flat.npy", "seed=3", "--flat"], "--flat takes no settings"),
+        (["flat.npy", "seed=3", "--flat"], "seed=3: of the settings only data are taken here"),
         (["both.npz", "sed=3"], "did you mean 'seed'"),
     ],
 )
