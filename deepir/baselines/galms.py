@@ -15,7 +15,7 @@ from deepir.config import Config
 from deepir.registry import register
 from deepir.result import Result
 
-EDGE = 10.0  # the paper's M: steps are half of the rate where the local deviation is a tenth of the range
+EDGE = 10.0  # M below: steps are half of the rate where the local deviation is a tenth of the range
 
 
 @register("method", "galms")

@@ -26,7 +26,7 @@ def mire(burst: Burst, config: Config) -> Result:
 
 
 def equalised(frame: Array) -> Array:
-    """A frame (h, w) with columns equalised over the width at which its total variation is least (section 3.3)."""
+    """A frame (h, w) with columns equalised over the width at which its total variation is least."""
     return min((midway(frame, width) for width in WIDTHS), key=variation)
 
 
