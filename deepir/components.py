@@ -16,7 +16,7 @@ from deepir.registry import lookup
 
 #: Arguments that the problem, or the run of a method, supplies, never a configuration.
 CONTEXT = frozenset(
-    {"shape", "neutral", "size", "canvas", "origin", "ratio", "members"}
+    {"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"}
     | {"burst", "config", "callbacks", "checkpoint"}
 )
 WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}

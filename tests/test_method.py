@@ -15,6 +15,7 @@ from deepir.registry import register
 @pytest.fixture
 def mine(monkeypatch):
     """A method with an option."""
+    registry.components("method")  # those that there are, before the copy
     monkeypatch.setattr(registry, "_components", {k: dict(v) for k, v in registry._components.items()})
 
     @register("method", "mine")

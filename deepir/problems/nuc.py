@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from deepir.curvature import modelled
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene
+from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.strengths import (
     hold_out,
     measure_roughness,
-    start_parts,
     update_noise,
     update_strengths,
     weigh_scene,
@@ -32,13 +33,14 @@ class NUC(Definition):
 
     frames = 2
     motion = True
-    operators = ("warp", "sensor")
+    operators: ClassVar[tuple[str, ...]] = ("warp", "sensor")
+    #: Unknowns that are refined last: what registration knows of them is good enough to find the sensor.
+    late: ClassVar[tuple[str, ...]] = ("motion",)
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
         start_precision(problem)
-        start_scene(problem)
-        start_parts(problem)
+        start_scene_and_parts(problem)
         estimate_slow(problem, start=True)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
@@ -50,7 +52,7 @@ class NUC(Definition):
         """
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        still = tuple(name for name in free if name != "motion")
+        still = tuple(name for name in free if name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if modelled(problem) else (25, 35)
         return [
