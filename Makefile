@@ -32,6 +32,9 @@ bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity corre
 bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
 	$(BIN)/python benchmarks/sr.py
 
+bench-rivals: setup  ## the default against every rival
+	$(BIN)/python benchmarks/rivals.py --output docs/bench-rivals.md
+
 bench-lag: setup  ## the time constant, and quality against ignoring it: thermal lag
 	$(BIN)/python benchmarks/lag.py
 
@@ -53,4 +56,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-priors bench-real clean

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 import deepir
+from deepir.cli.analyze import analyze
 from deepir.cli.apply import apply
 from deepir.cli.batch import batch
 from deepir.cli.calibrate import calibrate
@@ -37,6 +38,7 @@ app.command()(calibrate)
 app.command()(apply)
 app.command("list")(list_components)
 app.command()(check)
+app.command()(analyze)
 
 
 def _version(wanted: bool) -> None:
