@@ -61,3 +61,9 @@ def test_red_is_of_the_picture_and_not_of_the_splines_coefficients(small_nuc):
     problem.represent("scene", problem.fields["scene"], {"red": penalty})
     penalty.target.copy_(problem.operator.image(scene))
     assert float(problem.losses(problem.values())["scene.red"].detach()) == pytest.approx(0, abs=1e-12)
+
+
+def test_red_takes_a_function_in_a_names_place():
+    penalty, noisy = RED((1, 1, 40, 48), denoiser=lambda picture, noise: picture - noise), picture()
+    penalty.adapt(noisy, 20.0)
+    assert torch.equal(penalty.target, noisy - 7.0)

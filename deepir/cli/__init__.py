@@ -18,6 +18,7 @@ from deepir.cli.listing import list_components
 from deepir.cli.resume import resume
 from deepir.cli.run import run
 from deepir.cli.simulate import simulate
+from deepir.cli.train import train
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(
@@ -33,6 +34,7 @@ app.command()(compare)
 app.command()(batch)
 app.command("list")(list_components)
 app.command()(check)
+app.command()(train)
 
 
 def _version(wanted: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -21,7 +22,7 @@ class RED(Penalty):
 
     Args:
         shape: Of the value.
-        denoiser: The name of a denoiser.
+        denoiser: The name of one, or a function `(picture (S, C, H, W), noise) -> picture`.
         strength: Of the noise that the denoiser is told, in standard deviations of the picture's. What `D(x)` is
             averaged with is less noisy than the data.
     """
@@ -30,12 +31,18 @@ class RED(Penalty):
     target: Tensor
 
     def __init__(
-        self, shape: Shape, *, weight: float | None = None, denoiser: str = "dct", strength: float = 0.35
+        self,
+        shape: Shape,
+        *,
+        weight: float | None = None,
+        denoiser: str | Callable[[Tensor, float], Tensor] = "dct",
+        strength: float = 0.35,
     ) -> None:
         super().__init__(weight=weight)
         if not 0 < strength < float("inf"):
             raise ValueError(f"strength must be a positive number, not {strength}")
-        self.denoise, self.strength = lookup("denoiser", denoiser, "denoiser"), strength
+        self.denoise = denoiser if callable(denoiser) else lookup("denoiser", denoiser, "denoiser")
+        self.strength = strength
         self.register_buffer("target", torch.zeros(shape))
 
     def energy(self, value: Tensor) -> Tensor:
