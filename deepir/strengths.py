@@ -14,6 +14,7 @@ from torch import Tensor
 from deepir.defects import crowded, defective, deviating
 from deepir.evidence import likeliest
 from deepir.noise import MAD
+from deepir.operators import Warp
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
@@ -103,10 +104,13 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
     """
     precision = problem.precision.sum(0)  # the frames' information adds up
     average = float(precision[precision > 0].median().rsqrt())
+    first = problem.operator.named()[0][1]
     with torch.no_grad():
         scene = problem.fields["scene"]()
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
-        noise = average * (1.0 if penalty.of_image else problem.operator.noise_gain)
+        noise = average * problem.operator.noise_gain
+        if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
+            noise /= first.noise_gain
         penalty.weight.fill_(factor * (penalty.natural(noise) if penalty.given is None else penalty.given))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)
