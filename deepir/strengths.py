@@ -14,6 +14,7 @@ from torch import Tensor
 from deepir.defects import crowded, defective, deviating
 from deepir.evidence import likeliest
 from deepir.noise import MAD
+from deepir.operators import Warp
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
@@ -103,13 +104,16 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
 
     What else they need they learn from the scene as it is.
     """
+    first = problem.operator.named()[0][1]
     with torch.no_grad():
         scene = problem.fields["scene"]()
     # Of frames that show the same scene the information adds up.
     precision = problem.precision.sum(0) if len(scene) == 1 else thinned(problem.precision)[0]
     average = float(precision[precision > 0].median().rsqrt())
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
-        noise = average * (1.0 if penalty.of_image else problem.operator.noise_gain)
+        noise = average * problem.operator.noise_gain
+        if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
+            noise /= first.noise_gain
         natural = penalty.natural(noise) * 2 ** (penalty.plain / float(problem.roughness)) ** 2
         penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
         with torch.no_grad():

@@ -21,6 +21,7 @@ from deepir.cli.listing import list_components
 from deepir.cli.resume import resume
 from deepir.cli.run import run
 from deepir.cli.simulate import simulate
+from deepir.cli.train import train
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(
@@ -39,6 +40,7 @@ app.command()(apply)
 app.command("list")(list_components)
 app.command()(check)
 app.command()(analyze)
+app.command()(train)
 
 
 def _version(wanted: bool) -> None:
