@@ -11,6 +11,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.scenes import procedural
+from deepir.simulate.blur import psf
 from deepir.simulate.events import observe
 from deepir.simulate.optics import at_rest, move, reach_of, scale_of
 from deepir.simulate.pictures import Scene
@@ -22,7 +23,8 @@ from deepir.simulate.settings import DEFAULT, Settings
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
+    #: Frame 0 without pattern, level, noise and walker (with optics, unless `sharp`, and pixel's box), on a grid
+    #: `factor` times as fine.
     scene: np.ndarray  # (Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
@@ -34,6 +36,7 @@ class Truth:
     read_noise: float  # sigma; rounding to counts adds a variance of 1/12
     photons_per_unit: float  # photon noise has variance gain · flux / this; 0: there is none
     scale: float  # picture px per detector px
+    psf: np.ndarray  # (K, K), the optics alone, five points per detector px, sum one
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         )
     scale = scale_of(picture.shape, reach, settings)
     flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
-    if settings.factor > 1:
+    if settings.factor > 1 or settings.sharp:
         static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
     flux, static = settings.range * flux + dark, settings.range * static + dark
@@ -110,6 +113,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         read_noise=settings.read_noise * settings.range,
         photons_per_unit=settings.photons / settings.range,
         scale=scale,
+        psf=psf(settings),
     )
     frames = expose(flux, gain, offset, level, bad, settings, noise_rng, defects_rng)
     return Simulation(frames, truth, settings, seed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.scenes import procedural
+from deepir.simulate.blur import blurred
 from deepir.simulate.optics import render
 from deepir.simulate.settings import Settings
 
@@ -22,7 +23,8 @@ def observe(
     """Flux in units of the range, and where the walker has changed it, (N, H, W); frame 0 without him, (H, W)."""
 
     def seen(scene: np.ndarray, frames: slice) -> np.ndarray:
-        return render(scene, motion[frames], settings.shape, scale, settings.psf_sigma)
+        behind = blurred(scene, scale, settings)
+        return render(behind, motion[frames], settings.shape, scale, settings.psf_sigma)
 
     static = seen(picture, np.s_[:])
     flux, failed = static.copy(), settings.failed_frame
