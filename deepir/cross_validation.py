@@ -24,9 +24,14 @@ COARSE, FINE = 2.0, 1.0
 MOST = 3.0
 
 
-def start_trials(problem: Problem) -> None:
-    """Make room for the trials: each one's power of two of the natural weights, and its misfit."""
+def start_trials(problem: Problem, *, afresh: bool = False) -> None:
+    """Make room for the trials: each one's power of two of the natural weights, and its misfit.
+
+    With `afresh` each begins with the scene of the first, not of the one before it: where much of the scene is open,
+    one that has become rough does not become smooth again in so few iterations.
+    """
     problem.register_buffer("trials", torch.full((TRIALS, 2), torch.nan, dtype=torch.float64))
+    problem.register_buffer("smooth", torch.zeros_like(problem.fields["scene"]().detach()) if afresh else None)
 
 
 def trials(problem: Problem, *, first: float = COARSE, iterations: int = ITERATIONS) -> list[Stage]:
@@ -48,8 +53,21 @@ def _try(problem: Problem, first: float) -> None:
     """Set the weights for the next trial."""
     tried = _conclude(problem)
     power = next_power(tried) if tried else first
+    begin_smooth(problem)
     problem.get_buffer("trials")[_started(problem), 0] = power
     weigh_scene(problem, 2**power)
+
+
+@torch.no_grad()
+def begin_smooth(problem: Problem) -> None:
+    """Put the scene back to that of the first trial, if each is to begin with it."""
+    scene, smooth = problem.fields["scene"], problem.smooth
+    if smooth is None:
+        return
+    if _started(problem) == 1:
+        smooth.copy_(scene())
+    elif _started(problem):
+        scene.init_from(smooth)
 
 
 @torch.no_grad()

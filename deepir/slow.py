@@ -37,14 +37,14 @@ class Slow:
     def __init__(self, problem: Problem, canvas: tuple[int, ...]) -> None:
         warp: Any = problem.operator.named()[0][1]
         device = problem.data.device
-        height, width = warp.size
+        height, width = problem.data.shape[-2:]  # what the warp shows may be larger, by a blur's reach
         self.problem = problem
         self.scene, self.frame = (
             Shading((1, 1, *size)).to(device) for size in (canvas[-2:], (height, width))
         )
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
         motion = problem.values()[problem.slots["warp.motion"]].double()
-        points = coords(warp.place @ motion, warp.size)[:, ::step_y, ::step_x].flatten(1, 2)
+        points = coords(warp.place @ motion, (height, width))[:, ::step_y, ::step_x].flatten(1, 2)
         y, x = torch.meshgrid(
             torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
             torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, ROW
-from deepir.operators.warp import Warp
+from deepir.operators import Blur, Sensor, Warp
 from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
 from deepir.priors.shading import Shading
@@ -62,8 +62,9 @@ def shading_message(problem: Problem) -> list[str]:
 
 def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found; none unless a warp makes the frames."""
-    first = problem.operator.named()[0][1]
-    if not isinstance(first, Warp) or first.size != problem.data.shape[-2:] or len(problem.data) < 2:
+    first, *others = (stage for _, stage in problem.operator.named())
+    same = all(isinstance(stage, Blur | Sensor) for stage in others)  # as large as the scene's, but for a blur's reach
+    if not (isinstance(first, Warp) and same) or len(problem.data) < 2:
         return [], []
     closed, free = problem.closed_form(), problem.free()
     offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]

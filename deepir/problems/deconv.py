@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import torch
 
-from deepir.cross_validation import start_trials, trials, weigh_by_trials
+from deepir.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
 from deepir.priors.psf import PSF
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
+from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.spectrum import fit_psf
 from deepir.strengths import HELD_OUT as LEAST
@@ -30,6 +31,7 @@ class Deconv(Definition):
     """
 
     operators = ("blur",)
+    weigh = staticmethod(weigh_by_trials)
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise, blur and pattern as the raw frames show them; scene: registered average."""
@@ -39,9 +41,10 @@ class Deconv(Definition):
         start_scene(problem)
         if problem.closed_form():
             start_parts(problem)
+            estimate_slow(problem, start=True)
         hold_out(problem, seed, max(LEAST, HELD_OUT / len(problem.data)))
         weigh_scene(problem, WEAK)
-        start_trials(problem)
+        start_trials(problem, afresh=True)
 
     def plan(self, problem: Problem) -> list[Stage]:
         """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
@@ -58,7 +61,7 @@ class Deconv(Definition):
         return [
             *(sensor if closed else [Stage("scene 1", still, 40)]),
             *trials(problem, first=0.0, iterations=ITERATIONS),
-            Stage("scene", (Step(("scene",)),), 80, prepare=_finish, use_held_out=True),
+            Stage("scene", (Step(("scene",)),), 120, prepare=_finish, use_held_out=True),
         ]
 
 
@@ -98,3 +101,4 @@ def _finish(problem: Problem) -> None:
     if len(problem.data) > 1:  # in one frame, edges that the prior rounds misfit as defects do
         update_noise(problem, settled=True)
     weigh_by_trials(problem)
+    begin_smooth(problem)
