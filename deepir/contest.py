@@ -47,8 +47,7 @@ class Contest:
         step = Step(("scene",), fit.method, fit.lr, average=fit.average)
         rounds = [f"prior {i + 1}" for i in range(fit.rounds)] if fit.rounds > 1 else ["prior"]
         mine = [
-            Stage(name, (step,), fit.iterations, prepare=weigh, use_held_out=not stopped)
-            for name in rounds
+            Stage(name, (step,), fit.iterations, prepare=weigh, use_held_out=not stopped) for name in rounds
         ]
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
         return [*before, *mine]

@@ -31,7 +31,9 @@ def start_trials(problem: Problem, *, afresh: bool = False) -> None:
     one that has become rough does not become smooth again in so few iterations.
     """
     problem.register_buffer("trials", torch.full((TRIALS, 2), torch.nan, dtype=torch.float64))
-    problem.register_buffer("smooth", torch.zeros_like(problem.fields["scene"]().detach()) if afresh else None)
+    problem.register_buffer(
+        "smooth", torch.zeros_like(problem.fields["scene"]().detach()) if afresh else None
+    )
 
 
 def trials(problem: Problem, *, first: float = COARSE, iterations: int = ITERATIONS) -> list[Stage]:

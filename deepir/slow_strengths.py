@@ -63,7 +63,9 @@ def shading_message(problem: Problem) -> list[str]:
 def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found; none unless a warp makes the frames."""
     first, *others = (stage for _, stage in problem.operator.named())
-    same = all(isinstance(stage, Blur | Sensor) for stage in others)  # as large as the scene's, but for a blur's reach
+    same = all(
+        isinstance(stage, Blur | Sensor) for stage in others
+    )  # as large as the scene's, but for a blur's reach
     if not (isinstance(first, Warp) and same) or len(problem.data) < 2:
         return [], []
     closed, free = problem.closed_form(), problem.free()

@@ -13,33 +13,37 @@ import copy
 import math
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from deepir.priors.psf import PSF
 from deepir.problems.definition import filled
 
-SLOPE, SPREAD = 2.4, 0.13  # of the scene's power spectrum: the mean of natural scenes, and how far it is followed
+SLOPE, SPREAD = (
+    2.4,
+    0.13,
+)  # of the scene's power spectrum: the mean of natural scenes, and how far it is followed
 LEAST = 0.15  # radians a px: slower waves are few, and of the scene's large shapes
-ITERATIONS = 40  # from each start
+BEST, ITERATIONS = 3, 40  # starts that are followed, and how far
 
 
-def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> None:
-    """Set the free parameters of a point-spread function to the likeliest.
+def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
+    """Set the parameters of a point-spread function to the likeliest; minus the logarithm of its likelihood.
 
     Args:
         field: Of the blur, in px of the frames.
         frames: (N, 1, h, w), their pattern taken out.
         usable: Where they count, bool; elsewhere they are like their nearest neighbour.
     """
-    misfit = _Misfit(filled(frames, usable))
-    trial = copy.deepcopy(field).double()
-    best, found = math.inf, field.state_dict()
-    for start in trial.starts():
-        trial.load_state_dict(start)
-        loss = _minimised(misfit, trial)
-        if loss < best:
-            best, found = loss, copy.deepcopy(trial.state_dict())
-    field.load_state_dict(found)
+    misfit, trial = _Misfit(filled(frames, usable)), copy.deepcopy(field).double()
+    # The likelihood has several optima in the width, so that it is asked at many first, and followed from the best.
+    starts = sorted(trial.starts(), key=lambda start: _minimised(misfit, trial, start, []))
+    ends = []
+    for start in starts[:BEST]:
+        loss = _minimised(misfit, trial, start, list(trial.parameters()))
+        ends.append((loss, copy.deepcopy(trial.state_dict())))
+    loss, state = min(ends, key=lambda end: end[0])
+    field.load_state_dict(state)
+    return loss
 
 
 class _Misfit:
@@ -58,27 +62,34 @@ class _Misfit:
         self.power, self.logarithm = power[self.used] / self.unit, squared[self.used].log()
         self.pixel = (torch.sinc(y / (2 * math.pi)) * torch.sinc(x / (2 * math.pi)))[self.used].square()
 
-    def __call__(self, psf: Tensor, scene: Tensor) -> Tensor:
-        amplitude, slope, noise = scene
+    def response(self, psf: Tensor) -> Tensor:
+        """Squared, of pixels behind a point-spread function (1, 1, n, n), to each wave."""
         blur = torch.fft.rfft2(psf[0, 0], s=self.size)[self.used]
-        expected = torch.exp(amplitude - slope / 2 * self.logarithm) * self.pixel
-        expected = expected * (blur.real**2 + blur.imag**2) + noise.exp()
+        return self.pixel * (blur.real.square() + blur.imag.square())
+
+    def __call__(self, response: Tensor, scene: Tensor) -> Tensor:
+        amplitude, slope, noise = scene
+        expected = response * torch.exp(amplitude - slope / 2 * self.logarithm) + noise.exp()
         return (expected.log() + self.power / expected).sum() + ((slope - SLOPE) / SPREAD) ** 2 / 2
 
 
-def _minimised(misfit: _Misfit, field: PSF) -> float:
-    scene = torch.tensor([0.0, SLOPE, -1.0], dtype=torch.float64, device=misfit.power.device, requires_grad=True)
-    unknowns = [*(each for each in field.parameters() if each.requires_grad), scene]
-    optimiser = torch.optim.LBFGS(unknowns, max_iter=ITERATIONS, line_search_fn="strong_wolfe")
+def _minimised(misfit: _Misfit, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]) -> float:
+    """The least misfit over the scene's spectrum, the noise, and what is free of the field, from a start."""
+    field.load_state_dict(start)
+    scene = torch.tensor([0.0, SLOPE, -1.0], dtype=torch.float64, device=misfit.power.device).requires_grad_()
+    optimiser = torch.optim.LBFGS([*free, scene], max_iter=ITERATIONS, line_search_fn="strong_wolfe")
+    with torch.no_grad():
+        known = None if free else misfit.response(field())
 
     def evaluate() -> Tensor:
         optimiser.zero_grad()
-        loss = misfit(field(), scene)
-        loss.backward()
+        loss = misfit(misfit.response(field()) if known is None else known, scene)
+        loss.backward()  # type: ignore[no-untyped-call]
         return loss
 
-    optimiser.step(evaluate)
-    return float(misfit(field(), scene).detach())
+    optimiser.step(evaluate)  # type: ignore[no-untyped-call]
+    loss = float(evaluate().detach())
+    return loss if math.isfinite(loss) else math.inf
 
 
 def periodogram(frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:

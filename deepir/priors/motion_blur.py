@@ -24,6 +24,7 @@ class MotionBlur(PSF):
     radius should be a px more than half its length.
     """
 
+    ratio: ClassVar[float] = 1.25
     exact: ClassVar[bool] = False  # its direction, to half a degree
 
     def __init__(

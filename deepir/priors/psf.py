@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -13,6 +14,7 @@ from deepir.priors.field import Field, Shape
 from deepir.priors.motion import STEP
 
 WIDEST = 1e2  # px
+NARROW = 0.4  # px: less than that is not seen
 FINE = 8  # points along a pixel's side
 
 
@@ -21,6 +23,9 @@ class PSF(Field):
 
     A subclass gives the kernel for a width. It is that of the optics: the pixels' own area is `downsample`'s.
     """
+
+    #: Of the widths from which a search begins; where the spectrum has zeros, they are to be met.
+    ratio: ClassVar[float] = 1.1
 
     def __init__(self, shape: Shape, neutral: float, size: tuple[int, int], name: str, width: float) -> None:
         super().__init__(shape, neutral)
@@ -56,11 +61,10 @@ class PSF(Field):
     @torch.no_grad()
     def starts(self) -> Iterator[dict[str, Tensor]]:
         """States from which a search for the parameters may begin: widths up to the radius."""
-        for width in self._widths():
+        count = math.ceil(math.log(self.shape[-1] / NARROW) / math.log(self.ratio))
+        widths = [NARROW * self.ratio**i for i in range(count + 1)]
+        for width in widths:
             yield self.state_dict() | {"value": self.value.new_tensor(math.log(width) / self.step)}
-
-    def _widths(self) -> list[float]:
-        return [0.5 * 2**i for i in range(max(1, round(math.log2(max(1, self.shape[-1])))))]
 
     def _axis(self) -> Tensor:
         radius = self.shape[-1] // 2

@@ -5,7 +5,12 @@ from __future__ import annotations
 import torch
 
 from deepir.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
+from deepir.priors.airy import Airy
+from deepir.priors.defocus import Defocus
+from deepir.priors.gaussian import Gaussian
+from deepir.priors.motion_blur import MotionBlur
 from deepir.priors.psf import PSF
+from deepir.priors.simplex import Simplex
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene
 from deepir.registry import register
@@ -17,6 +22,7 @@ from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, up
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
+STILL = 0.5  # px of motion below which a burst counts as still
 #: Share of a frame's samples, in all frames together, that is held out: what a blur leaves of detail, few do not tell.
 HELD_OUT = 0.1
 ITERATIONS = 40  # of a trial: through a blur, detail comes slowly
@@ -50,7 +56,8 @@ class Deconv(Definition):
         """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
         closed = tuple(problem.closed_form())
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        held = {*closed, *psf_names(problem)}
+        sharp = "scene" in problem.free()  # else it is a target that is known, of which any blur can be found
+        held = {*closed, *(psf_names(problem) if sharp else ())}
         free = tuple(name for name in problem.free() if name not in held)
         still = (Step(tuple(name for name in free if name != "motion")), *eliminate)
         sensor = [
@@ -59,9 +66,9 @@ class Deconv(Definition):
             Stage("sensor 3", (Step(free), *eliminate), 40, prepare=_update),
         ]
         return [
-            *(sensor if closed else [Stage("scene 1", still, 40)]),
+            *(sensor if closed else [Stage("start", still, 40)]),
             *trials(problem, first=0.0, iterations=ITERATIONS),
-            Stage("scene", (Step(("scene",)),), 120, prepare=_finish, use_held_out=True),
+            Stage("scene", (Step(("scene",)),) if sharp else still, 120, prepare=_finish, use_held_out=True),
         ]
 
 
@@ -72,22 +79,36 @@ def psf_names(problem: Problem) -> list[str]:
 
 @torch.no_grad()
 def hold_sensor(problem: Problem) -> list[str]:
-    """Leave gain and offset neutral where the frames do not move: one scene explains any pattern then; and say so."""
+    """Leave gain and offset as they are where the frames do not move, and say so: a scene would explain any pattern."""
     closed = problem.closed_form()
     motion = problem.values().get("motion")
-    if not closed or (motion is not None and len(motion) > 1 and not torch.allclose(motion, motion[:1], atol=0.5)):
+    if not closed or (motion is not None and float((motion - motion[:1])[:, :2, 2].abs().max()) >= STILL):
         return []
     for name in closed:
         problem.fields[name].requires_grad_(False)
-    return []
+    few = "one frame does not" if len(problem.data) == 1 else "the frames do not move, and so do not"
+    return [
+        f"{few} tell the sensor's pattern from the scene: {' and '.join(closed)} are left neutral. "
+        "Correct the frames first, or give a burst that moves by 3 to 10 px"
+    ]
 
 
 def start_psf(problem: Problem) -> None:
-    """Find each point-spread function that has a width and is free from the spectrum of the frames."""
+    """Find each free point-spread function from the spectrum of the frames; one of any shape as the likeliest kind."""
+    frames, usable = problem.data, problem.precision > 0
     for name in psf_names(problem):
         field = problem.fields[name]
-        if isinstance(field, PSF) and name in problem.free():
-            fit_psf(field, problem.data, problem.precision > 0)
+        if name not in problem.free():
+            continue
+        if isinstance(field, PSF):
+            fit_psf(field, frames, usable)
+        elif isinstance(field, Simplex):
+            size = (int(frames.shape[-2]), int(frames.shape[-1]))
+            found = [
+                kind(field.shape, size=size).to(frames) for kind in (Gaussian, Airy, Defocus, MotionBlur)
+            ]
+            best = min(found, key=lambda each: fit_psf(each, frames, usable))
+            field.init_from(best().detach())
 
 
 def _update(problem: Problem) -> None:

@@ -60,9 +60,13 @@ class Settings:
     walker_speed: float = 8.0  # px that the person walks from frame to frame
     failed_frame: int = 0  # the frame of this number is of another place
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
-    airy_radius: float = 0.0  # first dark ring of the optics' diffraction, 1.22 wavelengths x f-number, detector px
+    airy_radius: float = (
+        0.0  # first dark ring of the optics' diffraction, 1.22 wavelengths x f-number, detector px
+    )
     defocus_radius: float = 0.0  # radius of the disc that a point out of focus is seen as, detector px
-    motion_blur: float = 0.0  # px that the camera moves, straight and evenly, during the exposure of each frame
+    motion_blur: float = (
+        0.0  # px that the camera moves, straight and evenly, during the exposure of each frame
+    )
     motion_blur_angle: float = 0.0  # direction of that, from +x towards +y, degrees
     sharp: bool = False  # the truth's scene is without the optics' blur, as deconvolution is to find it
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
