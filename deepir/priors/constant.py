@@ -22,7 +22,7 @@ class Constant(Field):
         super().__init__(shape, neutral)
         if value is not None and path is not None:
             raise ConfigError("give either 'value' or 'path', not both")
-        given = torch.tensor(float(neutral if value is None else value)) if path is None else _read(path)
+        given = torch.tensor(float(neutral if value is None else value)) if path is None else read_map(path)
         if given.ndim == 3 and len(self.shape) == 4:  # one channel
             given = given[:, None]
         try:
@@ -40,7 +40,8 @@ class Constant(Field):
         """Nothing: what is known stays."""
 
 
-def _read(path: str) -> Tensor:
+def read_map(path: str) -> Tensor:
+    """The arrays of a file, (N, h, w)."""
     from deepir.io import read_frames  # not above: it is slow to import
 
     return torch.from_numpy(read_frames(path).frames)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from deepir.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
+from deepir.errors import ConfigError
 from deepir.priors.airy import Airy
 from deepir.priors.defocus import Defocus
 from deepir.priors.gaussian import Gaussian
@@ -22,6 +23,7 @@ from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, up
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
+CUT = 0.1  # of a point-spread function's peak: more than that is not to be cut off
 STILL = 0.5  # px of motion below which a burst counts as still
 #: Share of a frame's samples, in all frames together, that is held out: what a blur leaves of detail, few do not tell.
 HELD_OUT = 0.1
@@ -44,6 +46,7 @@ class Deconv(Definition):
         self.messages = hold_sensor(problem)
         start_precision(problem)
         start_psf(problem)
+        demand_room(problem)
         start_scene(problem)
         if problem.closed_form():
             start_parts(problem)
@@ -109,6 +112,23 @@ def start_psf(problem: Problem) -> None:
             ]
             best = min(found, key=lambda each: fit_psf(each, frames, usable))
             field.init_from(best().detach())
+
+
+@torch.no_grad()
+def demand_room(problem: Problem) -> None:
+    """Raise `ConfigError` for a point-spread function that its array cuts off."""
+    for slot, name in problem.slots.items():
+        field = problem.fields[name]
+        if not isinstance(field, PSF):
+            continue
+        psf, radius = field()[0, 0], field.shape[-1] // 2
+        edge = float(max(psf[0].max(), psf[:, 0].max()))
+        if edge > CUT * float(psf.max()):
+            wider = f"physics.{slot.rpartition('.')[0]}.radius={2 * max(radius, 2)}"
+            raise ConfigError(
+                f"physics.{slot}: a width of {float(field.width):.3g} px does not fit into a radius of {radius} px "
+                f"from the centre; take {wider}"
+            )
 
 
 def _update(problem: Problem) -> None:
