@@ -32,6 +32,9 @@ bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity corre
 bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
 	$(BIN)/python benchmarks/sr.py
 
+bench-deconv: setup  ## quality against scikit-image's, and the widths found: deconvolution
+	$(BIN)/python benchmarks/deconv.py
+
 bench-priors: setup  ## quality and time of every prior
 	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
 
@@ -41,4 +44,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-deconv bench-priors bench-real clean

@@ -84,7 +84,7 @@ def gaussian(pictures: tuple[str, ...], options: argparse.Namespace) -> Iterator
     for name in pictures:
         for sigma in SIGMAS:
             sim = frame(name, {"psf_sigma": sigma})
-            given = "{type: gaussian, sigma: %g, fixed: true}" % sigma
+            given = f"{{type: gaussian, sigma: {sigma:g}, fixed: true}}"
             found = {prior: solved(sim, given, prior) for prior in PRIORS}
             blind = solved(sim, "gaussian", "tv")
             best = {
@@ -94,9 +94,10 @@ def gaussian(pictures: tuple[str, ...], options: argparse.Namespace) -> Iterator
             gains.append(quality[0] - max(best.values()))
             widths.append(spread(blind.extra["psf"]) / sigma)
             cells = [psnr(sim.frames[0], sim), *(best[each] for each in rivals), *quality]
+            seconds = found["tv"].metrics["seconds"]
             yield (
                 f"| {name} | {sigma:g} | {' | '.join(f'{cell:.2f}' for cell in cells)} | {gains[-1]:+.2f} | "
-                f"{psnr(blind.scene, sim):.2f} | {100 * (widths[-1] - 1):+.0f} % | {found['tv'].metrics['seconds']:.1f} |"
+                f"{psnr(blind.scene, sim):.2f} | {100 * (widths[-1] - 1):+.0f} % | {seconds:.1f} |"
             )
             if options.panels and len(gains) == 2:
                 panels = [
@@ -122,8 +123,8 @@ def kinds(pictures: tuple[str, ...]) -> Iterator[str]:
     for name in pictures:
         for kind, (camera, option, width) in KINDS.items():
             sim = frame(name, {"psf_sigma": 0.0, **camera})
-            more = ", angle: %g" % camera["motion_blur_angle"] if kind == "motion_blur" else ""
-            given = solved(sim, "{type: %s, %s: %g%s, fixed: true}" % (kind, option, width, more), "tv")
+            more = f", angle: {camera['motion_blur_angle']:g}" if kind == "motion_blur" else ""
+            given = solved(sim, f"{{type: {kind}, {option}: {width:g}{more}, fixed: true}}", "tv")
             found, free = solved(sim, kind, "tv"), solved(sim, "simplex", "tv")
             true = given.extra["psf"]
             alike = float(

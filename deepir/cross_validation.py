@@ -63,7 +63,7 @@ def _try(problem: Problem, first: float) -> None:
 @torch.no_grad()
 def begin_smooth(problem: Problem) -> None:
     """Put the scene back to that of the first trial, if each is to begin with it."""
-    scene, smooth = problem.fields["scene"], problem.smooth
+    scene, smooth = problem.fields["scene"], getattr(problem, "smooth", None)
     if smooth is None:
         return
     if _started(problem) == 1:

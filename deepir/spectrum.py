@@ -84,10 +84,10 @@ def _minimised(misfit: _Misfit, field: PSF, start: dict[str, Tensor], free: list
     def evaluate() -> Tensor:
         optimiser.zero_grad()
         loss = misfit(misfit.response(field()) if known is None else known, scene)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         return loss
 
-    optimiser.step(evaluate)  # type: ignore[no-untyped-call]
+    optimiser.step(evaluate)
     loss = float(evaluate().detach())
     return loss if math.isfinite(loss) else math.inf
 

@@ -23,8 +23,8 @@ class Kernel(Constant):
         rest = [whole - side for whole, side in zip(shape[-2:], given.shape[-2:], strict=True)]
         if len(given) > 1 or min(rest) < 0 or any(each % 2 for each in rest):
             raise ConfigError(
-                f"{path}: a point-spread function has odd sides of up to {shape[-2]} px, not {tuple(given.shape[-2:])}; "
-                "the blur's radius is half of that"
+                f"{path}: a point-spread function has odd sides of up to {shape[-2]} px, "
+                f"not {tuple(given.shape[-2:])}; the blur's radius is half of that"
             )
         total = float(given.sum())
         if not 0 < total < float("inf"):
