@@ -54,7 +54,7 @@ def weigh_by_trials(problem: Problem, factor: float = 1.0) -> None:
 def _try(problem: Problem, first: float) -> None:
     """Set the weights for the next trial."""
     tried = _conclude(problem)
-    power = next_power(tried) if tried else first
+    power = next_power(tried, first)
     begin_smooth(problem)
     problem.get_buffer("trials")[_started(problem), 0] = power
     weigh_scene(problem, 2**power)
@@ -87,8 +87,10 @@ def _started(problem: Problem) -> int:
     return int(found)
 
 
-def next_power(tried: dict[float, float]) -> float:
+def next_power(tried: dict[float, float], first: float = COARSE) -> float:
     """Beyond the best where it lies at an end, else beside it; the best once more where nothing is left."""
+    if not tried:
+        return first
     best = min(tried, key=tried.__getitem__)
     if best == min(tried):
         return best - COARSE

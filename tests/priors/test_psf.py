@@ -124,7 +124,7 @@ def test_a_point_out_of_focus_is_a_disc(radius):
 
 def test_a_camera_that_moves_along_x_blurs_along_x():
     found = MotionBlur((1, 1, 11, 11), size=SIZE, length=5.0)().detach()[0, 0].numpy()
-    assert np.allclose(found[5, 3:8], 0.2, atol=0.02)
+    assert np.allclose(found[5, 3:8], 0.2, atol=0.03)
     steep = MotionBlur((1, 1, 11, 11), size=SIZE, length=5.0, angle=90.0)().detach()[0, 0].numpy()
     assert np.allclose(steep, found.T, atol=1e-5)
 
@@ -132,8 +132,9 @@ def test_a_camera_that_moves_along_x_blurs_along_x():
 def test_values_of_any_shape_are_not_negative_and_sum_to_one():
     field = Simplex((1, 1, 5, 5), size=SIZE)
     field.init_from(torch.randn(1, 1, 5, 5))
-    assert field().min() >= 0
-    assert float(field().sum()) == pytest.approx(1, abs=1e-6)
+    found = field().detach()
+    assert found.min() >= 0
+    assert float(found.sum()) == pytest.approx(1, abs=1e-6)
 
 
 def test_a_kernel_that_is_smaller_than_its_array_lies_in_the_middle(tmp_path):
