@@ -45,7 +45,7 @@ class Deconv(Definition):
         """Noise, blur and pattern as the raw frames show them; scene: registered average."""
         self.messages = hold_sensor(problem)
         start_precision(problem)
-        start_psf(problem)
+        self.messages += start_psf(problem)
         demand_room(problem)
         start_scene(problem)
         if problem.closed_form():
@@ -96,15 +96,24 @@ def hold_sensor(problem: Problem) -> list[str]:
     ]
 
 
-def start_psf(problem: Problem) -> None:
-    """Find each free point-spread function from the spectrum of the frames; one of any shape as the likeliest kind."""
-    frames, usable = problem.data, problem.precision > 0
+def start_psf(problem: Problem) -> list[str]:
+    """Find each free point-spread function from the spectrum of the frames; one of any shape as the likeliest kind.
+
+    Of frames without a scene, or sharp ones, the spectrum tells no width: the least is taken then, with a message.
+    """
+    frames, usable, messages = problem.data, problem.precision > 0, []
     for name in psf_names(problem):
         field = problem.fields[name]
         if name not in problem.free():
             continue
         if isinstance(field, PSF):
             fit_psf(field, frames, usable)
+            if cut_off(field):
+                field.load_state_dict(next(field.starts()))
+                messages.append(
+                    f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
+                    f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius"
+                )
         elif isinstance(field, Simplex):
             size = (int(frames.shape[-2]), int(frames.shape[-1]))
             found = [
@@ -112,6 +121,19 @@ def start_psf(problem: Problem) -> None:
             ]
             best = min(found, key=lambda each: fit_psf(each, frames, usable))
             field.init_from(best().detach())
+    return messages
+
+
+def name_of(problem: Problem, unknown: str) -> str:
+    """The slot that an unknown is bound to."""
+    return next(slot for slot, name in problem.slots.items() if name == unknown)
+
+
+@torch.no_grad()
+def cut_off(field: PSF) -> bool:
+    """Whether a point-spread function reaches beyond its array."""
+    psf = field()[0, 0]
+    return float(max(psf[0].max(), psf[:, 0].max())) > CUT * float(psf.max())
 
 
 @torch.no_grad()
@@ -121,9 +143,8 @@ def demand_room(problem: Problem) -> None:
         field = problem.fields[name]
         if not isinstance(field, PSF):
             continue
-        psf, radius = field()[0, 0], field.shape[-1] // 2
-        edge = float(max(psf[0].max(), psf[:, 0].max()))
-        if edge > CUT * float(psf.max()):
+        radius = field.shape[-1] // 2
+        if cut_off(field):
             wider = f"physics.{slot.rpartition('.')[0]}.radius={2 * max(radius, 2)}"
             raise ConfigError(
                 f"physics.{slot}: a width of {float(field.width):.3g} px does not fit into a radius of {radius} px "
