@@ -47,6 +47,9 @@ bench-flow: setup  ## dense motion: simulated parallax, and a held-out frame of 
 bench-narcissus: setup  ## quality against the oracle, and seconds: stray flux
 	$(BIN)/python benchmarks/narcissus.py --output docs/bench-narcissus.md
 
+bench-deconv: setup  ## quality against scikit-image's, and the widths found: deconvolution
+	$(BIN)/python benchmarks/deconv.py
+
 bench-priors: setup  ## quality and time of every prior
 	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
 
@@ -56,4 +59,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-real clean

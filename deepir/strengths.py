@@ -32,10 +32,10 @@ ROUNDS = 2  # of the parts' strengths at each update
 MOST = 2.0
 
 
-def hold_out(problem: Problem, seed: int) -> None:
-    """Choose the samples that are held out."""
+def hold_out(problem: Problem, seed: int, share: float = HELD_OUT) -> None:
+    """Choose the samples that are held out, about so many of all."""
     generator = torch.Generator().manual_seed(seed)
-    chosen = torch.rand(problem.data.shape, generator=generator) < HELD_OUT
+    chosen = torch.rand(problem.data.shape, generator=generator) < share
     problem.held_out.copy_(chosen.to(problem.held_out.device))
 
 

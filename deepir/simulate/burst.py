@@ -12,6 +12,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.scenes import procedural
+from deepir.simulate.blur import psf
 from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
 from deepir.simulate.lag import constants, lagged, path
@@ -28,8 +29,8 @@ from deepir.simulate.views import look
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics and pixel's box), on a grid `factor`
-    #: times as fine.
+    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics, unless `sharp`, and pixel's box), on a
+    #: grid `factor` times as fine.
     scene: np.ndarray  # (Q H, Q W); with own_scenes each frame, (N, Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
@@ -45,6 +46,7 @@ class Truth:
     read_noise: float  # sigma; rounding to counts adds a variance of 1/12
     photons_per_unit: float  # photon noise has variance gain · flux / this; 0: there is none
     scale: float  # picture px per detector px; with own_scenes of frame 0's picture
+    psf: np.ndarray  # (K, K), the optics alone, five points per detector px, sum one
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,7 @@ def simulate(
                 motion[:: settings.substeps],
                 moving[:: settings.substeps],
             )
-        if settings.factor > 1:
+        if settings.factor > 1 or settings.sharp:
             static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
     warmth = housing(settings)
@@ -142,6 +144,7 @@ def simulate(
         read_noise=settings.read_noise * settings.range,
         photons_per_unit=settings.photons / settings.range,
         scale=scale,
+        psf=psf(settings),
     )
     frames = expose(flux, gain, offset, level, bad, settings, noise_rng, defects_rng)
     return Simulation(frames, truth, settings, seed)
