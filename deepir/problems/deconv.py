@@ -13,13 +13,13 @@ from deepir.priors.motion_blur import MotionBlur
 from deepir.priors.psf import PSF
 from deepir.priors.simplex import Simplex
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene
+from deepir.problems.definition import Definition, start_precision, start_scene, start_scene_and_parts
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.spectrum import fit_psf
 from deepir.strengths import HELD_OUT as LEAST
-from deepir.strengths import hold_out, keep_gauge, start_parts, update_noise, update_parts, weigh_scene
+from deepir.strengths import hold_out, update_noise, update_strengths, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
@@ -47,10 +47,11 @@ class Deconv(Definition):
         start_precision(problem)
         self.messages += start_psf(problem)
         demand_room(problem)
-        start_scene(problem)
         if problem.closed_form():
-            start_parts(problem)
+            start_scene_and_parts(problem)
             estimate_slow(problem, start=True)
+        else:
+            start_scene(problem)
         hold_out(problem, seed, max(LEAST, HELD_OUT / len(problem.data)))
         weigh_scene(problem, WEAK)
         start_trials(problem, afresh=True)
@@ -153,9 +154,7 @@ def demand_room(problem: Problem) -> None:
 
 
 def _update(problem: Problem) -> None:
-    update_noise(problem)
-    keep_gauge(problem)
-    update_parts(problem)
+    update_strengths(problem)
     weigh_by_trials(problem, WEAK)
 
 

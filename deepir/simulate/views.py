@@ -43,10 +43,7 @@ def look(
     for scene in scenes[: settings.n_frames]:
         picture = drawn(scene, reach, settings)
         scales.append(scale_of(picture.shape, reach, settings))
-        frames.append(
-            render(
-                blurred(picture, scales[-1], settings), still, settings.shape, scales[-1], settings.psf_sigma
-            )[0]
-        )
+        behind = blurred(picture, scales[-1], settings)
+        frames.append(render(behind, still, settings.shape, scales[-1], settings.psf_sigma)[0])
         fine.append(at_rest(picture, scales[-1], settings) if settings.factor > 1 else frames[-1])
     return np.array(frames), np.array(fine), scales[0]
