@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from deepir.build import MARGIN
 from deepir.errors import ConfigError
+from deepir.geometry import MARGIN
 from deepir.one_frame import flattest
 from deepir.operators import Add, Warp
 from deepir.priors.constant import Constant
