@@ -21,7 +21,7 @@ ROUNDING = 0.1  # of total variation, likewise
 def multiview_tv(burst: Burst, config: Config) -> Result:
     """The offset with which the frames' total variation is least, from all frames at once; then as `average`.
 
-    After Barral, Arias and Davy 2024, "Fixed pattern noise removal for multi-view single-sensor infrared camera": of
+    After Barral, Arias and Davy (2024), "Fixed pattern noise removal for multi-view single-sensor infrared camera": of
     `Σ_k |∇(y_k - o)|`, along x and along y, the best ∇o at each edge is the median of the frames' gradients. They are
     put together to an offset by least squares. No gain, no strengths.
     """
@@ -30,7 +30,10 @@ def multiview_tv(burst: Burst, config: Config) -> Result:
 
 @register("method", "multiview_tv_recursive")
 def multiview_tv_recursive(burst: Burst, config: Config) -> Result:
-    """The same a frame at a time, for long videos: each moves the offset down the slope of its total variation."""
+    """The same a frame at a time, for long videos: each moves the offset down the slope of its total variation.
+
+    After Barral, Arias and Davy (2024), as `multiview_tv`.
+    """
     return _corrected(burst, config, recursive_offset(burst.frames))
 
 
