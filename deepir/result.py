@@ -10,7 +10,7 @@ import numpy as np
 
 from deepir.io import write_json, write_mat, write_npz, write_preview, write_tiff
 from deepir.io.radiometry import KELVIN, Radiometry, unit
-from deepir.schema import Output
+from deepir.schema import Config
 
 Array = np.ndarray[Any, Any]
 
@@ -42,13 +42,15 @@ class Result:
         names = ("scene", "gain", "offset", "motion", "level", "bad_pixels", "frames_used")
         return {name: getattr(self, name) for name in names} | self.extra
 
-    def save(self, folder: Path, example: Array, output: Output) -> None:
-        """Write all files of a finished run that `output` asks for; `example` is a raw frame for the summary.
+    def save(self, folder: Path, example: Array, config: Config) -> None:
+        """Write all files of a finished run that `config.output` asks for; `example` is a raw frame to compare with.
 
         Each is replaced whole.
         """
+        from deepir.report.html import write_report
         from deepir.report.summary import write_summary
 
+        output = config.output
         write_npz(folder / "result.npz", self.arrays())
         if output.mat:
             write_mat(folder / "result.mat", self.arrays())
@@ -59,6 +61,7 @@ class Result:
             write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit(KELVIN))
         write_preview(folder / "scene_preview.png", self.scene, output.palette, output.tones)
         write_summary(folder / "summary.png", self, example)
+        write_report(folder / "report.html", self, example, config)
         write_json(folder / "metrics.json", self.metrics)
 
 
