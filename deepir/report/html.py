@@ -73,7 +73,7 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1}
     for name, image in result.uncertainty.items():
         own = "" if name == "gain" else here
-        yield _map(f"{name}_sd", f"Standard deviation of the {name}", image, own, colours="spread")
+        yield _map(f"{name}_sd", f"Uncertainty of the {name}", image, own, colours="spread")
 
 
 def _map(

@@ -131,7 +131,7 @@ def test_curves_say_what_is_under_the_pointer(report):
         "Loss of each stage, less its least", "Held-out error", "Motion of the frame's centre", "Histogram",
     ]  # fmt: skip
     page.locator("#plots .card:nth-child(3) circle.dot").nth(1).hover()
-    assert page.inner_text("#plots .card:nth-child(3) .reading") == "frame 1: x 3, y -2 px, turned 0.00°"
+    assert page.inner_text("#plots .card:nth-child(3) .reading") == "frame 1: x 3, y −2 px, turned 0.00°"
 
 
 def test_a_phone_shows_all_of_it_without_scrolling_aside(report):

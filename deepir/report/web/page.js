@@ -27,9 +27,10 @@ function dress(element, properties, children) {
 /** A number to read: so many digits after the point, or four that count. */
 function said(value, digits) {
   if (!Number.isFinite(value)) return "–";
-  if (digits !== undefined) return value.toFixed(digits);
   const size = Math.abs(value);
-  return size && (size < 1e-3 || size >= 1e6) ? value.toExponential(2).replace(/\.?0+e\+?/, "e") : String(+value.toPrecision(4));
+  const far = size && (size < 1e-3 || size >= 1e6);
+  const plain = far ? value.toExponential(2).replace(/\.?0*e\+?/, "e") : String(+value.toPrecision(4));
+  return (digits === undefined ? plain : value.toFixed(digits)).replace("-", "−");
 }
 
 find("#theme").addEventListener("click", () => {

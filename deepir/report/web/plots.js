@@ -35,8 +35,8 @@ function axis(values, from, to, { log = false, room = 0.04, least = 0 } = {}) {
 }
 
 /**
- * A plot in a card. `series`: [{name, points: [[x, y, label?]], dots?, area?}]; `options`: x and y (names of the
- * axes), logX, logY, equal (one scale for both axes).
+ * A plot in a card. `series`: [{name, points: [[x, y, label?]], dots?, area?, bars?}], where `bars` has the least and
+ * the greatest y of each point; `options`: x and y (names of the axes), logX, logY, equal (one scale for both axes).
  */
 function plot(title, series, { x = "", y = "", logX = false, logY = false, equal = false } = {}) {
   const box = { ...BOX };
@@ -46,7 +46,8 @@ function plot(title, series, { x = "", y = "", logX = false, logY = false, equal
   const perPixel = equal ? Math.max(spread(0) / wide, spread(1) / high) || 1 / high : 0;
   const room = equal ? 0.08 : 0.03;
   const across = axis(points.map((p) => p[0]), box.left, box.left + wide, { log: logX, room, least: perPixel * wide });
-  const upward = axis(points.map((p) => p[1]), box.top + high, box.top, { log: logY, room, least: perPixel * high });
+  const ys = [...points.map((p) => p[1]), ...series.flatMap((each) => each.bars ?? []).flat()];
+  const upward = axis(ys, box.top + high, box.top, { log: logY, room, least: perPixel * high });
   const svg = draw("svg", { viewBox: `0 0 ${box.width} ${box.height}`, role: "img", "aria-label": title });
   axes(svg, box, across, upward, x, y);
   const shown = series.map((each, i) => curve(svg, each, i, across, upward, box));
@@ -100,6 +101,8 @@ function curve(svg, series, index, across, upward, box) {
     svg.append(draw("polygon", { class: `${colour} area`, points: `${at[0][0]},${floor} ${path} ${at.at(-1)[0]},${floor}` }));
   }
   svg.append(draw("polyline", { class: colour, points: path }));
+  series.bars?.forEach(([low, high], i) =>
+    svg.append(draw("line", { class: colour, x1: at[i][0], x2: at[i][0], y1: upward.place(low), y2: upward.place(high) })));
   if (series.dots) at.forEach(([x, y]) => svg.append(draw("circle", { class: `${colour} dot`, cx: x, cy: y, r: 3.5 })));
   return series.points.map(([x, y, label], i) => ({
     at: at[i],
