@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.io.radiometry import KELVIN, unit
 from deepir.io.tones import PALETTES, ends, table
-from deepir.report.maps import packed
+from deepir.report.maps import COARSE, FINE, packed
 from deepir.report.page import write_page
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from deepir.schema import Config
 
 Array = np.ndarray[Any, Any]
-#: Tables of colours beside those to choose from: of maps about a centre, and of standard deviations.
-OTHERS = {"signed": "RdBu_r", "spread": "viridis"}
+#: Tables of colours beside those to choose from: of maps about a centre, of standard deviations, of yes and no.
+OTHERS = {"signed": "RdBu_r", "spread": "viridis", "mask": "gray"}
 BINS = 160
 
 
@@ -70,17 +70,24 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
             low, high = ends(image)
             yield _map(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
     bad = result.bad_pixels
-    yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1}
+    yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1, "colours": "mask"}
     for name, image in result.uncertainty.items():
         own = "" if name == "gain" else here
-        yield _map(f"{name}_sd", f"Uncertainty of the {name}", image, own, colours="spread")
+        yield _map(f"{name}_sd", f"Uncertainty of the {name}", image, own, colours="spread", fine=COARSE)
 
 
 def _map(
-    name: str, title: str, image: Array, here: str, *, centre: float | None = None, colours: str = ""
+    name: str,
+    title: str,
+    image: Array,
+    here: str,
+    *,
+    centre: float | None = None,
+    colours: str = "",
+    fine: int = FINE,
 ) -> dict[str, Any]:
     """One map; about a `centre` its colours are those of signs, and reach as far to both sides."""
-    found = {"name": name, "title": title, "unit": here, "colours": colours} | packed(image)
+    found = {"name": name, "title": title, "unit": here, "colours": colours} | packed(image, fine)
     if centre is None:
         return found
     reach = max(found["high"] - centre, centre - found["low"], 1e-6)

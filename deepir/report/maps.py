@@ -12,20 +12,20 @@ from deepir.io.tones import ends
 
 Array = np.ndarray[Any, Any]
 MISSING = 65535  # the level of what is not finite
-FINE, COARSE = 2048, 256  # levels between the percentiles that are shown: so many, or fewer for far outliers
+FINE, COARSE = 4096, 256  # levels between the percentiles that are shown: so many, or fewer for far outliers
 
 
-def packed(image: Array) -> dict[str, Any]:
+def packed(image: Array, fine: int = FINE) -> dict[str, Any]:
     """Levels of a map (h, w) as text, and what a page needs to show and read them: `value = base + step * level`.
 
     Levels are differences along x, high bytes first and then low ones: so they shrink best.
     """
-    image = np.asarray(image, np.float64)
+    whole, image = image.dtype == bool, np.asarray(image, np.float64)
     finite = image[np.isfinite(image)]
     least, most = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
     low, high = ends(image)
     span = high - low or most - least or 1.0
-    step = np.clip((most - least) / (MISSING - 1), span / FINE, span / COARSE)
+    step = 1.0 if whole else np.clip((most - least) / (MISSING - 1), span / fine, span / COARSE)
     base = max(least, low - step * MISSING / 2)
     levels = np.round((np.where(np.isfinite(image), image, base) - base) / step).clip(0, MISSING - 1)
     levels = np.where(np.isfinite(image), levels, MISSING).astype("<u2")

@@ -11,11 +11,9 @@ function figure(spread, decimals, best) {
 /** The runs of a row: each a link to its report, where there is one. */
 function runs(row) {
   const done = row.runs.filter((run) => run.done).length;
-  const links = row.runs.map((run, i) => {
-    const text = row.runs.length > 1 ? String(i + 1) : "report";
-    return run.link ? make("a", { href: run.link, title: run.name, text }) : make("span", { title: run.name, text: "–" });
-  });
-  return make("td", {}, `${done}/${row.runs.length} `, ...links.flatMap((link) => [link, " "]));
+  const text = (i) => (row.runs.length > 1 ? String(i + 1) : "report");
+  const links = row.runs.flatMap(({ link, name }, i) => (link ? [" ", make("a", { href: link, title: name, text: text(i) })] : []));
+  return make("td", {}, `${done}/${row.runs.length}`, ...links);
 }
 
 function bestOf(index) {
