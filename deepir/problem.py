@@ -157,9 +157,9 @@ class Problem(nn.Module):
         return (self.operator.valid(mask, **self._slot_values(values)) > 0.5).expand_as(self.data)
 
     def backproject(self, values: Values) -> tuple[Tensor, Tensor]:
-        """Registered average of the data on the scene's grid, and the weight of each of its pixels.
+        """Registered average of the data on the scene's grid, and the weight of each of its pixels, in frames.
 
-        With `y = A x + b`, and ones where a sample counts in W: `A' W (y - b) / A' W A 1`.
+        With `y = A x + b`, and in W the precisions, as shares of the largest: `A' W (y - b) / A' W A 1`.
         """
         zero = torch.zeros_like(values["scene"])
         at_zero = self.predict(values | {"scene": zero})
@@ -169,7 +169,8 @@ class Problem(nn.Module):
 
     def _back(self, frames: Tensor, shape: Sequence[int], values: Values) -> Tensor:
         """`A' W` of frames; without a warp, one prediction of that shape stands for all of them."""
-        counted = torch.where(self.precision > 0, frames, 0).sum_to_size(shape)
+        share = self.precision / self.precision.amax().clamp(min=1e-30)
+        counted = torch.where(share > 0, share * frames, 0).sum_to_size(shape)
         return self.operator.adjoint(counted, tuple(values["scene"].shape), **self._slot_values(values))
 
     @torch.no_grad()

@@ -128,7 +128,7 @@ def measure_roughness(problem: Problem) -> None:
 def start_parts(problem: Problem) -> None:
     """First strengths of gain and offset, split evenly, from the pattern: the frames less their registered average.
 
-    What is left of the frames then is badly registered, or moves by itself: such samples count less from the start.
+    Pixels that are no part of it are left out.
     """
     rest = problem.data - problem.predict(problem.values())
     usable = problem.precision > 0
@@ -141,10 +141,24 @@ def start_parts(problem: Problem) -> None:
                 part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
+
+
+@torch.no_grad()
+def doubt_misfits(problem: Problem) -> None:
+    """Let samples count less that neither the scene as it is nor a pattern explains.
+
+    They are badly registered, or what they show moves by itself.
+    """
+    if problem.known_noise:
+        return
+    share = problem.precision / problem.precision.amax()
+    rest = problem.data - problem.predict(problem.values())
+    pattern = (rest * share).sum(0, keepdim=True) / share.sum(0, keepdim=True).clamp(min=1e-6)
     rest = rest.sub_(pattern)
-    some, precision = thinned(rest, problem.precision)
-    if not problem.known_noise and (spread := _spread(some[precision > 0])) > 0:  # one frame leaves nothing
-        problem.precision.div_(rest.div_(OUTLIER * spread).square_().add_(1))
+    some, known = thinned(rest, share)
+    if (spread := _spread(some[known > 0])) > 0:  # one frame leaves nothing
+        weight = (share > 0) / rest.div_(OUTLIER * spread).square_().add_(1)
+        problem.precision.copy_(problem.precision.amax() * weight)
 
 
 def _share(pattern: Tensor, part: Part) -> Tensor:

@@ -14,8 +14,11 @@ from deepir.problem import Problem
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
-from deepir.strengths import start_parts, weigh_scene
+from deepir.strengths import doubt_misfits, start_parts, weigh_scene
 from deepir.thin import thinned
+
+TURNS = 3  # of the scene's start and the samples' weights
+SEEN = 0.1  # frames that must show a pixel of the scene, for it to be known
 
 
 class Definition:
@@ -31,8 +34,7 @@ class Definition:
     def initialise(self, problem: Problem, seed: int) -> None:
         """Set starts and strengths from the data."""
         start_precision(problem)
-        start_scene(problem)
-        start_parts(problem)
+        start_scene_and_parts(problem)
         estimate_slow(problem, start=True)
         weigh_scene(problem)
 
@@ -61,11 +63,25 @@ def start_precision(problem: Problem) -> None:
     problem.precision.copy_(usable / sigma**2)
 
 
+def start_scene_and_parts(problem: Problem) -> None:
+    """Start the scene, first strengths of the sensor's parts, and the weights of samples that show something else.
+
+    Scene and weights by turns: in an average, who walks through two frames of five is half as far off as he is from
+    what the others show.
+    """
+    start_scene(problem)
+    start_parts(problem)
+    doubt_misfits(problem)
+    for _ in range(TURNS):
+        start_scene(problem)
+        doubt_misfits(problem)
+
+
 @torch.no_grad()
 def start_scene(problem: Problem) -> None:
     """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
     average, weight = problem.backproject(problem.values())
-    problem.fields["scene"].init_from(filled(average, weight > 0.5 * weight.max() / len(problem.data)))
+    problem.fields["scene"].init_from(filled(average, weight > SEEN * weight.max() / len(problem.data)))
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:

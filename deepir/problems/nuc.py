@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from deepir.curvature import modelled
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene
+from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
 from deepir.strengths import (
     hold_out,
     measure_roughness,
-    start_parts,
     update_noise,
     update_strengths,
     weigh_scene,
@@ -37,8 +36,7 @@ class NUC(Definition):
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
         start_precision(problem)
-        start_scene(problem)
-        start_parts(problem)
+        start_scene_and_parts(problem)
         estimate_slow(problem, start=True)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)

@@ -7,10 +7,10 @@ import math
 from deepir.cross_validation import start_trials, trials, weigh_by_trials
 from deepir.operators import Downsample
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene
+from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
 from deepir.solve import Stage, Step
-from deepir.strengths import hold_out, start_parts, update_noise, update_strengths, weigh_scene
+from deepir.strengths import hold_out, update_noise, update_strengths, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
@@ -31,8 +31,7 @@ class SR(Definition):
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
         start_precision(problem)
-        start_scene(problem)
-        start_parts(problem)
+        start_scene_and_parts(problem)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
         start_trials(problem)

@@ -104,7 +104,8 @@ class _Spectra:
         n, rest = len(self.frames), self.line == 0
         power = (np.abs(self.frames) ** 2).mean(0)
         differ = (np.abs(self.frames - self.frames.mean(0)) ** 2).sum(0) / (n - 1)
-        self.noise = float(differ[short].mean())
+        self.least = 1e-9 * float(power.mean())  # frames may be identical
+        self.noise = max(float(differ[short].mean()), self.least)
         middle = 1 / np.log(2)  # a wave's power has an exponential distribution: its mean from its median
         white = max(middle * float(np.median(power[short & rest])) - self.noise, 0.1 * self.noise)
         level = _means(np.where(rest, power, np.nan), self.ring)
@@ -135,7 +136,7 @@ class _Spectra:
             left += unsure * (n * (a + b) - 2 * np.abs(both) ** 2)
             self.scene = _means(np.abs(scene) ** 2 + unsure * b, self.ring)
             self.pattern = _means(np.abs(pattern) ** 2 + unsure * a, self.line)
-            self.noise = max(float(left.mean()) / n, 1e-12)
+            self.noise = max(float(left.mean()) / n, self.least)
 
     def _normal(self, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
         """`exp(i k d)` (N, K), the frames' sums, as they are and moved back, and the normal equations."""
