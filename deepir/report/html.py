@@ -67,7 +67,7 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     yield _map("offset", f"Offset, σ {result.offset.std():.3g}", result.offset, here, centre=0.0)
     for name, image in result.extra.items():
         if image.ndim == 2 and name != "scene_kelvin":
-            low, high = ends(image)
+            low, high = ends(image.astype(float))
             yield _map(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
     bad = result.bad_pixels
     yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1, "colours": "mask"}

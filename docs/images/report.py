@@ -21,7 +21,7 @@ def main() -> None:
         page.hover("#compare .pair", position={"x": 600, "y": 470})
         picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
         browser.close()
-    small = picture.quantize(128, dither=Image.Dither.NONE)
+    small = picture.quantize(256, dither=Image.Dither.NONE)
     small.save(Path(__file__).with_name("report.png"), optimize=True)
 
 
