@@ -1,4 +1,4 @@
-"""One self-contained HTML page: a template with its style, its scripts and its data put in."""
+"""One self-contained HTML page: a frame with a body, style, scripts and data put in."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from deepir.io.write import plain, replace
 WEB = Path(__file__).parent / "web"
 
 
-def write_page(path: Path, template: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
-    """Write `template` of the folder `web` with its scripts; they find `data` as JSON in `#data`.
+def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
+    """Write a page with a body and scripts of the folder `web`; they find `data` as JSON in `#data`.
 
     The page's policy allows these scripts and this style by their digests, and nothing from a network: text that
     got past the escaping would not run.
@@ -23,8 +23,9 @@ def write_page(path: Path, template: str, scripts: Sequence[str], data: Mapping[
     style = _read("page.css")
     script = "".join(map(_read, ("page.js", *scripts)))
     policy = f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}"
-    page = _read(template)
-    for name, text in {"policy": policy, "style": style, "script": script, "data": _json(data)}.items():
+    parts = {"policy": policy, "style": style, "body": _read(body), "script": script, "data": _json(data)}
+    page = _read("page.html")
+    for name, text in parts.items():
         page = page.replace(f"%{name}%", text)
     with replace(path) as part:
         part.write_text(page, encoding="utf-8")
