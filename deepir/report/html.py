@@ -47,7 +47,7 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
         "config": dump(config),
         "metrics": {name: value for name, value in result.metrics.items() if name != "messages"},
     }
-    write_page(path, "run.html", ("maps.js", "plots.js", "run.js"), data)
+    write_page(path, "run.html", ("maps.js", "views.js", "plots.js", "curves.js", "run.js"), data)
 
 
 def _unit(result: Result) -> str:

@@ -3,7 +3,7 @@
 const MISSING = 65535;
 const bytes = (text) => Uint8Array.from(atob(text), (each) => each.charCodeAt(0));
 
-/** The levels of a map: deflated, high bytes before low ones, differences along x. See deepir/report/maps.py. */
+/** The levels of a map as deepir/report/maps.py packs them: differences along x, high bytes before low ones. */
 async function unpacked(map) {
   const stream = new Blob([bytes(map.levels)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer());
@@ -30,7 +30,7 @@ function reading(map, point) {
   return `${said(valueAt(map, point), digits)} ${map.unit}`.trim();
 }
 
-/** Paint a map on its canvas: `colours` holds 256 x 3 bytes from `low` to `high`; missing values are clear. */
+/** Paint a map on a canvas: `colours` holds 256 x 3 bytes from `low` to `high`; missing values are clear. */
 function paint(canvas, map, colours, low = map.low, high = map.high) {
   canvas.width = map.width;
   canvas.height = map.height;
@@ -49,8 +49,21 @@ function paint(canvas, map, colours, low = map.low, high = map.high) {
 /** A bar of the colours with the values at its ends, and of what it is. */
 function scale(colours, { low, high, unit }, name = "") {
   const canvas = make("canvas", { width: 256, height: 1, "aria-hidden": "true" });
-  const bar = { width: 256, height: 1, base: 0, step: 1, decoded: Uint16Array.from({ length: 256 }, (_, i) => i) };
+  const bar = {
+    width: 256,
+    height: 1,
+    base: 0,
+    step: 1,
+    decoded: Uint16Array.from({ length: 256 }, (_, i) => i),
+  };
   paint(canvas, bar, colours, 0, 255);
   const end = (value) => make("span", { text: `${said(value)} ${unit}`.trim() });
-  return make("div", { class: "scale" }, ...(name ? [make("b", { text: name })] : []), end(low), canvas, end(high));
+  return make(
+    "div",
+    { class: "scale" },
+    ...(name ? [make("b", { text: name })] : []),
+    end(low),
+    canvas,
+    end(high),
+  );
 }

@@ -35,6 +35,7 @@ function said(value, digits) {
 
 find("#theme").addEventListener("click", () => {
   const root = document.documentElement;
-  const now = root.style.colorScheme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+  const now =
+    root.style.colorScheme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   root.style.colorScheme = now === "dark" ? "light" : "dark";
 });

@@ -2,7 +2,10 @@
 
 const BOX = { width: 420, height: 260, left: 58, right: 12, top: 12, bottom: 40 };
 
-/** Round numbers between two ends, about `count` of them; powers of ten (and halves) on a logarithmic axis. */
+const smallest = (values) => values.reduce((a, b) => Math.min(a, b), Infinity);
+const largest = (values) => values.reduce((a, b) => Math.max(a, b), -Infinity);
+
+/** Round numbers between two ends, about `count` of them; on a log axis 1, 2, 5 of a decade, or powers of ten. */
 function ticks(low, high, count, log) {
   if (log) {
     const all = [];
@@ -25,7 +28,7 @@ function ticks(low, high, count, log) {
 /** A map from values to the page, with a little room at both ends. */
 function axis(values, from, to, { log = false, room = 0.04, least = 0 } = {}) {
   const turn = log ? Math.log10 : (each) => each;
-  let [low, high] = [Math.min(...values.map(turn)), Math.max(...values.map(turn))];
+  let [low, high] = [smallest(values.map(turn)), largest(values.map(turn))];
   const wanting = Math.max(least - (high - low), high > low ? 0 : log ? 0.1 : Math.abs(low) * 0.1 || 1);
   const pad = wanting / 2 + room * (high - low);
   [low, high] = [low - pad, high + pad];
@@ -35,22 +38,34 @@ function axis(values, from, to, { log = false, room = 0.04, least = 0 } = {}) {
 }
 
 /**
- * A plot in a card. `series`: [{name, points: [[x, y, label?]], dots?, area?, bars?}], where `bars` has the least and
- * the greatest y of each point; `options`: x and y (names of the axes), logX, logY, equal (one scale for both axes).
+ * A plot in a card. `series`: [{name, points: [[x, y, label?]], dots?, area?, bars?}], where `bars` has the
+ * least and the greatest y of each point; options: x and y (names of the axes), logX, logY, equal (one scale).
  */
 function plot(title, series, { x = "", y = "", logX = false, logY = false, equal = false } = {}) {
   const box = { ...BOX };
   const points = series.flatMap((each) => each.points);
-  const spread = (i) => Math.max(...points.map((p) => p[i])) - Math.min(...points.map((p) => p[i]));
+  const spread = (i) => largest(points.map((p) => p[i])) - smallest(points.map((p) => p[i]));
   const [wide, high] = [box.width - box.left - box.right, box.height - box.top - box.bottom];
   const perPixel = equal ? Math.max(spread(0) / wide, spread(1) / high) || 1 / high : 0;
   const room = equal ? 0.08 : 0.03;
-  const across = axis(points.map((p) => p[0]), box.left, box.left + wide, { log: logX, room, least: perPixel * wide });
+  const across = axis(
+    points.map((p) => p[0]),
+    box.left,
+    box.left + wide,
+    { log: logX, room, least: perPixel * wide },
+  );
   const ys = [...points.map((p) => p[1]), ...series.flatMap((each) => each.bars ?? []).flat()];
   const upward = axis(ys, box.top + high, box.top, { log: logY, room, least: perPixel * high });
   const svg = draw("svg", { viewBox: `0 0 ${box.width} ${box.height}`, role: "img", "aria-label": title });
   axes(svg, box, across, upward, x, y);
   const shown = series.map((each, i) => curve(svg, each, i, across, upward, box));
+  const readout = follow(svg, box, shown.flat());
+  const named = series.length > 1 ? [legend(series)] : [];
+  return make("figure", { class: "card plot" }, make("figcaption", { text: title }), svg, ...named, readout);
+}
+
+/** Mark the point that is nearest to the pointer; where what it says is shown. */
+function follow(svg, box, points) {
   const readout = make("p", { class: "reading", text: "\u00a0" });
   const mark = draw("circle", { class: "mark", r: 5, visibility: "hidden" });
   svg.append(mark);
@@ -60,16 +75,17 @@ function plot(title, series, { x = "", y = "", logX = false, logY = false, equal
   });
   svg.addEventListener("pointermove", (event) => {
     const rect = svg.getBoundingClientRect();
-    const at = [((event.clientX - rect.left) / rect.width) * box.width, ((event.clientY - rect.top) / rect.height) * box.height];
-    const all = shown.flat();
-    const near = all.reduce((best, each) => (away(each, at) < away(best, at) ? each : best), all[0]);
+    const at = [
+      ((event.clientX - rect.left) / rect.width) * box.width,
+      ((event.clientY - rect.top) / rect.height) * box.height,
+    ];
+    const near = points.reduce((best, each) => (away(each, at) < away(best, at) ? each : best), points[0]);
     mark.setAttribute("cx", near.at[0]);
     mark.setAttribute("cy", near.at[1]);
     mark.setAttribute("visibility", "visible");
     readout.textContent = near.text;
   });
-  const named = series.length > 1 ? [legend(series)] : [];
-  return make("figure", { class: "card plot" }, make("figcaption", { text: title }), svg, ...named, readout);
+  return readout;
 }
 
 const away = (each, at) => Math.hypot(each.at[0] - at[0], 0.5 * (each.at[1] - at[1]));
@@ -86,9 +102,26 @@ function axes(svg, box, across, upward, x, y) {
     svg.append(draw("line", { class: "grid", x1: box.left, x2: box.width - box.right, y1: at, y2: at }));
     svg.append(draw("text", { x: box.left - 6, y: at + 4, "text-anchor": "end", text: said(each) }));
   }
-  svg.append(draw("text", { class: "axis", x: (box.left + box.width - box.right) / 2, y: box.height - 6, "text-anchor": "middle", text: x }));
+  svg.append(
+    draw("text", {
+      class: "axis",
+      x: (box.left + box.width - box.right) / 2,
+      y: box.height - 6,
+      "text-anchor": "middle",
+      text: x,
+    }),
+  );
   const middle = (box.top + floor) / 2;
-  svg.append(draw("text", { class: "axis", x: 12, y: middle, "text-anchor": "middle", transform: `rotate(-90 12 ${middle})`, text: y }));
+  svg.append(
+    draw("text", {
+      class: "axis",
+      x: 12,
+      y: middle,
+      "text-anchor": "middle",
+      transform: `rotate(-90 12 ${middle})`,
+      text: y,
+    }),
+  );
 }
 
 /** Draw one series; where its points are, and what they say. */
@@ -98,12 +131,27 @@ function curve(svg, series, index, across, upward, box) {
   const colour = `series s${index % 6}`;
   if (series.area) {
     const floor = box.height - box.bottom;
-    svg.append(draw("polygon", { class: `${colour} area`, points: `${at[0][0]},${floor} ${path} ${at.at(-1)[0]},${floor}` }));
+    svg.append(
+      draw("polygon", {
+        class: `${colour} area`,
+        points: `${at[0][0]},${floor} ${path} ${at.at(-1)[0]},${floor}`,
+      }),
+    );
   }
   svg.append(draw("polyline", { class: colour, points: path }));
   series.bars?.forEach(([low, high], i) =>
-    svg.append(draw("line", { class: colour, x1: at[i][0], x2: at[i][0], y1: upward.place(low), y2: upward.place(high) })));
-  if (series.dots) at.forEach(([x, y]) => svg.append(draw("circle", { class: `${colour} dot`, cx: x, cy: y, r: 3.5 })));
+    svg.append(
+      draw("line", {
+        class: colour,
+        x1: at[i][0],
+        x2: at[i][0],
+        y1: upward.place(low),
+        y2: upward.place(high),
+      }),
+    ),
+  );
+  if (series.dots)
+    at.forEach(([x, y]) => svg.append(draw("circle", { class: `${colour} dot`, cx: x, cy: y, r: 3.5 })));
   return series.points.map(([x, y, label], i) => ({
     at: at[i],
     text: label ?? `${series.name ? `${series.name}: ` : ""}${said(x)}, ${said(y)}`,

@@ -3,7 +3,9 @@
 /** A cell of a metric: the median, and the least and the greatest where they differ. */
 function figure(spread, decimals, best) {
   if (!spread) return make("td", { text: "–" });
-  const [middle, least, most] = spread.map((each) => (decimals === null ? String(+each.toPrecision(3)) : each.toFixed(decimals)));
+  const [middle, least, most] = spread.map((each) =>
+    decimals === null ? String(+each.toPrecision(3)) : each.toFixed(decimals),
+  );
   const range = least === most ? [] : [make("small", { text: ` ${least} to ${most}` })];
   return make("td", { class: best ? "best" : "" }, middle, ...range);
 }
@@ -12,7 +14,9 @@ function figure(spread, decimals, best) {
 function runs(row) {
   const done = row.runs.filter((run) => run.done).length;
   const text = (i) => (row.runs.length > 1 ? String(i + 1) : "report");
-  const links = row.runs.flatMap(({ link, name }, i) => (link ? [" ", make("a", { href: link, title: name, text: text(i) })] : []));
+  const links = row.runs.flatMap(({ link, name }, i) =>
+    link ? [" ", make("a", { href: link, title: name, text: text(i) })] : [],
+  );
   return make("td", {}, `${done}/${row.runs.length}`, ...links);
 }
 
@@ -23,10 +27,18 @@ function bestOf(index) {
 }
 
 const columns = [
-  ...data.axes.map((name, i) => ({ name, key: (row) => row.values[i], cell: (row) => make("td", { text: row.values[i] }) })),
+  ...data.axes.map((name, i) => ({
+    name,
+    key: (row) => row.values[i],
+    cell: (row) => make("td", { text: row.values[i] }),
+  })),
   ...data.metrics.map(({ name, decimals }, i) => {
     const best = bestOf(i);
-    return { name, key: (row) => row.spreads[i]?.[0] ?? NaN, cell: (row) => figure(row.spreads[i], decimals, row.spreads[i]?.[0] === best) };
+    return {
+      name,
+      key: (row) => row.spreads[i]?.[0] ?? NaN,
+      cell: (row) => figure(row.spreads[i], decimals, row.spreads[i]?.[0] === best),
+    };
   }),
   { name: "finished", key: (row) => row.runs.filter((run) => run.done).length / row.runs.length, cell: runs },
 ];
@@ -36,12 +48,15 @@ function order(a, b, way) {
   const [x, y] = [Number(a), Number(b)];
   if (a === b) return 0;
   if (typeof a === "number" && Number.isNaN(x) !== Number.isNaN(y)) return Number.isNaN(x) ? 1 : -1;
-  if (Number.isNaN(x) || Number.isNaN(y)) return way * String(a).localeCompare(String(b), "en", { numeric: true });
+  if (Number.isNaN(x) || Number.isNaN(y))
+    return way * String(a).localeCompare(String(b), "en", { numeric: true });
   return way * (x - y);
 }
 
 function fill(rows) {
-  find("tbody").replaceChildren(...rows.map((row) => make("tr", {}, ...columns.map((column) => column.cell(row)))));
+  find("tbody").replaceChildren(
+    ...rows.map((row) => make("tr", {}, ...columns.map((column) => column.cell(row)))),
+  );
 }
 
 function sort(heading, column) {
@@ -59,13 +74,16 @@ function table() {
   }
   fill(data.rows);
   const repeated = data.rows.some((row) => row.runs.length > 1);
-  find("#note").textContent = `A heading sorts by its column.${repeated ? " Medians over seeds, with the least and the greatest." : ""}`;
+  find("#note").textContent =
+    `A heading sorts by its column.${repeated ? " Medians over seeds, with least and greatest." : ""}`;
 }
 
 function failures() {
   const lines = data.rows.flatMap((row) => row.runs).filter((run) => run.error);
   find("#failed").hidden = !lines.length;
-  find("#failed ul").append(...lines.map((run) => make("li", {}, make("b", { text: run.name }), ` ${run.error}`)));
+  find("#failed ul").append(
+    ...lines.map((run) => make("li", {}, make("b", { text: run.name }), ` ${run.error}`)),
+  );
 }
 
 function curves() {
