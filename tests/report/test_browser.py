@@ -132,6 +132,10 @@ def test_curves_say_what_is_under_the_pointer(report):
     ]  # fmt: skip
     page.locator("#plots .card:nth-child(3) circle.dot").nth(1).hover()
     assert page.inner_text("#plots .card:nth-child(3) .reading") == "frame 1: x 3, y −2 px, turned 0.00°"
+    page.focus("#plots .card:nth-child(1) svg")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    assert page.inner_text("#plots .card:nth-child(1) .reading") == "scene 2: loss 500"
 
 
 def test_a_phone_shows_all_of_it_without_scrolling_aside(report):

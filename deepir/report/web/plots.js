@@ -56,7 +56,12 @@ function plot(title, series, { x = "", y = "", logX = false, logY = false, equal
   );
   const ys = [...points.map((p) => p[1]), ...series.flatMap((each) => each.bars ?? []).flat()];
   const upward = axis(ys, box.top + high, box.top, { log: logY, room, least: perPixel * high });
-  const svg = draw("svg", { viewBox: `0 0 ${box.width} ${box.height}`, role: "img", "aria-label": title });
+  const svg = draw("svg", {
+    viewBox: `0 0 ${box.width} ${box.height}`,
+    tabindex: 0,
+    role: "img",
+    "aria-label": `${title}; arrow keys read values`,
+  });
   axes(svg, box, across, upward, x, y);
   const shown = series.map((each, i) => curve(svg, each, i, across, upward, box));
   const readout = follow(svg, box, shown.flat());
@@ -64,31 +69,34 @@ function plot(title, series, { x = "", y = "", logX = false, logY = false, equal
   return make("figure", { class: "card plot" }, make("figcaption", { text: title }), svg, ...named, readout);
 }
 
-/** Mark the point that is nearest to the pointer; where what it says is shown. */
+/** Mark the point nearest to the pointer, or the next by the arrow keys; where what it says is shown. */
 function follow(svg, box, points) {
-  const readout = make("p", { class: "reading", text: "\u00a0" });
+  const readout = make("p", { class: "reading", "aria-live": "polite", text: "\u00a0" });
   const mark = draw("circle", { class: "mark", r: 5, visibility: "hidden" });
   svg.append(mark);
-  svg.addEventListener("pointerleave", () => {
-    mark.setAttribute("visibility", "hidden");
-    readout.textContent = "\u00a0";
-  });
+  let at = -1;
+  const show = (index) => {
+    at = index;
+    const [x, y] = points[at]?.at ?? [0, 0];
+    dress(mark, { cx: x, cy: y, visibility: at < 0 ? "hidden" : "visible" }, []);
+    readout.textContent = points[at]?.text ?? "\u00a0";
+  };
+  svg.addEventListener("pointerleave", () => show(-1));
   svg.addEventListener("pointermove", (event) => {
     const rect = svg.getBoundingClientRect();
-    const at = [
-      ((event.clientX - rect.left) / rect.width) * box.width,
-      ((event.clientY - rect.top) / rect.height) * box.height,
-    ];
-    const near = points.reduce((best, each) => (away(each, at) < away(best, at) ? each : best), points[0]);
-    mark.setAttribute("cx", near.at[0]);
-    mark.setAttribute("cy", near.at[1]);
-    mark.setAttribute("visibility", "visible");
-    readout.textContent = near.text;
+    const x = ((event.clientX - rect.left) / rect.width) * box.width;
+    const y = ((event.clientY - rect.top) / rect.height) * box.height;
+    const away = points.map((each) => Math.hypot(each.at[0] - x, 0.5 * (each.at[1] - y)));
+    show(away.indexOf(smallest(away)));
+  });
+  svg.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    show(Math.max(0, Math.min(points.length - 1, at + step)));
   });
   return readout;
 }
-
-const away = (each, at) => Math.hypot(each.at[0] - at[0], 0.5 * (each.at[1] - at[1]));
 
 function axes(svg, box, across, upward, x, y) {
   const floor = box.height - box.bottom;
