@@ -16,7 +16,7 @@ demo: setup  ## correct a simulated burst; results and pictures in runs/demo/
 	$(BIN)/deepir demo
 
 test: setup lint  ## lint and tests
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow and not matrix"
 
 test-all: setup lint  ## lint and all tests, the slow ones too
 	$(BIN)/python -m pytest
@@ -35,6 +35,9 @@ bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity corre
 bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
 	$(BIN)/python benchmarks/sr.py
 
+bench-lag: setup  ## the time constant, and quality against ignoring it: thermal lag
+	$(BIN)/python benchmarks/lag.py
+
 bench-priors: setup  ## quality and time of every prior
 	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
 
@@ -44,4 +47,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-lag bench-priors bench-real clean

@@ -16,7 +16,7 @@ from deepir.burst import Burst
 from deepir.config import Config, load
 from deepir.metrics import scores
 from deepir.problems.definition import start_scene
-from deepir.simulate import Simulation, render
+from deepir.simulate import Settings, Simulation, render
 from deepir.solve import Stage, Step, solve
 
 VERSION = 2  # to be raised with a change, here or of deepir's warp, that gives other figures
@@ -24,15 +24,17 @@ ITERATIONS, TOLERANCE = 100, 1e-6  # 300 iterations change the best PSNR by 0.05
 STEP = 1.6  # nats: at weight one, a step of so many sigma costs one
 
 
-def config(factor: int) -> Config:
-    """Warp, integration over `factor` x `factor` px of the scene, and a known sensor."""
-    integration = {"downsample": {"factor": factor}} if factor > 1 else {}
+def config(settings: Settings) -> Config:
+    """Warp, integration over `factor` x `factor` px of the scene, thermal lag if there is one, and a known sensor."""
+    integration = {"downsample": {"factor": settings.factor}} if settings.factor > 1 else {}
+    lag = {"lag": {"tau": "constant", "readout": settings.readout}} if settings.tau else {}
     physics = {
         "warp": {"motion": {"type": "rigid", "init": "register"}},
         **integration,
+        **lag,
         "sensor": {"gain": "constant", "offset": "constant", "level": "constant"},
     }
-    return load({"prior": "tv", "physics": physics})
+    return load({"prior": "tv", "physics": physics, "data": {"fps": settings.fps}})
 
 
 def oracle(sim: Simulation, picture: np.ndarray) -> float:
@@ -41,8 +43,9 @@ def oracle(sim: Simulation, picture: np.ndarray) -> float:
     frames = sim.frames[used].astype(np.float32)
     valid = ~truth.moving[used]
     burst = Burst(frames, valid, truth.bad_pixels)
-    problem, geometry = build(config(sim.settings.factor), burst, torch.from_numpy(truth.motion[used]))
+    problem, geometry = build(config(sim.settings), burst, torch.from_numpy(truth.motion[used]))
     known = {"gain": truth.gain, "offset": truth.offset, "level": truth.level[used, None, None, None]}
+    known |= {"tau": truth.tau} if sim.settings.tau else {}
     for name, value in known.items():
         problem.fields[name].values.copy_(torch.from_numpy(value))
     variance = torch.from_numpy(noise_variance(sim, picture)[used].astype(np.float32))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from nuc_oracle import aligned, oracle
 from nuc_regimes import picture
 from nuc_store import kept
 from skimage.io import imread
+from written import write
 
 import deepir
 from deepir.report.panels import write_panels
@@ -44,15 +44,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    lines = [
-        f"<!-- written by benchmarks/sr.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()} -->"
-    ]
-    for line in report(options):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    write(report(options), "benchmarks/sr.py", options.output)
 
 
 def report(options: argparse.Namespace) -> Iterator[str]:

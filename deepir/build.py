@@ -17,6 +17,7 @@ from deepir.components import make, options_schema
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
 from deepir.operators import Chain, Operator, Warp
+from deepir.operators.path import Path
 from deepir.operators.warp import NEAR
 from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
@@ -117,7 +118,7 @@ def _operator(
     stages: dict[str, Operator] = {}
     slots: dict[str, dict[str, Any]] = {}
     out, twice = size, (2 * size[0], 2 * size[1])
-    origin = (0, 0)
+    origin, instants = (0, 0), Path()
     for name, settings in reversed(config.physics.items()):
         where = f"physics.{name}"
         if "." in name:
@@ -127,9 +128,11 @@ def _operator(
         options = {k: v for k, v in (settings or {}).items() if k in known}
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
         ratio = (twice[0] - out[0]) / size[0]
-        canvas, origin = _canvas(motion, out, ratio)
-        stage = make("operator", kind, options, where, size=out, canvas=canvas, origin=origin)
+        canvas, origin = _canvas(None if motion is None else instants.through(motion), out, ratio)
+        place = {"size": out, "canvas": canvas, "origin": origin}
+        stage = make("operator", kind, options, where, **place, instants=instants, fps=config.data.fps)
         stages[name] = stage
+        instants = stage.path if stage.path != Path() else instants
         out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
     chain = Chain(dict(reversed(stages.items())))
     shapes = chain.slots((1, 1, *out), n_frames)
@@ -271,6 +274,11 @@ def _demand_sense(slot: str, field: Field, where: str) -> None:
     value = field()
     if slot == "gain" and not value.mean() > 0:
         raise ConfigError(f"{where}: a gain has a positive mean, not {float(value.mean()):g}")
+    if slot == "tau" and not value.min() > (0 if list(field.parameters()) else -1e-9):
+        raise ConfigError(
+            f"{where}: a time constant, in ms, is not negative, and one that is to be found starts above zero: "
+            f"{where}.init=10"
+        )
     matrices = slot == "motion" and value.shape[1:] == (3, 3)
     if matrices and not torch.allclose(value[0], torch.eye(3).to(value), atol=1e-4):
         raise ConfigError(f"{where}: the first frame's motion is the identity, not {value[0].tolist()}")

@@ -79,6 +79,10 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
     from deepir.simulate.recorded import recorded, truth
 
     simulation = recorded(data.simulate or {}, seed)
+    if data.fps not in (None, simulation.settings.fps):
+        raise ConfigError(
+            f"data.fps={data.fps:g}, but data.simulate.fps={simulation.settings.fps:g}: they must agree"
+        )
     source = f"the simulated burst (seed {simulation.seed})"
     if select_frames(np.arange(len(simulation.frames)), data.frames, source)[0] != 0:
         raise ConfigError(

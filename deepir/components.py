@@ -15,7 +15,7 @@ from deepir.errors import ConfigError, DeepIRError, nearest
 from deepir.registry import lookup
 
 #: Arguments that the problem supplies, never a configuration.
-CONTEXT = frozenset({"shape", "neutral", "size", "canvas", "origin", "ratio", "members"})
+CONTEXT = frozenset({"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"})
 WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
 WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
 

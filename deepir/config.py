@@ -71,11 +71,7 @@ def find(name: str | Path) -> Path:
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return path
     if path.exists():
-        use = (
-            f"resume {name}"
-            if (path / "config.yaml").is_file()
-            else f"run {shipped_names()[0]} data.path={name}"
-        )
+        use = f"resume {name}" if (path / "config.yaml").is_file() else f"run nuc data.path={name}"
         raise ConfigError(f"{name}: not a configuration (a .yaml file); did you mean `deepir {use}`?")
     here = [str(each) for each in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
     hint = _did_you_mean(str(name), [*shipped_names(), *here])

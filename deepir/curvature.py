@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.noise import typical_noise
-from deepir.operators import Sensor, Warp
+from deepir.operators import Lag, Sensor, Warp
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
 from deepir.priors.motion import Motion
@@ -53,7 +53,7 @@ class Curvature:
         drift = next((f for f in mine if isinstance(f, Drift) and f.sigma > 0), None)
         slow = Slow(problem, tuple(parameters[self.scene].shape))
         self.basis = slow.scene
-        self.tensors = _tensors(problem, mine, slow, drift, eliminated)
+        self.tensors = _tensors(problem, mine, parameters, slow, drift, eliminated)
         self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()
@@ -96,7 +96,7 @@ def modelled(problem: Problem) -> bool:
 
     Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone.
     """
-    stages = [type(stage) for _, stage in problem.operator.named()]
+    stages = [type(stage) for _, stage in problem.operator.named() if not isinstance(stage, Lag)]
     if not isinstance(problem.fields["scene"], Pixels) or stages != [Warp, Sensor] or len(problem.data) < 2:
         return False
     gains = problem.fields[problem.slots["sensor.gain"]].parts()
@@ -121,6 +121,7 @@ def spline_response(problem: Problem) -> Tensor:
 def _tensors(
     problem: Problem,
     fields: Sequence[nn.Module],
+    parameters: Sequence[nn.Parameter],
     slow: Slow,
     drift: Drift | None,
     eliminated: Collection[str],
@@ -138,14 +139,33 @@ def _tensors(
     waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
     scales = []
-    for field in fields:
+    for field, parameter in zip(fields, parameters, strict=True):
         pixels = precision * problem.data[0].numel()
         known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
+        known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
     inverse = _slow(problem, slow, drift, eliminated)
     if not eliminated:
         inverse = torch.zeros_like(inverse)
     return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
+
+
+def _lags(problem: Problem, parameter: nn.Parameter) -> bool:
+    """Whether it is one of a lag's time constant."""
+    slots = [f"{name}.tau" for name, stage in problem.operator.named() if isinstance(stage, Lag)]
+    return any(
+        parameter is each for slot in slots for each in problem.fields[problem.slots[slot]].parameters()
+    )
+
+
+def _measured(problem: Problem, parameter: nn.Parameter) -> float:
+    """Curvature in each element, if they change different samples: by a small change of all of them."""
+    before = problem.predict(problem.values())
+    change = 1e-2 * float(parameter.abs().amax().clamp(min=1))
+    parameter.add_(change)
+    slope = problem.predict(problem.values()).sub_(before).div_(change)
+    parameter.sub_(change)
+    return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
 def _waves(problem: Problem, eliminated: Collection[str], scene: Tensor, y: Tensor, x: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from deepir.contest import Contest
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
+from deepir.order import bridge_message, bridged
 from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.problems.definition import Definition
@@ -49,8 +50,13 @@ def joint(
     """Fields for all unknowns, fitted together (the default)."""
     definition: Definition = lookup("problem", config.problem, "problem")()
     motion, used, messages = registered(burst, config, definition)
-    kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
-    problem, geometry = build(config, kept, None if motion is None else motion[used])
+    taken = used
+    if definition.ordered and motion is not None:
+        motion, taken = bridged(motion, used)
+        messages += bridge_message(used, taken)
+    valid = burst.valid & used[:, None, None]
+    kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken])
+    problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
     _given_noise(problem, config)
     given = problem.precision.amax((0, 1)) > 0
@@ -60,12 +66,12 @@ def joint(
     if config.scene.get("fit") and not problem.held_out.any():
         hold_out(problem, config.seed)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
-    messages += definition.messages
+    messages += definition.remarks(problem)
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
         messages += drift_message(problem) + shading_message(problem)
     found = given & ~(problem.precision.amax((0, 1)) > 0)
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
-    return _result(problem, geometry, solution, burst, used, messages)
+    return _result(problem, geometry, solution, burst, used, taken, messages)
 
 
 def registered(
@@ -210,8 +216,10 @@ def _result(
     solution: Solution,
     burst: Burst,
     used: np.ndarray,
+    taken: np.ndarray,
     messages: list[str],
 ) -> Result:
+    """The result of frames that are `taken` into the problem, though perhaps not `used` in the fit."""
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
     y0, y1, x0, x1 = geometry.window
     scene = problem.operator.image(solution.values["scene"]).cpu().numpy()
@@ -221,10 +229,10 @@ def _result(
         if kind in ("gain", "offset"):
             setattr(result, kind, value[0, 0].astype(np.float64))
         elif kind == "level":
-            result.level[used] = value.ravel()
+            result.level[taken] = value.ravel()
         elif kind == "motion":
-            result.motion[used] = value
-            result.motion[~used] = np.nan
+            result.motion[taken] = value
+            result.motion[~taken] = np.nan
         else:
             result.extra[name] = value.squeeze()
     result.frames_used, result.history, result.messages = used, solution.history, messages

@@ -22,6 +22,7 @@ from deepir.config import Config, load
 from deepir.errors import ConfigError
 from deepir.joint import plan
 from deepir.metrics import scores
+from deepir.order import demand_order
 from deepir.registry import lookup
 from deepir.result import Result
 from deepir.solve import Progress
@@ -69,6 +70,8 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
     definition = lookup("problem", config.problem, "problem")
     lookup("method", config.method, "method")
     _check_device(config.device)
+    if definition.ordered:
+        demand_order(config.data.frames, config.problem)
     data = bursts.load(config.data, frames=frames, needs=definition.frames, seed=config.seed)
     check_components(config, data)
     return data

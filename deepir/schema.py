@@ -51,6 +51,7 @@ class Data(_Strict):
     key: str | None = None  # array in a file that holds several
     raw: Raw | None = None  # layout of a file without a header
     radiometry: Radiometry = Radiometry()
+    fps: float | None = Field(default=None, gt=0)  # frames a second
 
 
 class Noise(_Strict):

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, PIXEL, ROW
+from deepir.operators import Lag
 from deepir.operators.warp import coords
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
@@ -44,7 +45,8 @@ class Slow:
         )
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
         motion = problem.values()[problem.slots["warp.motion"]].double()
-        points = coords(warp.place @ motion, warp.size)[:, ::step_y, ::step_x].flatten(1, 2)
+        instants = warp.place @ warp.instants.through(motion)
+        points = coords(instants, warp.size)[:, ::step_y, ::step_x].flatten(1, 2)
         y, x = torch.meshgrid(
             torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
             torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,
@@ -52,7 +54,7 @@ class Slow:
         )
         terms = self.frame.at(y.flatten(), x.flatten())
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
-        seen = self.scene.at(points[..., 1], points[..., 0])
+        seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))
         self.carried = torch.linalg.lstsq(terms.expand(len(seen), *terms.shape), seen).solution
         weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
         area = height * width / weights.shape[1]
@@ -84,6 +86,16 @@ class Slow:
         each = torch.eye(count, dtype=one.dtype, device=one.device) - 1 / count
         each = torch.cat((each[:, None], one.new_zeros(count, size - 1, count)), 1)
         return torch.cat((self.carried, one, each), 2)
+
+
+def late(problem: Problem, seen: Tensor) -> Tensor:
+    """What a lag makes of (instants, ...) values for each frame, (N, ...); the same if there is none."""
+    for name, stage in problem.operator.named():
+        if isinstance(stage, Lag):
+            tau = problem.values()[problem.slots[f"{name}.tau"]].mean().to(seen)
+            shown = stage(seen.flatten(1)[:, None, None], tau=tau.expand(1, 1, 1, 1))
+            return shown.view(-1, *seen.shape[1:])
+    return seen
 
 
 def variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int, ...], float]:

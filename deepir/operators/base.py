@@ -9,6 +9,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
+from deepir.operators.path import Path
+
 Shape = tuple[int, ...]
 
 
@@ -26,6 +28,8 @@ class Operator(nn.Module):
     neutral: ClassVar[Mapping[str, float]] = {}
     #: How much stronger white noise of the output is when it is carried back to the input (standard deviations).
     noise_gain: float = 1.0
+    #: The instants at which it wants its input.
+    path: Path = Path()
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""

@@ -6,11 +6,13 @@ import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
+from deepir.operators.path import Path
 from deepir.operators.spline import LEAST, NOISE_GAIN, Pull, image, sample
 from deepir.registry import register
 
 #: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
 FAR, NEAR = 1e6, 1e-3
+EVERY_FRAME = Path()
 
 
 @register("operator", "warp")
@@ -30,8 +32,16 @@ class Warp(Operator):
     place: Tensor
     noise_gain = NOISE_GAIN
 
-    def __init__(self, size: tuple[int, int], canvas: tuple[int, int], origin: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        size: tuple[int, int],
+        canvas: tuple[int, int],
+        origin: tuple[int, int],
+        instants: Path = EVERY_FRAME,
+    ) -> None:
         """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel.
+
+        The output is at `instants`, those of the frames unless a lag behind it wants more.
 
         Raises:
             ValueError: A side of the canvas is less than 4.
@@ -39,7 +49,7 @@ class Warp(Operator):
         super().__init__()
         if min(canvas) < LEAST:
             raise ValueError(f"warp: the canvas {canvas} has a side of less than {LEAST} px")
-        self.size, self.canvas, self.origin = size, canvas, origin
+        self.size, self.canvas, self.origin, self.instants = size, canvas, origin, instants
         # From the frame's centre to the canvas' centre.
         y, x = (o + (s - c) / 2 for o, s, c in zip(origin, size, canvas, strict=True))
         place = torch.tensor([[1, 0, x], [0, 1, y], [0, 0, 1]], dtype=torch.float64)
@@ -50,8 +60,8 @@ class Warp(Operator):
         return {"motion": (n_frames, 3, 3)}
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
-        """(N, C, h, w)."""
-        return (n_frames, x_shape[1], *self.size)
+        """(N, C, h, w), or as many instants."""
+        return (self.instants.count(n_frames), x_shape[1], *self.size)
 
     def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:
         """The canvas."""
@@ -65,6 +75,9 @@ class Warp(Operator):
         """
         if x.shape[-2:] != self.canvas:
             raise ValueError(f"warp: the canvas is {self.canvas}, but the scene {tuple(x.shape[-2:])}")
+        return self._sampled(x, self.instants.through(motion))
+
+    def _sampled(self, x: Tensor, motion: Tensor) -> Tensor:
         if x.device.type == "cpu" and motion.ndim == 3:
             return Pull.apply(x, self.place @ _finite(motion).double(), self.size)
         return sample(x, self._points(motion).to(x.dtype))
@@ -72,6 +85,7 @@ class Warp(Operator):
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
         reach = torch.tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)], device=mask.device)
+        motion = self.instants.through(motion)
         if motion.ndim == 3 and self._within(motion, reach) and bool((mask == 1).all()):
             return mask.new_ones(len(motion), mask.shape[1], *self.size)
         masks = mask.expand(len(motion), -1, -1, -1)
@@ -90,7 +104,7 @@ class Warp(Operator):
 
     def _valid(self, mask: Tensor, motion: Tensor, reach: Tensor) -> Tensor:
         inside = (self._points(motion).abs() <= reach).all(-1)[:, None]
-        return (inside & (self.forward(mask, motion=motion) > 1 - 1e-4)).to(mask.dtype)
+        return (inside & (self._sampled(mask, motion) > 1 - 1e-4)).to(mask.dtype)
 
     def image(self, x: Tensor) -> Tensor:
         """The scene at the canvas' pixel centres."""

@@ -28,6 +28,8 @@ class Definition:
     messages: tuple[str, ...] | list[str] = ()
     #: Whether it cannot work without motion between the frames.
     motion: ClassVar[bool] = False
+    #: Whether frames follow each other in time, so that none may be missing in between.
+    ordered: ClassVar[bool] = False
     #: Operators that the physics must have.
     operators: ClassVar[tuple[str, ...]] = ()
 
@@ -44,6 +46,10 @@ class Definition:
         free = tuple(name for name in problem.free() if name not in closed)
         steps = (Step(free, "lbfgs"), *((Step(tuple(closed), "eliminate"),) if closed else ()))
         return [Stage("joint", steps, iterations=200)]
+
+    def remarks(self, problem: Problem) -> list[str]:
+        """What is to be said of the problem once it is solved."""
+        return list(self.messages)
 
 
 @register("problem", "generic")

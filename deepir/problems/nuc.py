@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from deepir.curvature import modelled
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
@@ -31,7 +33,9 @@ class NUC(Definition):
 
     frames = 2
     motion = True
-    operators = ("warp", "sensor")
+    operators: ClassVar[tuple[str, ...]] = ("warp", "sensor")
+    #: Unknowns that are refined last: what registration knows of them is good enough to find the sensor.
+    late: ClassVar[tuple[str, ...]] = ("motion",)
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
@@ -48,7 +52,7 @@ class NUC(Definition):
         """
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        still = tuple(name for name in free if name != "motion")
+        still = tuple(name for name in free if name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if modelled(problem) else (25, 35)
         return [

@@ -11,8 +11,10 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.scenes import procedural
+from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
-from deepir.simulate.optics import at_rest, move, reach_of, scale_of
+from deepir.simulate.lag import constants, lagged, path
+from deepir.simulate.optics import at_rest, homographies, move, reach_of, scale_of
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
@@ -28,6 +30,8 @@ class Truth:
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
+    tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
+    housing: np.ndarray  # (N, H, W), flux of the housing above that of the first frame
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
     failed: np.ndarray  # (N,) bool: frames of another place
@@ -72,9 +76,15 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         DataError: The picture is no picture, or is too small for the frames and their motion.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(8)
-    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams
-    motion = move(settings, motion_rng)
+    streams = np.random.default_rng(seed).spawn(10)
+    motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
+    motion, tau = move(settings, motion_rng), np.zeros(settings.shape)
+    if settings.tau:
+        motion, tau = homographies(settings, path(settings, streams[8])), constants(settings, streams[8])
+    gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
+    if settings.bolometer:
+        gain, offset, slowness = pixels(settings, streams[9])
+        tau = tau * slowness
     reach = reach_of(motion, settings)
     scene = partial(procedural, seed) if scene is None else scene
     if callable(scene):
@@ -87,12 +97,18 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         )
     scale = scale_of(picture.shape, reach, settings)
     flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
+    if settings.tau:
+        flux, motion, moving = (
+            lagged(flux, tau, settings),
+            motion[:: settings.substeps],
+            moving[:: settings.substeps],
+        )
     if settings.factor > 1:
         static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
-    flux, static = settings.range * flux + dark, settings.range * static + dark
+    warmth = housing(settings)
+    flux, static = settings.range * flux + dark + warmth, settings.range * static + dark
 
-    gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
     bad = more_defects(bad, settings, defects_rng)
     gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
     level = settings.range * settings.level_drift * np.cumsum(level_rng.standard_normal(settings.n_frames))
@@ -104,6 +120,8 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         offset=offset,
         level=level,
         motion=motion,
+        tau=tau,
+        housing=warmth,
         bad_pixels=bad > 0,
         moving=moving,
         failed=failed,

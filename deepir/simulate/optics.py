@@ -54,17 +54,22 @@ def at_rest(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray
 
 
 def move(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """Homographies (N, 3, 3): shift after rotation (about the centre) after stretch, shear and keystone."""
+    """Homographies (N, 3, 3), each frame's drawn alone; the first is the identity."""
     draws = rng.uniform(-1, 1, (settings.n_frames, 9))
     draws[0] = 0
-    motion = np.tile(np.eye(3), (settings.n_frames, 1, 1))
+    return homographies(settings, draws)
+
+
+def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
+    """(N, 3, 3): shift after rotation (about the centre) after stretch, shear and keystone, `draws` (N, 9) in +-1."""
+    motion = np.tile(np.eye(3), (len(draws), 1, 1))
     height, width = settings.shape
     if settings.motion == "homography":
         motion[:, 2, :2] = 2 * WARP * draws[:, 7:9] / (width, height)
     if settings.motion in ("affine", "homography"):
         motion[:, :2, :2] += WARP * draws[:, 3:7].reshape(-1, 2, 2)
     angle = np.deg2rad(settings.max_rotation) * draws[:, 2]
-    move = np.tile(np.eye(3), (settings.n_frames, 1, 1))
+    move = np.tile(np.eye(3), (len(draws), 1, 1))
     move[:, 0, 0] = move[:, 1, 1] = np.cos(angle)
     move[:, 1, 0], move[:, 0, 1] = np.sin(angle), -np.sin(angle)
     move[:, :2, 2] = settings.max_shift * draws[:, :2] * (settings.jitter != "y", settings.jitter != "x")

@@ -59,6 +59,16 @@ class Settings:
     walker_contrast: float = 0.3  # how much warmer than the scene's mean the person is, fraction of the range
     walker_speed: float = 8.0  # px that the person walks from frame to frame
     failed_frame: int = 0  # the frame of this number is of another place
+    tau: float = 0.0  # thermal time constant of the pixels, ms; the camera then moves along a smooth path
+    tau_pixel: float = 0.0  # sigma of a pixel's time constant, fraction
+    fps: float = 60.0  # frames a second
+    substeps: int = 16  # instants for each frame at which a pixel that lags sees the scene
+    tremor: float = 8.0  # highest frequency of the smooth path, Hz
+    readout: float = 0.0  # part of the time between frames that reading the rows takes, one after the other
+    bolometer: bool = False  # gain, offset and tau's spread from the pixels' physics, not from the keys above
+    housing_drift: float = (
+        0.0  # flux that a warming housing adds on the axis, fraction of the range in a second
+    )
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
@@ -86,7 +96,8 @@ class Settings:
             raise ConfigError(
                 f"simulate.dead_pixels, stuck_pixels, noisy_pixels = {bad:g} together: a fraction up to 0.5 is needed"
             )
-        for key in ("gain_shading", "walker"):
+        self._check_lag()
+        for key in ("gain_shading", "readout", "walker"):
             if (value := getattr(self, key)) > 1:
                 raise ConfigError(f"simulate.{key} = {value}: a fraction up to 1 is needed")
         if self.failed_frame >= self.n_frames:
@@ -94,6 +105,12 @@ class Settings:
                 f"simulate.failed_frame = {self.failed_frame}: the frames are numbered 1 to {self.n_frames - 1}, "
                 "without the reference; 0: none fails"
             )
+
+    def _check_lag(self) -> None:
+        if not (self.fps > 0 and 1 <= self.substeps <= 100):
+            raise ConfigError("simulate: fps must be positive, and substeps a whole number from 1 to 100")
+        if self.tau and (self.walker or self.failed_frame):
+            raise ConfigError("simulate.tau: not together with simulate.walker or simulate.failed_frame")
 
     @property
     def least_scale(self) -> float:

@@ -1,0 +1,117 @@
+"""Thermal lag: a pixel takes its time to follow the flux."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from deepir.operators.base import Operator, Shape
+from deepir.operators.path import Path
+from deepir.registry import register
+
+SHORTEST = 1e-6  # time constant, in steps, below which a pixel follows at once
+
+
+@register("operator", "lag")
+class Lag(Operator):
+    """What pixels of time constant `tau` show of a flux, `tau dy/dt = x - y`; (M, C, h, w) -> (N, C, h, w).
+
+    The flux is given at M instants, `substeps` for each of the N frames after the first. Between two of them it is
+    the parabola through these and the one before, for which the solution is exact. (A flux that is held, or linear,
+    wants many more sub-steps: what it leaves out of a wave looks like a longer time constant.) The slot `tau`, in ms,
+    is (1, C, h, w).
+
+    Saragadam et al. 2021, the step response in "Sensor modeling".
+    """
+
+    neutral: ClassVar = {"tau": 0.0}
+
+    def __init__(
+        self,
+        fps: float | None = None,
+        *,
+        substeps: int = 4,
+        start: Literal["rest", "moving"] = "rest",
+        readout: float = 0.0,
+    ) -> None:
+        """`fps`: frames a second.
+
+        `start`: before the first frame the camera was at rest, so that the pixels had settled; or it was moving as it
+        goes on to, from a frame earlier. `readout`: part of the time between frames in which the rows are read, one
+        after the other; the motion of a frame is where the camera is at its last row.
+
+        Raises:
+            ValueError: A number out of its range, or no rate.
+        """
+        super().__init__()
+        if fps is None or not fps > 0:
+            raise ValueError("the rate of the frames is needed, for example data.fps=60")
+        if not 1 <= substeps <= 100:
+            raise ValueError(f"substeps must be 1 to 100, not {substeps}")
+        if not 0 <= readout <= 1:
+            raise ValueError(f"readout must be 0 to 1, not {readout}")
+        self.path = Path(substeps, lead=substeps if start == "moving" else 0)
+        self.duration, self.readout = 1000 / (fps * substeps), readout
+
+    def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
+        """`tau`: (1, C, h, w)."""
+        return {"tau": (1, *x_shape[1:])}
+
+    def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
+        """(N, C, h, w)."""
+        return (self.path.frames(x_shape[0]), *x_shape[1:])
+
+    def forward(self, x: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
+        """Follow the flux from instant to instant; before the first, it was what it is then.
+
+        Raises:
+            ValueError: The instants are not those of whole frames.
+        """
+        if self.path.count(self.path.frames(len(x))) != len(x):
+            raise ValueError(
+                f"lag: {len(x)} instants are not {self.path.steps} for each frame after the first"
+            )
+        kept, *weights = (weight.to(x.dtype) for weight in self._weights(tau[0].double()))
+        shown, earlier, before = [x[0]], x[0], x[0]
+        for now in x[1:]:
+            given = weights[0] * earlier + weights[1] * before + weights[2] * now
+            shown.append(kept * shown[-1] + given)
+            earlier, before = before, now
+        return self._read(torch.stack(shown))
+
+    def valid(self, mask: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
+        """Samples whose pixel has seen nothing but valid flux so far."""
+        return mask.cummin(0).values[self.path.lead :: self.path.steps]
+
+    def _weights(self, tau: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Of what was shown an instant ago, and of the flux two and one instants ago and now; their sum is one."""
+        step = self.duration / tau.clamp(min=SHORTEST * self.duration)
+        kept = torch.exp(-step)
+        # What a pixel makes of a flux that rises as t, and as t², from 0 to 1 during the step.
+        linear = 1 - (1 - kept) / step
+        square = 1 - 2 * linear / step
+        bend = (square - linear) / 2
+        return kept, bend, 1 - kept - linear - 2 * bend, linear + bend
+
+    def _read(self, shown: Tensor) -> Tensor:
+        """The frames, of what is shown at all instants; rows are read between two of them."""
+        if not self.readout:
+            return shown[self.path.lead :: self.path.steps]
+        height, latest = shown.shape[-2], max(len(shown) - 2, 0)
+        rows = torch.arange(height, device=shown.device)
+        ends = torch.arange(self.path.lead, len(shown), self.path.steps, device=shown.device)
+        at = ends[:, None] - self.readout * self.path.steps * (1 - (rows + 1) / height)
+        first = at.clamp(min=0).long().clamp(max=latest)  # (N, h)
+        part = (at.clamp(min=0) - first).to(shown.dtype)[..., None, None]
+        by_row = shown.movedim(2, 1)
+        following = (first + 1).clamp(max=len(shown) - 1)
+        return torch.lerp(by_row[first, rows], by_row[following, rows], part).movedim(1, 2)
+
+    @classmethod
+    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
+        """Three frames of 4 x 5 px, two steps each, time constants of 5 to 15 ms."""
+        generator = torch.Generator().manual_seed(0)
+        x, tau = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) for n in (5, 1))
+        return cls(60.0, substeps=2), x, {"tau": 5 + 10 * tau}

@@ -1,0 +1,49 @@
+"""The detector from its physics: what a pixel's thermal and electrical constants make of flux (docs/sensor-physics.md).
+
+Saragadam et al. 2021, "Sensor modeling".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.simulate.settings import Settings
+
+#: Relative standard deviations from pixel to pixel; of the bias current, from column to column.
+ABSORPTION, COEFFICIENT, RESISTANCE, CONDUCTANCE, CAPACITY, CURRENT = 0.01, 0.005, 0.01, 0.02, 0.01, 0.01
+OWN = 0.5  # flux that a pixel emits itself, above that of scene value 0, in ranges
+LENS, CORNER = (
+    0.2,
+    20.0,
+)  # share of what a pixel sees that is lens, at f/1; angle of the frame's corner, degrees
+
+
+def pixels(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gain, offset (data units), and the time constants in their mean, all (H, W).
+
+    `g = I α β R / G`, `o = -g Φ_fpa`, `τ = C / G`; of the offset, the readout takes the mean pixel's share off.
+    """
+
+    def drawn(sigma: float) -> np.ndarray:
+        return np.maximum(1 + sigma * rng.standard_normal(settings.shape), 0.05)
+
+    alpha, beta, resistance = drawn(ABSORPTION), drawn(COEFFICIENT), drawn(RESISTANCE)
+    conductance, capacity = drawn(CONDUCTANCE), drawn(CAPACITY)
+    current = 1 + CURRENT * rng.standard_normal((1, settings.shape[1]))
+    gain = current * alpha * beta * resistance / conductance
+    gain, slowness = gain / gain.mean(), capacity / conductance
+    own = OWN * settings.range + (settings.pedestal if settings.counts else 0.0)
+    return gain, (1 - gain) * own, slowness / slowness.mean()
+
+
+def housing(settings: Settings) -> np.ndarray:
+    """Flux that a housing which warms up adds to each frame, (N, H, W), data units; none to the first.
+
+    A pixel sees the housing wherever it does not see the lens, whose share falls as the fourth power of the cosine.
+    """
+    y, x = (np.linspace(-1, 1, side) for side in settings.shape)
+    off_axis = np.hypot(x, y[:, None]) / np.sqrt(2)
+    cosine = np.cos(np.arctan(off_axis * np.tan(np.deg2rad(CORNER))))
+    seen = (1 - LENS * cosine**4) / (1 - LENS)
+    time = np.arange(settings.n_frames) / settings.fps
+    return settings.range * settings.housing_drift * time[:, None, None] * seen

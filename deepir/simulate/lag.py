@@ -1,0 +1,57 @@
+"""Thermal lag: pixels that take their time, in front of which the camera moves on between the frames."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from deepir.simulate.settings import Settings
+
+WAVES = 4  # that make up the path of each of the motion's parameters
+
+
+def path(settings: Settings, rng: np.random.Generator) -> np.ndarray:
+    """A smooth path of the motion's nine parameters, (instants, 9) in [-1, 1], zero at first.
+
+    There are `substeps` instants for each frame after the first.
+    """
+    time = np.arange((settings.n_frames - 1) * settings.substeps + 1) / (settings.substeps * settings.fps)
+    rate = 2 * np.pi * settings.tremor * rng.uniform(0.1, 1, (WAVES, 9))
+    phase, size = rng.uniform(0, 2 * np.pi, (WAVES, 9)), rng.uniform(0.2, 1, (WAVES, 9))
+    found = (size * np.sin(rate * time[:, None, None] + phase)).sum(1)
+    found -= found[0]
+    return found / np.abs(found).max(0).clip(min=1e-12)
+
+
+def constants(settings: Settings, rng: np.random.Generator) -> np.ndarray:
+    """The time constant of each pixel (H, W), ms."""
+    spread = 1 + settings.tau_pixel * rng.standard_normal(settings.shape)
+    return settings.tau * spread.clip(min=0.2)
+
+
+def lagged(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarray:
+    """What the pixels show of a flux (instants, H, W) as they are read, (N, H, W).
+
+    A pixel follows the flux by `tau dy/dt = x - y`, which is solved exactly for a flux that is linear between two
+    instants. Before the first it had settled.
+    """
+    step = 1000 / (settings.fps * settings.substeps) / tau
+    kept = np.exp(-step)
+    new = 1 - (1 - kept) / step
+    shown = [flux[0]]
+    for before, now in itertools.pairwise(flux):
+        shown.append(kept * shown[-1] + (1 - kept - new) * before + new * now)
+    return read(np.stack(shown), settings)
+
+
+def read(shown: np.ndarray, settings: Settings) -> np.ndarray:
+    """Frames of rows that are read one after the other, the last one as its frame ends."""
+    height = settings.shape[0]
+    early = settings.substeps * settings.readout * (1 - np.arange(1, height + 1) / height)
+    at = np.arange(settings.n_frames)[:, None] * settings.substeps - early
+    at = at.clip(min=0)  # (N, H)
+    first = np.minimum(at.astype(int), len(shown) - 2 if len(shown) > 1 else 0)
+    part = (at - first)[..., None]
+    rows = np.arange(height)
+    return (1 - part) * shown[first, rows] + part * shown[np.minimum(first + 1, len(shown) - 1), rows]

@@ -1,0 +1,154 @@
+"""Thermal inertia: `tau dy/dt = x - y`, against its solutions."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from deepir.operators import Chain, Lag, Sensor, Warp
+from deepir.operators.path import Path
+from deepir.testing import check_operator
+
+FPS = 60.0
+FRAME = 1000 / FPS  # ms
+
+
+def shown(flux, tau, substeps=4, n_frames=9):
+    """Frames of a pixel that sees `flux`, a function of time in frames, from rest."""
+    lag = Lag(FPS, substeps=substeps)
+    time = torch.arange(lag.path.count(n_frames), dtype=torch.float64) / substeps
+    x = flux(time)[:, None, None, None]
+    return lag(x, tau=torch.full((1, 1, 1, 1), tau, dtype=torch.float64)).flatten()
+
+
+@pytest.mark.parametrize("tau", [4.0, 10.0, 25.0])
+def test_after_a_step_of_the_flux_the_rest_falls_by_the_same_factor_each_frame(tau):
+    """The paper's step response, `Phi_1 exp(-t / tau) + Phi_2 (1 - exp(-t / tau))`."""
+    rest = 1 - shown(lambda time: (time > 0.5).double(), tau)
+    assert rest[0] == 1
+    assert torch.allclose(rest[2:6] / rest[1:5], torch.full((4,), math.exp(-FRAME / tau)).double(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("tau", [6.0, 10.0])
+def test_a_step_is_followed_as_the_paper_says_if_the_sub_steps_are_many(tau):
+    time = torch.arange(9, dtype=torch.float64)
+    found = shown(lambda at: 2 + 3 * (at > 1).double(), tau, substeps=100)
+    wanted = 5 - 3 * torch.exp(-(time - 1).clamp(min=0) * FRAME / tau)
+    assert torch.allclose(found, wanted, atol=0.01)
+
+
+@given(tau=st.floats(3, 30), period=st.floats(3, 12), phase=st.floats(0, 6))
+@settings(max_examples=20, deadline=None)
+def test_four_sub_steps_solve_the_differential_equation_for_a_smooth_flux(tau, period, phase):
+    def flux(time):
+        return np.sin(2 * np.pi * time / period + phase) * (1 - np.exp(-((time / 2) ** 2)))
+
+    time = np.arange(9)
+    exact = solve_ivp(
+        lambda t, y: (flux(t) - y) * FRAME / tau, (0, 8), [0.0], t_eval=time, rtol=1e-9, atol=1e-10
+    )
+    found = shown(lambda at: torch.from_numpy(flux(at.numpy())), tau)
+    np.testing.assert_allclose(found, exact.y[0], atol=0.02)
+
+
+def test_twice_the_sub_steps_leave_an_eighth_of_the_error():
+    def flux(time):
+        return torch.sin(time) * (1 - torch.exp(-(time**4)))
+
+    exact = shown(flux, 10.0, substeps=64)
+    errors = [float((shown(flux, 10.0, substeps=s) - exact).abs().max()) for s in (4, 8)]
+    assert errors[0] / errors[1] > 5  # 8 in the limit
+
+
+def test_a_ramp_lags_behind_by_the_time_constant():
+    late = torch.arange(30) * FRAME - FRAME * shown(lambda time: time, 10.0, n_frames=30)
+    assert torch.allclose(late[10:], torch.tensor(10.0).double(), atol=1e-3)
+
+
+def test_a_pixel_that_has_settled_shows_the_flux():
+    assert torch.allclose(shown(lambda time: 0 * time + 7.3, 12.0), torch.tensor(7.3).double())
+
+
+@pytest.mark.parametrize("tau", [0.0, 1e-9])
+def test_without_inertia_a_pixel_shows_the_flux_of_the_moment(tau):
+    found = shown(torch.sin, tau)
+    assert torch.allclose(found, torch.sin(torch.arange(9, dtype=torch.float64)), atol=2e-6)
+
+
+def test_no_frame_knows_what_comes_after_it():
+    lag, tau = Lag(FPS, substeps=3), torch.full((1, 1, 2, 2), 10.0)
+    x = torch.rand(10, 1, 2, 2)
+    other = x.clone()
+    other[7:] += 1
+    assert torch.equal(lag(x, tau=tau)[:3], lag(other, tau=tau)[:3])
+
+
+def test_each_pixel_has_a_time_constant_of_its_own():
+    lag, x = Lag(FPS), torch.rand(9, 1, 1, 2, dtype=torch.float64)
+    tau = torch.tensor([8.0, 12.0], dtype=torch.float64).view(1, 1, 1, 2)
+    for i in range(2):
+        alone = lag(x[..., i : i + 1], tau=tau[..., i : i + 1])
+        assert torch.equal(lag(x, tau=tau)[..., i : i + 1], alone)
+
+
+def test_a_camera_that_was_moving_shows_a_ramp_as_late_in_the_first_frame_as_later():
+    lag = Lag(100.0, substeps=5, start="moving")  # a frame is ten milliseconds, and five time constants
+    time = torch.arange(-5, 21, dtype=torch.float64) / 5
+    found = lag(time[:, None, None, None], tau=torch.full((1, 1, 1, 1), 2.0, dtype=torch.float64))
+    assert torch.allclose(found.flatten(), torch.arange(5, dtype=torch.float64) - 0.2, atol=0.01)
+
+
+def test_rows_that_are_read_one_after_the_other_see_the_ramp_one_after_the_other():
+    height, lag = 5, Lag(FPS, substeps=8, readout=0.5)
+    time = torch.arange(lag.path.count(4), dtype=torch.float64) / 8
+    x = time[:, None, None, None].expand(-1, 1, height, 2)
+    found = lag(x, tau=torch.zeros(1, 1, height, 2, dtype=torch.float64))
+    early = 0.5 * (1 - torch.arange(1, height + 1, dtype=torch.float64) / height)
+    wanted = (torch.arange(4)[:, None] - early).clamp(min=0)
+    assert torch.allclose(found, wanted[:, None, :, None].expand_as(found), atol=1e-5)
+
+
+@pytest.mark.parametrize("options", [{}, {"start": "moving"}, {"readout": 0.7}])
+def test_motion_lag_and_sensor_are_a_good_operator(options):
+    lag = Lag(FPS, substeps=2, **options)
+    chain = Chain({"warp": Warp((4, 5), (12, 13), (4, 4), lag.path), "lag": lag, "sensor": Sensor()})
+    x = torch.rand(1, 1, 12, 13, dtype=torch.float64)
+    slots = {name: 0.5 + torch.rand(s, dtype=torch.float64) for name, s in chain.slots(x.shape, 3).items()}
+    slots["lag.tau"] += 10
+    slots["warp.motion"] = torch.eye(3, dtype=torch.float64).repeat(3, 1, 1)
+    slots["warp.motion"][:, :2, 2] = torch.tensor([[0.1, 0.0], [0.8, 0.3], [1.1, -0.6]])
+    assert chain.out_shape(x.shape, 3) == (3, 1, 4, 5)
+    assert slots["warp.motion"].shape == (3, 3, 3)
+    check_operator(chain, x, slots)
+
+
+def test_a_sample_is_valid_if_its_pixel_has_seen_only_what_is_in_the_canvas():
+    lag, mask = Lag(FPS, substeps=2), torch.ones(7, 1, 1, 1)
+    mask[3] = 0
+    assert lag.valid(mask, tau=torch.zeros(1, 1, 1, 1)).flatten().tolist() == [1, 1, 0, 0]
+
+
+def test_instants_that_do_not_fit_the_sub_steps_are_refused():
+    with pytest.raises(ValueError, match="lag: 6 instants are not 4 for each frame after the first"):
+        Lag(FPS)(torch.rand(6, 1, 1, 1), tau=torch.zeros(1, 1, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("rate", "options", "message"),
+    [
+        (None, {}, "the rate of the frames is needed, for example data.fps=60"),
+        (FPS, {"substeps": 0}, "substeps must be 1 to 100, not 0"),
+        (FPS, {"readout": 1.5}, "readout must be 0 to 1, not 1.5"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(rate, options, message):
+    with pytest.raises(ValueError, match=message):
+        Lag(rate, **options)
+
+
+def test_the_instants_are_those_that_the_lag_asks_for():
+    assert Lag(FPS, substeps=6, start="moving").path == Path(6, lead=6)

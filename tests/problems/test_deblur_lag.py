@@ -1,0 +1,127 @@
+"""Thermal lag: what is found, and what is said."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+import deepir
+from deepir.build import build
+from deepir.burst import Burst
+from deepir.config import load
+from deepir.errors import ConfigError
+from deepir.metrics import scores
+from deepir.problems.deblur_lag import start_motion
+from deepir.scenes import procedural
+from deepir.simulate import Settings, simulate
+
+CAMERA = Settings(
+    n_frames=7,
+    shape=(56, 72),
+    motion="shift",
+    max_shift=4.0,
+    tau=10.0,
+    counts=True,
+    shading=0.0,
+    dead_pixels=0.0,
+)
+RUN = {"threads": 1, "physics": {"warp": {"motion": "shift"}}}
+QUICK = RUN | {"solver": {"max_iterations": 2}}
+
+
+@pytest.fixture(scope="module")
+def sim():
+    return simulate(procedural(4, (200, 240)), CAMERA, seed=3)
+
+
+@pytest.fixture(scope="module")
+def found(sim):
+    return deepir.run("deblur_lag", "physics.warp.motion=shift", frames=sim.frames, threads=1)
+
+
+def test_the_time_constant_is_found(found):
+    assert found.extra["tau"].shape == CAMERA.shape
+    assert found.extra["tau"].mean() == pytest.approx(10, rel=0.05)
+    assert not any("lag" in message for message in found.messages)
+
+
+def test_the_scene_is_better_than_without_it(sim, found):
+    ignored = deepir.run("nuc", "physics.warp.motion=shift", frames=sim.frames, threads=1)
+    quality, rival = (scores(r.scene, sim.truth.scene)["psnr_aligned"] for r in (found, ignored))
+    assert quality > rival + 3
+
+
+def test_the_motion_is_where_the_camera_was_and_not_where_the_frames_tails_are(sim, found):
+    assert np.abs(found.motion - sim.truth.motion)[:, :2, 2].max() < 0.1
+
+
+def test_the_start_takes_the_lag_out_of_the_registered_motion():
+    """Frames that lag by the time constant of the configuration: the true motion comes out of the lagged one."""
+    config = load("deblur_lag", ["physics.warp.motion=shift"])
+    true = torch.eye(3, dtype=torch.float64).repeat(6, 1, 1)
+    true[:, 0, 2] = torch.tensor([0.0, 1.0, 3.0, 4.0, 4.5, 3.0])
+    frames = np.zeros((6, 24, 32), np.float32)
+    burst = Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool))
+    problem, _ = build(config, burst, true)
+    lag = problem.operator.stages["lag"]
+    instants = lag.path.through(true)[:, :1, 2:]
+    late = lag(instants[:, None], tau=torch.full((1, 1, 1, 1), 10.0, dtype=torch.float64))
+    seen = true.clone()
+    seen[:, 0, 2] = late.flatten()
+    problem.fields["motion"].init_from(seen)
+    start_motion(problem)
+    assert torch.allclose(problem.fields["motion"]().double(), true, atol=1e-5)
+
+
+def test_a_frame_that_fails_in_between_is_bridged(sim):
+    frames = sim.frames.copy()
+    frames[3] = np.random.default_rng(0).integers(7900, 9500, CAMERA.shape)
+    result = deepir.run("deblur_lag", frames=frames, **QUICK)
+    assert not result.frames_used[3]
+    assert np.isfinite(result.motion).all()
+    assert any(message.startswith("frame 3 is bridged") for message in result.messages)
+
+
+def test_a_camera_that_was_moving_before_is_noticed(sim):
+    cut = sim.frames[1:]
+    said = deepir.run("deblur_lag", frames=cut, **RUN).messages
+    assert any("Try physics.lag.start=moving" in message for message in said)
+    moving = deepir.run("deblur_lag", "physics.lag.start=moving", frames=cut, **RUN)
+    assert not any("start=" in message for message in moving.messages)
+    assert moving.extra["tau"].mean() == pytest.approx(10, rel=0.1)
+
+
+def test_a_camera_that_is_too_fast_for_the_sub_steps_is_noticed(sim):
+    result = deepir.run("deblur_lag", "physics.lag.substeps=1", frames=sim.frames, **QUICK)
+    assert any("take physics.lag.substeps=" in message for message in result.messages)
+
+
+def test_time_constants_can_be_given_or_each_pixels_own(sim):
+    known = deepir.run("deblur_lag", "physics.lag.tau=9.5", frames=sim.frames, **QUICK)
+    assert (known.extra["tau"] == 9.5).all()
+    own = "physics.lag.tau={type: uniform+pixel, init: 10, pixel: {sigma: 1}}"
+    assert deepir.run("deblur_lag", own, frames=sim.frames, **QUICK).extra["tau"].std() > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["data.fps=null"], "physics.lag: the rate of the frames is needed, for example data.fps=60"),
+        (["data.frames=[0, 2, 4]"], "needs frames that follow each other in time"),
+        (["physics.lag.tau=-3"], "physics.lag.tau: a time constant, in ms, is not negative"),
+        (["physics.lag.tau.init=0"], "starts above zero: physics.lag.tau.init=10"),
+        (["physics.lag=null"], "'deblur_lag' needs a stage 'lag'"),
+        (["physics.lag.start=walking"], "'rest' or 'moving'"),
+        (["physics.lag.substeps=0"], "substeps must be 1 to 100"),
+    ],
+)
+def test_what_cannot_work_is_an_error(sim, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        deepir.run("deblur_lag", *changes, frames=sim.frames)
+
+
+def test_the_rates_of_camera_and_data_must_agree():
+    settings = dataclasses.asdict(CAMERA) | {"fps": 30.0, "shape": list(CAMERA.shape)}
+    with pytest.raises(ConfigError, match=r"data\.fps=60, but data\.simulate\.fps=30"):
+        deepir.run("deblur_lag", data={"fps": 60, "simulate": settings}, **QUICK)
