@@ -38,6 +38,12 @@ bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
 bench-lag: setup  ## the time constant, and quality against ignoring it: thermal lag
 	$(BIN)/python benchmarks/lag.py
 
+bench-multiview: setup  ## quality and seconds: frames of different scenes
+	$(BIN)/python benchmarks/multiview.py
+
+bench-flow: setup  ## dense motion: simulated parallax, and a held-out frame of a real burst
+	$(BIN)/python benchmarks/flow.py --output docs/bench-flow.md
+
 bench-priors: setup  ## quality and time of every prior
 	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
 
@@ -47,4 +53,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-lag bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-priors bench-real clean

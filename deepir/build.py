@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
 from deepir.priors.parts import Sum
 from deepir.problem import Problem
-from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup
 
 MARGIN = 8  # px that the canvas reaches beyond the registered footprints
@@ -40,6 +40,12 @@ class Geometry:
     ratio: float  # scene px per detector px
     window: tuple[int, int, int, int]  # (y0, y1, x0, x1) of frame 0 in the scene's array
 
+    def crop(self, scene: Any) -> Any:
+        """The part of a scene (1, 1, H, W) that frame 0 shows, (h, w); of one for each frame, (N, h, w)."""
+        y0, y1, x0, x1 = self.window
+        pictures = scene[:, 0, y0:y1, x0:x1]
+        return pictures[0] if len(pictures) == 1 else pictures
+
 
 def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[Problem, Geometry]:
     """The problem that `config` describes, its fields at their starts.
@@ -54,7 +60,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     """
     n_frames = len(burst.frames)
     operator, slots, geometry = _operator(config, burst.size, n_frames, motion)
-    scene_shape = (1, 1, *operator.in_size(burst.size))
+    scene_shape = (_scenes(config, n_frames), 1, *operator.in_size(burst.size))
     shapes = operator.slots(scene_shape, n_frames)
     names = _unknowns(list(shapes))
     fields: dict[str, Field] = {}
@@ -70,7 +76,8 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
             )
         settings = _slot_settings(slots[stage].get(own), neutral, where)
         size = getattr(operator.stages[stage], "size", burst.size)
-        fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, geometry.ratio, where)
+        fits = partial(dict(operator.named())[stage].fits, own, shape)
+        fields[names[slot]] = _field(settings, shape, neutral or 0.0, size, geometry.ratio, where, fits)
         penalties[names[slot]] = _penalties(settings, where, shape)
         _start(fields[names[slot]], settings, motion, geometry, where)
         _demand_sense(own, fields[names[slot]], where)
@@ -98,15 +105,23 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
 
 def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field, dict[str, Penalty]]:
     """The scene's field and its penalties, from the configuration's `scene`."""
-    settings = _slot_settings(given, None, "scene")
+    settings = _slot_settings({key: value for key, value in given.items() if key != "shared"}, None, "scene")
     allowed = ("average", "tv") if settings.get("fit") else ("average",)
     if settings.get("init", "average") not in allowed:
         raise ConfigError(
             f"scene.init = {settings['init']!r}: a scene starts at the registered 'average', or, with a 'fit' of its "
             "own, at the result of 'tv'"
         )
-    field = _field(settings, shape, 0.0, shape[-2:], 1.0, "scene")
+    field = _field(settings, shape, 0.0, shape[-2:], 1.0, "scene", shape.__eq__)
     return field, _penalties(settings, "scene", shape)
+
+
+def _scenes(config: Config, n_frames: int) -> int:
+    """How many scenes there are: one, or with `scene.shared: false` one for each frame."""
+    shared = config.scene.get("shared", True)
+    if not isinstance(shared, bool):
+        raise ConfigError(f"scene.shared = {shared!r}: true or false is needed")
+    return 1 if shared else n_frames
 
 
 def _operator(
@@ -218,19 +233,25 @@ def _slot_settings(given: Any, neutral: float | None, where: str) -> dict[str, A
 
 
 def _field(
-    settings: Mapping[str, Any], shape: tuple[int, ...], neutral: float, size: Any, ratio: float, where: str
+    settings: Mapping[str, Any],
+    shape: tuple[int, ...],
+    neutral: float,
+    size: Any,
+    ratio: float,
+    where: str,
+    fits: Callable[[tuple[int, ...]], bool],
 ) -> Field:
     options = {k: v for k, v in settings.items() if k not in SLOT_KEYS}
     kind = str(settings["type"])
     context = {"shape": shape, "neutral": neutral, "size": size, "ratio": ratio}
     if "+" not in kind:
-        field = _fitting(kind, options, where, context)
+        field = _fitting(kind, options, where, context, fits)
     else:
         members = [name.strip() for name in kind.split("+")]
         if unknown := sorted(set(options) - set(members)):
             raise ConfigError(f"{where}: no option '{unknown[0]}'; {nearest(unknown[0], members)}")
         field = Sum(shape, neutral, {
-            name: _fitting(name, options.get(name) or {}, f"{where}.{name}", {**context, "neutral": 0.0})
+            name: _fitting(name, options.get(name) or {}, f"{where}.{name}", {**context, "neutral": 0.0}, fits)
             for name in members
         })  # fmt: skip
     if not isinstance(fixed := settings.get("fixed", False), bool):
@@ -241,14 +262,20 @@ def _field(
 
 
 @torch.no_grad()
-def _fitting(kind: str, options: Mapping[str, Any], where: str, context: Mapping[str, Any]) -> Field:
+def _fitting(
+    kind: str,
+    options: Mapping[str, Any],
+    where: str,
+    context: Mapping[str, Any],
+    fits: Callable[[tuple[int, ...]], bool],
+) -> Field:
     """A field whose value has the shape that its slot wants."""
     field: Field = make("field", kind, options, where, **context)
     try:
         found = tuple(field().shape)
     except RuntimeError:  # it cannot even be expanded to the shape
         found = None
-    if found != context["shape"]:
+    if found is None or not fits(found):
         made = f", not {found}" if found else ""
         raise ConfigError(f"{where}: the field '{kind}' does not fit: {context['shape']} is wanted{made}")
     return field
@@ -288,7 +315,7 @@ def _start(
     field: Field, settings: Mapping[str, Any], motion: Tensor | None, geometry: Geometry, where: str
 ) -> None:
     """Put a slot's field at its `init`: a number, an array's file, or the registered motion."""
-    init = settings.get("init", "register" if settings["type"] in PARAMETERS else None)
+    init = settings.get("init", "register" if field.model else None)
     if init == "register":
         if motion is not None:
             field.init_from(scaled(motion, geometry.ratio))

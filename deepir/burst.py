@@ -23,7 +23,8 @@ class Burst:
     """Frames (N, h, w) float32, what may be used of them, and where they are from.
 
     `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
-    masked ones among them. `truth` holds the scene (h, w), if it is known, and `radiometry` makes kelvin of counts.
+    masked ones among them. `truth` holds the scene (h, w), or (N, h, w) if each frame has its own, if it is known, and
+    `radiometry` makes kelvin of counts.
     """
 
     frames: Array
@@ -64,6 +65,8 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     kelvin = chosen(found, data.radiometry)
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
     truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
+    if data.frames is not None and len(scene := truth.get("scene", stack)) > len(stack) and scene.ndim == 3:
+        truth["scene"] = select_frames(scene, data.frames, "data.truth")
     if data.crop is not None:
         size = mask.shape
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
@@ -94,6 +97,6 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
 
 def _cropped(truth: Array, box: list[int], size: tuple[int, ...]) -> Array:
     """A map of the truth cut as its frames are, whose `size` it has, or a multiple of it; anything else as it is."""
-    factor = truth.shape[0] // size[0] if truth.ndim == 2 else 0
-    fits = factor > 0 and truth.shape == tuple(factor * side for side in size)
+    factor = truth.shape[-2] // size[0] if truth.ndim in (2, 3) else 0
+    fits = factor > 0 and truth.shape[-2:] == tuple(factor * side for side in size)
     return crop(truth, [factor * edge for edge in box]) if fits else truth

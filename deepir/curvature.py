@@ -24,8 +24,10 @@ from torch import Tensor, nn
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.noise import typical_noise
 from deepir.operators import Lag, Sensor, Warp
+from deepir.operators.points import displaced
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
+from deepir.priors.flow import Flow
 from deepir.priors.motion import Motion
 from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
@@ -140,8 +142,8 @@ def _tensors(
     slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
     scales = []
     for field, parameter in zip(fields, parameters, strict=True):
-        pixels = precision * problem.data[0].numel()
-        known = field.step**2 * pixels * slopes if isinstance(field, Motion) else 0.0
+        moves = isinstance(field, Motion | Flow)
+        known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
     inverse = _slow(problem, slow, drift, eliminated)
@@ -210,8 +212,7 @@ def _common(motion: Tensor, size: Sequence[int], y: Tensor, x: Tensor) -> Tensor
     total = torch.zeros(len(y), len(x), device=y.device)
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
     for at in torch.cartesian_prod(parts * size[1], parts * size[0]):
-        moved = motion @ torch.cat((at, at.new_ones(1)))
-        shift = moved[:, :2] / moved[:, 2:] - at
+        shift = displaced(motion, at)
         along_y, along_x = y * shift[:, 1], x * shift[:, :1]  # (ny, N) and (N, nx)
         cos, sin = along_y.cos().float(), along_y.sin().float()
         both = torch.cat((along_x.cos(), along_x.sin())).float()

@@ -46,6 +46,12 @@ def defective(misfit: Tensor, usable: Tensor) -> Tensor:
 
 
 @torch.no_grad()
+def lonely(misfit: Tensor, times: float = 1.5) -> Tensor:
+    """Pixels (h, w), bool, that misfit so many times more than their neighbourhood."""
+    return misfit > times * _median(misfit[None, None])[0, 0]
+
+
+@torch.no_grad()
 def crowded(misfit: Tensor, usable: Tensor) -> Tensor:
     """How much samples are to be doubted for their neighbourhood's sake, (N, 1, h, w): zero for a clean one.
 

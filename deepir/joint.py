@@ -18,13 +18,13 @@ from deepir.contest import Contest
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
+from deepir.operators.points import displacements, homographies
 from deepir.order import bridge_message, bridged
 from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.problems.definition import Definition
 from deepir.registration import register as register_frames
-from deepir.registration.motion import PARAMETERS
-from deepir.registry import lookup, register
+from deepir.registry import components, lookup, register
 from deepir.result import Result, neutral, to_gauge
 from deepir.slow_strengths import shading_message
 from deepir.solve import Progress, Solution, Stage, Step, solve
@@ -106,8 +106,9 @@ def _motion_model(config: Config) -> str | None:
         slot = (stage or {}).get("motion")
         settings = slot if isinstance(slot, dict) else {"type": slot}
         kind = settings.get("type")
-        if settings.get("init", "register" if kind in PARAMETERS else None) == "register":
-            return str(kind)
+        model = getattr(components("field").get(str(kind)), "model", None)
+        if settings.get("init", "register" if model else None) == "register":
+            return str(model or kind)
     return None
 
 
@@ -221,9 +222,8 @@ def _result(
 ) -> Result:
     """The result of frames that are `taken` into the problem, though perhaps not `used` in the fit."""
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
-    y0, y1, x0, x1 = geometry.window
     scene = problem.operator.image(solution.values["scene"]).cpu().numpy()
-    result = neutral(scene[0, 0, y0:y1, x0:x1], len(used), burst.size, burst.bad_pixels)
+    result = neutral(geometry.crop(scene), len(used), burst.size, burst.bad_pixels)
     for slot, name in problem.slots.items():
         value, kind = values[name], slot.rpartition(".")[2]
         if kind in ("gain", "offset"):
@@ -231,8 +231,12 @@ def _result(
         elif kind == "level":
             result.level[taken] = value.ravel()
         elif kind == "motion":
-            result.motion[taken] = value
+            result.motion[taken] = homographies(solution.values[name]).cpu().numpy()
             result.motion[~taken] = np.nan
+            if value.ndim == 4:
+                flow = displacements(solution.values[name]).cpu().numpy()
+                result.extra["flow"] = np.full((len(used), *flow.shape[1:]), np.nan, np.float32)
+                result.extra["flow"][taken] = flow
         else:
             result.extra[name] = value.squeeze()
     result.frames_used, result.history, result.messages = used, solution.history, messages
@@ -240,7 +244,7 @@ def _result(
     to_gauge(result, known_gain=not any(name in problem.free() for name in gains))
     cost = pattern_cost(problem)
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
-    result.uncertainty = maps | {"scene": maps["scene"][y0:y1, x0:x1]}
+    result.uncertainty = maps | {"scene": geometry.crop(maps["scene"])}
     result.messages += cost_message(cost, len(problem.data))
     result.metrics = {
         "iterations": solution.iterations,

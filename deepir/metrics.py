@@ -13,8 +13,9 @@ Array = np.ndarray[Any, Any]
 def scores(scene: Array, truth: Array) -> dict[str, float]:
     """PSNR (dB) and SSIM of a scene (H, W), as it is and after one best gain and level (the gauge).
 
-    The peak is the truth's range. `radiometric_rmse` is the error in the data's units after one level, which no burst
-    shows; the gain stays as it is. Truth that is not finite is left out, and filled with the scene for SSIM.
+    Where each frame has a scene, (N, H, W), the gauge is one for all, and SSIM the mean. The peak is the truth's range.
+    `radiometric_rmse` is the error in the data's units after one level, which no burst shows; the gain stays as it is.
+    Truth that is not finite is left out, and filled with the scene for SSIM.
     """
     known = np.isfinite(truth)
     truth, scene = np.where(known, truth, scene).astype(float), scene.astype(float)
@@ -24,9 +25,15 @@ def scores(scene: Array, truth: Array) -> dict[str, float]:
         "psnr": peak_signal_noise_ratio(truth[known], scene[known], data_range=span),
         "psnr_aligned": peak_signal_noise_ratio(truth[known], aligned[known], data_range=span),
         "radiometric_rmse": (scene - truth)[known].std(),
-        "ssim": structural_similarity(truth, scene, data_range=span),
-        "ssim_aligned": structural_similarity(truth, np.where(known, aligned, truth), data_range=span),
+        "ssim": _similarity(truth, scene, span),
+        "ssim_aligned": _similarity(truth, np.where(known, aligned, truth), span),
     }
+
+
+def _similarity(truth: Array, scene: Array, span: float) -> float:
+    """SSIM, the mean over the frames."""
+    pairs = zip(*(each.reshape(-1, *each.shape[-2:]) for each in (truth, scene)), strict=True)
+    return float(np.mean([structural_similarity(*pair, data_range=span) for pair in pairs]))
 
 
 def align(scene: Array, truth: Array, known: Array) -> Array:

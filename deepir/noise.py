@@ -7,6 +7,8 @@ from torch import Tensor
 
 from deepir.thin import thinned
 
+WINDOW = 15  # px: side of the windows in which noise is looked for
+FLATTEST = 0.885  # a tenth of such medians of nothing but noise are less, in its own
 MAD = 1.4826  # standard deviation of a Gaussian per median absolute deviation
 
 
@@ -19,11 +21,33 @@ def sample_noise(frames: Tensor, usable: Tensor) -> float:
     """
     if len(frames) > 1:
         frames, usable = (frames[1:] - frames[:-1]) / 2**0.5, usable[1:] & usable[:-1]
-    detail = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
-    whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
-    some, counts = thinned(detail[:, None], whole[:, None])
+    some, counts = thinned(*(each[:, None] for each in _detail(frames, usable)))
     found = some[counts].abs()
     return float(MAD * torch.median(found)) if found.numel() else 0.0
+
+
+def flat_noise(frames: Tensor, usable: Tensor) -> float:
+    """Standard deviation of a sample's noise, from the flattest parts of frames (N, h, w); usable, bool.
+
+    For frames of different scenes that have no pattern left. Diagonal second differences have a median in each window:
+    the tenth of the windows with the least is next to flat.
+    """
+    found = []
+    for k in range(len(frames)):
+        detail, whole = _detail(frames[k : k + 1], usable[k : k + 1])
+        detail = detail.abs().where(whole, torch.nan)[0]
+        windows = detail.unfold(0, WINDOW, WINDOW).unfold(1, WINDOW, WINDOW).flatten(2)
+        found.append(windows.nanmedian(2).values.flatten())
+    each = torch.cat(found)
+    each = each[each.isfinite()]
+    return float(MAD * each.quantile(0.1) / FLATTEST) if len(each) else 0.0
+
+
+def _detail(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
+    """Diagonal second differences, of the noise's variance, and which of them are whole, (N, h - 1, w - 1)."""
+    detail = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
+    whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
+    return detail, whole
 
 
 def typical_noise(precision: Tensor) -> float:

@@ -21,6 +21,9 @@ class Result:
 
     `scene` (H, W) float32 lies on frame 0's grid, `gain` and `offset` (h, w) on the detector's; `motion` (N, 3, 3)
     holds pull homographies in px of the scene's grid about the frame's centre, NaN for unused frames; `level` (N,).
+    Where each frame has a scene of its own, `scene` is (N, H, W), each on its frame's grid.
+    A dense motion is `extra["flow"]` (N, 2, h, w), from each pixel to where it looks, x and y; `motion` is then the
+    homographies nearest to it.
     """
 
     scene: Array
@@ -47,7 +50,9 @@ class Result:
 
         Each is replaced whole.
         """
+        from deepir.report.flow import write_flow
         from deepir.report.html import write_report
+        from deepir.report.panels import some
         from deepir.report.summary import write_summary
 
         output = config.output
@@ -59,8 +64,10 @@ class Result:
         write_tiff(folder / "scene.tiff", self.scene, unit(self.radiometry))
         if "scene_kelvin" in self.extra:
             write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit(KELVIN))
-        write_preview(folder / "scene_preview.png", self.scene, output.palette, output.tones)
+        write_preview(folder / "scene_preview.png", some(self.scene), output.palette, output.tones)
         write_summary(folder / "summary.png", self, example)
+        if "flow" in self.extra:
+            write_flow(folder / "flow.png", self.extra["flow"], self.motion)
         write_report(folder / "report.html", self, example, config)
         write_json(folder / "metrics.json", self.metrics)
 

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.operators import Lag
-from deepir.operators.warp import coords
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.thin import thinned
@@ -45,8 +44,7 @@ class Slow:
         )
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
         motion = problem.values()[problem.slots["warp.motion"]].double()
-        instants = warp.place @ warp.instants.through(motion)
-        points = coords(instants, warp.size)[:, ::step_y, ::step_x].flatten(1, 2)
+        points = warp.points(warp.instants.through(motion))[:, ::step_y, ::step_x].flatten(1, 2)
         y, x = torch.meshgrid(
             torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
             torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, ROW
+from deepir.operators.points import displaced
 from deepir.operators.warp import Warp
 from deepir.priors.drift import Drift
-from deepir.priors.motion import Motion
 from deepir.priors.shading import Shading
 from deepir.problem import Problem, Values
 from deepir.slow import Slow, expected, variances
@@ -180,8 +180,8 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
 
 def shifts(problem: Problem) -> Tensor:
     """Translation (x, y) of each frame, (N, 2) float64, less their mean; zero without motion."""
-    values = [field() for name in problem.slots.values() if isinstance(field := problem.fields[name], Motion)]
+    values = [field() for name in problem.slots.values() if (field := problem.fields[name]).model]
     if not values:
         return problem.data.new_zeros(len(problem.data), 2).double()
-    moved = values[0][:, :2, 2].detach().double()
+    moved = displaced(values[0].detach().double(), problem.data.new_zeros(2).double())
     return moved - moved.mean(0)

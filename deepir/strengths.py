@@ -103,10 +103,11 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
 
     What else they need they learn from the scene as it is.
     """
-    precision = problem.precision.sum(0)  # the frames' information adds up
-    average = float(precision[precision > 0].median().rsqrt())
     with torch.no_grad():
         scene = problem.fields["scene"]()
+    # Of frames that show the same scene the information adds up.
+    precision = problem.precision.sum(0) if len(scene) == 1 else thinned(problem.precision)[0]
+    average = float(precision[precision > 0].median().rsqrt())
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         noise = average * (1.0 if penalty.of_image else problem.operator.noise_gain)
         natural = penalty.natural(noise) * 2 ** (penalty.plain / float(problem.roughness)) ** 2
@@ -138,7 +139,7 @@ def start_parts(problem: Problem) -> None:
     for slot, unit in (("gain", level), ("offset", 1.0)):
         for part in _all_parts(problem, slot):
             if not (part.given or isinstance(part, Shading)):
-                part.sigma.fill_(_spread(_share(pattern, part)) / 2**0.5 / unit)
+                part.sigma.fill_(spread(share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
 
@@ -151,17 +152,17 @@ def doubt_misfits(problem: Problem) -> None:
     """
     if problem.known_noise:
         return
-    share = problem.precision / problem.precision.amax()
+    counted = problem.precision / problem.precision.amax()
     rest = problem.data - problem.predict(problem.values())
-    pattern = (rest * share).sum(0, keepdim=True) / share.sum(0, keepdim=True).clamp(min=1e-6)
+    pattern = (rest * counted).sum(0, keepdim=True) / counted.sum(0, keepdim=True).clamp(min=1e-6)
     rest = rest.sub_(pattern)
-    some, known = thinned(rest, share)
-    if (spread := _spread(some[known > 0])) > 0:  # one frame leaves nothing
-        weight = (share > 0) / rest.div_(OUTLIER * spread).square_().add_(1)
+    some, known = thinned(rest, counted)
+    if (usual := spread(some[known > 0])) > 0:  # one frame leaves nothing
+        weight = (counted > 0) / rest.div_(OUTLIER * usual).square_().add_(1)
         problem.precision.copy_(problem.precision.amax() * weight)
 
 
-def _share(pattern: Tensor, part: Part) -> Tensor:
+def share(pattern: Tensor, part: Part) -> Tensor:
     """The part's own share of a pattern: differences of neighbours, of the same variance.
 
     A part's values are independent, what the scene leaves in the pattern is mostly smooth.
@@ -172,7 +173,7 @@ def _share(pattern: Tensor, part: Part) -> Tensor:
     return own
 
 
-def _spread(values: Tensor) -> float:
+def spread(values: Tensor) -> float:
     """Standard deviation of the bulk of the values."""
     return float(MAD * (values - values.median()).abs().median())
 

@@ -32,17 +32,18 @@ def pattern_cost(problem: Problem) -> float:
 
 @torch.no_grad()
 def uncertainty(problem: Problem, cost: float) -> Maps:
-    """Standard deviations of `scene` (on its grid), `gain` and `offset` (h, w), in their units.
+    """Standard deviations of `scene` (S, 1, H, W), `gain` and `offset` (h, w), in their units.
 
     Scene: the noise of the samples that see a pixel, carried back to it, times the pattern's cost. Gain and offset:
-    posterior deviations given the scene, so rather too small. What is not estimated in closed form is left out.
+    posterior deviations given the scene, so rather too small. What is not estimated in closed form is left out;
+    and so are both where each frame has a scene of its own: given the scenes, they would be known exactly.
     """
     values = problem.values()
     slots = {slot: values[name] for slot, name in problem.slots.items()}
     seen = problem.operator.adjoint(problem.precision, tuple(values["scene"].shape), **slots)
-    found = {"scene": (seen.clamp(min=float(seen.max()) * 1e-6).rsqrt() * 10 ** (cost / 20))[0, 0]}
+    found = {"scene": (seen.clamp(min=float(seen.max()) * 1e-6).rsqrt() * 10 ** (cost / 20))}
     closed = problem.closed_form()
-    if closed:
+    if closed and len(seen) == 1:
         for name, variances in problem.eliminate(values, closed, precision=problem.precision).items():
             parts = problem.fields[name].parts()
             total = sum(part.over_map(each) for part, each in zip(parts, variances, strict=True))

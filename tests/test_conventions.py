@@ -202,7 +202,7 @@ def test_validity_that_the_corners_tell_is_that_of_all_samples():
     for x, angle in ((0.0, 0.0), (3.0, 0.1), (9.0, 0.0), (0.0, 0.5)):
         motion = homography(x=x, angle=angle)[None]
         reach = torch.tensor([(46 - 3) / 2, (40 - 3) / 2]) + 1e-4
-        each = (operator._points(motion).abs() <= reach).all(-1)[:, None]
+        each = (operator.points(motion).abs() <= reach).all(-1)[:, None]
         assert torch.equal(operator.valid(torch.ones(1, 1, 40, 46), motion=motion) > 0, each)
 
 

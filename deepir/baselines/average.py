@@ -14,6 +14,7 @@ from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.joint import registered
+from deepir.operators.points import homographies
 from deepir.problems.definition import filled
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral
@@ -51,7 +52,7 @@ def average(
     callbacks: Sequence[Callable[[Progress], None]] = (),
     checkpoint: Path | None = None,
 ) -> Result:
-    """Register the frames and average them; gain and offset stay as they are."""
+    """Register the frames of a scene and average them; gain and offset stay as they are."""
     definition = lookup("problem", config.problem, "problem")()
     motion, used, messages = registered(burst, config, definition)
     kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
@@ -62,11 +63,10 @@ def average(
     else:
         with torch.no_grad():
             mean, weight = problem.backproject(problem.values())
-            y0, y1, x0, x1 = geometry.window
-            scene = filled(mean, weight > 0.3 * weight.max())[0, 0, y0:y1, x0:x1]
+            scene = geometry.crop(filled(mean, weight > 0.3 * weight.max()))
     result = neutral(scene.numpy(), len(used), burst.size, burst.bad_pixels)
     if motion is not None:
-        result.motion[used] = problem.values()["motion"].detach().numpy()
+        result.motion[used] = homographies(problem.values()["motion"]).detach().numpy()
         result.motion[~used] = float("nan")
     result.frames_used, result.messages = used, messages
     result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}

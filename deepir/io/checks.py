@@ -24,7 +24,7 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
     """
     count, height, width = frames.shape
     if count < needs:
-        raise DataError(f"{source}: {count} frame(s), but this needs at least {needs} of one scene")
+        raise DataError(f"{source}: {count} frame(s), but this needs at least {needs}")
     _check_side(height, width, source)
     valid = np.isfinite(frames)
     for k in range(count):

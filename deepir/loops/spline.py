@@ -1,8 +1,9 @@
 # mypy: disable-error-code="no-untyped-def"
-"""A cubic B-spline at points moved by homographies, its adjoint, and its gradient in the homographies.
+"""A cubic B-spline at moved points, its adjoint, and its gradient in what moves them.
 
-Their origins are centres: of the frame, and of the canvas, whose sides are at least 4. No grid of coordinates is ever
-written.
+A motion is a homography (3, 3), or the points (2, h, w) themselves, x and y: the compiler sees which from the number of
+dimensions. Origins are centres: of the frame, and of the canvas, whose sides are at least 4. For homographies no grid
+of coordinates is ever written. (All in one file: numba's cache does not see a change in another one.)
 """
 
 from __future__ import annotations
@@ -34,6 +35,13 @@ def _locate(t, y, height, width, at, ends, fx, fy):
     its start.
     """
     count = len(fx)
+    if t.ndim == 3:
+        xs, vs = _row(t, y)
+        to_x, to_y = fx.dtype.type((width - 1) / 2), fx.dtype.type((height - 1) / 2)
+        for j in range(count):
+            _place(j, xs[j] + to_x, vs[j] + to_y, height, width, at, fx, fy)
+        _find_runs(at, ends)
+        return
     x, v, _, nearness = _project(t, -(count - 1) / 2, y)
     x, v = x + (width - 1) / 2, v + (height - 1) / 2
     dx, dv = t[0, 0] * nearness, t[1, 0] * nearness
@@ -49,21 +57,58 @@ def _locate(t, y, height, width, at, ends, fx, fy):
         return
     for j in range(count):
         x, v, _, _ = _project(t, j - (count - 1) / 2, y)
-        x, v = x + (width - 1) / 2, v + (height - 1) / 2
-        # In this order a NaN, too, ends up inside.
-        x = x if x > 1 else 1.0
-        v = v if v > 1 else 1.0
-        x = x if x < width - 2 else width - 2.0
-        v = v if v < height - 2 else height - 2.0
-        left, top = min(np.int32(x), np.int32(width - 3)), min(np.int32(v), np.int32(height - 3))
-        at[j] = (top - np.int32(1)) * np.int32(width) + left - np.int32(1)
-        fx[j], fy[j] = x - left, v - top
-    j = 0
+        _place(j, x + (width - 1) / 2, v + (height - 1) / 2, height, width, at, fx, fy)
+    _find_runs(at, ends)
+
+
+@compiled
+def _row(points, y):
+    """Both coordinates of a row of points, at `y` from the frame's centre."""
+    i = int(y + (points.shape[1] - 1) / 2)
+    return points[0, i], points[1, i]
+
+
+@compiled
+def _place(j, x, v, height, width, at, fx, fy):
+    """Where sample `j` looks, at (x, v) from the canvas' corner."""
+    # In this order a NaN, too, ends up inside.
+    x = x if x > 1 else 1.0
+    v = v if v > 1 else 1.0
+    x = x if x < width - 2 else width - 2.0
+    v = v if v < height - 2 else height - 2.0
+    left, top = min(np.int32(x), np.int32(width - 3)), min(np.int32(v), np.int32(height - 3))
+    at[j] = (top - np.int32(1)) * np.int32(width) + left - np.int32(1)
+    fx[j], fy[j] = x - left, v - top
+
+
+@compiled
+def _find_runs(at, ends):
+    """Where each run of samples ends whose coefficients lie side by side."""
+    j, count = 0, len(at)
     while j < count:
         start, end = at[j] - j, j + 1
         while end < count and at[end] - end == start:
             end += 1
         ends[j], j = end, end
+
+
+@compiled
+def _reach(t, y, count, height):
+    """Between which rows of the canvas, at least, lies what a row of a frame looks at."""
+    low, high = height - 2.0, 1.0
+    if t.ndim == 3:
+        for at in _row(t, y)[1]:
+            v = at + (height - 1) / 2
+            v = v if v > 1 else 1.0
+            v = v if v < height - 2 else height - 2.0
+            low, high = min(low, v), max(high, v)
+        return low, high
+    _, y0, z0, _ = _project(t, -(count - 1) / 2, y)
+    _, y1, z1, _ = _project(t, (count - 1) / 2, y)
+    if not min(z0, z1) > NEAR:
+        return high, low
+    middle = (height - 1) / 2
+    return min(max(min(y0, y1) + middle, 1.0), low), max(min(max(y0, y1) + middle, low), 1.0)
 
 
 @compiled
@@ -168,15 +213,12 @@ def push(first, last, gradient, motion, scene):
         np.empty((4, w), scene.dtype),
         np.zeros(w + 6, scene.dtype),
     )
-    middle = (height - 1) / 2
     for k in range(frames):
         t = motion[k]
         for i in range(h):
             y = i - (h - 1) / 2
-            _, y0, z0, _ = _project(t, -(w - 1) / 2, y)
-            _, y1, z1, _ = _project(t, (w - 1) / 2, y)
-            low, high = max(min(y0, y1) + middle, 1.0), min(max(y0, y1) + middle, height - 2.0)
-            if min(z0, z1) > NEAR and (max(high, 1.0) < first - 3 or min(low, height - 2.0) > last + 2):
+            low, high = _reach(t, y, w, height)
+            if high < first - 3 or low > last + 2:
                 continue  # the whole row looks elsewhere
             _locate(t, y, height, width, at, ends, fx, fy)
             _weights(fx, wx[:, 3 : w + 3])
@@ -241,3 +283,33 @@ def turn(first, last, gradient, scene, motion, sums):
                 into[0, 1] += bx
                 into[1, 1] += by
                 into[2, 1] += bz
+
+
+@compiled
+def shove(first, last, gradient, scene, points, out):
+    """The gradient of rows [first, last) in the points (N, 2, h, w): `out`, of their shape."""
+    (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
+    at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
+    fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    wx, wy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
+    dx, dy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
+    slope_x, slope_y = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    for k in range(frames):
+        for i in range(first, last):
+            y = i - (h - 1) / 2
+            xs, vs = _row(points[k], y)
+            _locate(points[k], y, height, width, at, ends, fx, fy)
+            _weights(fx, wx)
+            _weights(fy, wy)
+            _slopes(fx, dx)
+            _slopes(fy, dy)
+            into_x, into_y = out[k, 0, i], out[k, 1, i]
+            into_x[:], into_y[:] = 0, 0
+            for c in range(channels):
+                flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
+                _combine(flat, width, at, ends, dx, wy, slope_x)
+                _combine(flat, width, at, ends, wx, dy, slope_y)
+                for j in range(w):
+                    # Beyond the edge the scene is flat.
+                    into_x[j] += row[j] * slope_x[j] if abs(xs[j]) < (width - 3) / 2 else ONE - ONE
+                    into_y[j] += row[j] * slope_y[j] if abs(vs[j]) < (height - 3) / 2 else ONE - ONE

@@ -35,6 +35,10 @@ class Operator(nn.Module):
         """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""
         return {}
 
+    def fits(self, slot: str, wanted: Shape, found: Shape) -> bool:
+        """Whether a value of the shape `found` will do for a slot for which `slots` says `wanted`."""
+        return found == wanted
+
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """Shape of the output for an input of `x_shape`."""
         return x_shape

@@ -18,9 +18,10 @@ NOISE_GAIN = 12**0.5
 
 
 class Pull(torch.autograd.Function):
-    """The coefficients `scene` (1 or N, C, Hc, Wc) at the homographies `motion` (N, 3, 3, float64), (N, C, h, w).
+    """The coefficients `scene` (1 or N, C, Hc, Wc) as a motion sees them, (N, C, h, w).
 
-    Both origins are centres: of the frame, and of the canvas.
+    `motion`: homographies (N, 3, 3), float64, or points (N, 2, h, w), x and y, of the scene's type. Origins are
+    centres: of the frame, and of the canvas.
     """
 
     @staticmethod
@@ -44,16 +45,19 @@ class Pull(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
-        """The gradients that are asked for; that in the motion is summed in float64."""
+        """The gradients that are asked for; that in a homography is summed in float64."""
         from deepir.loops import spread
-        from deepir.loops.spline import push, turn
+        from deepir.loops.spline import push, shove, turn
 
         scene, motion = ctx.saved_tensors
         gradient, to_scene, to_motion = gradient.contiguous(), None, None
         if ctx.needs_input_grad[0]:
             to_scene = torch.zeros_like(scene)
             spread(push, scene.shape[-2], gradient, motion, to_scene)
-        if ctx.needs_input_grad[1]:
+        if ctx.needs_input_grad[1] and motion.ndim == 4:
+            to_motion = torch.empty_like(motion)
+            spread(shove, gradient.shape[-2], gradient, scene, motion, to_motion)
+        elif ctx.needs_input_grad[1]:
             height = gradient.shape[-2]
             sums = motion.new_zeros(len(motion), height, 3, 2)
             spread(turn, height, gradient, scene, motion, sums)

@@ -56,8 +56,12 @@ class Warp(Operator):
         self.register_buffer("place", place, persistent=False)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
-        """`motion`: (N, 3, 3)."""
+        """`motion`: (N, 3, 3), or points (N, h, w, 2)."""
         return {"motion": (n_frames, 3, 3)}
+
+    def fits(self, slot: str, wanted: Shape, found: Shape) -> bool:
+        """Homographies will do, and points."""
+        return found in (wanted, (wanted[0], *self.size, 2))
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """(N, C, h, w), or as many instants."""
@@ -78,9 +82,11 @@ class Warp(Operator):
         return self._sampled(x, self.instants.through(motion))
 
     def _sampled(self, x: Tensor, motion: Tensor) -> Tensor:
-        if x.device.type == "cpu" and motion.ndim == 3:
-            return Pull.apply(x, self.place @ _finite(motion).double(), self.size)
-        return sample(x, self._points(motion).to(x.dtype))
+        if x.device.type != "cpu":
+            return sample(x, self.points(motion).to(x.dtype))
+        if motion.ndim == 4:
+            return Pull.apply(x, self.points(motion).to(x.dtype).permute(0, 3, 1, 2), self.size)
+        return Pull.apply(x, self.place @ _finite(motion).double(), self.size)
 
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
@@ -103,14 +109,14 @@ class Warp(Operator):
         return bool((moved[:, 2] > NEAR).all() and (points.abs() <= reach[:, None]).all())
 
     def _valid(self, mask: Tensor, motion: Tensor, reach: Tensor) -> Tensor:
-        inside = (self._points(motion).abs() <= reach).all(-1)[:, None]
+        inside = (self.points(motion).abs() <= reach).all(-1)[:, None]
         return (inside & (self._sampled(mask, motion) > 1 - 1e-4)).to(mask.dtype)
 
     def image(self, x: Tensor) -> Tensor:
         """The scene at the canvas' pixel centres."""
         return image(x)
 
-    def _points(self, motion: Tensor) -> Tensor:
+    def points(self, motion: Tensor) -> Tensor:
         """Where each pixel looks, (N, h, w, 2), in px from the canvas' centre."""
         motion = _finite(motion)
         if motion.ndim == 4:

@@ -12,7 +12,10 @@ from deepir.priors.network import Network
 
 
 class Coordinates(Network):
-    """An implicit representation: `net((x, y)) -> value`, x and y from -1 to 1 along the longer side of the scene."""
+    """An implicit representation: `net((x, y)) -> value`, x and y from -1 to 1 along the longer side of the scene.
+
+    Of S scenes it has S values.
+    """
 
     net: nn.Module
     points: Tensor
@@ -26,9 +29,9 @@ class Coordinates(Network):
 
     def draw(self) -> Tensor:
         """The network at all pixels."""
-        return self.at(self.points).reshape(1, 1, *self.shape[-2:])
+        return self.at(self.points).T.reshape(-1, 1, *self.shape[-2:])
 
     def at(self, points: Tensor) -> Tensor:
-        """The network at points (n, 2), as (x, y): (n, 1), in units of the scene's spread."""
+        """The network at points (n, 2), as (x, y): (n, S), in units of the scene's spread."""
         value: Tensor = self.net(points)
         return value

@@ -18,7 +18,8 @@ class DeepDecoder(Network):
     """Mixed channels, doubled in size again and again, from small fixed noise.
 
     Each block is a 1 x 1 convolution, a bilinear doubling, a rectifier and a normalisation of each channel (Heckel and
-    Hand 2019, "Deep decoder"). So few parameters that it need not be stopped, but for its details.
+    Hand 2019, "Deep decoder"). So few parameters that it need not be stopped, but for its details. Scenes have noise
+    of their own, and share the network.
 
     Args:
         shape, neutral: See `Network`.
@@ -41,7 +42,7 @@ class DeepDecoder(Network):
             raise ValueError("width must be at least 1, and blocks 2")
         unit = 2 ** (blocks - 1)
         small = [-(-side // unit) for side in shape[-2:]]
-        self.register_buffer("noise", 0.1 * torch.rand(1, width, *small))
+        self.register_buffer("noise", 0.1 * torch.rand(shape[0], width, *small))
         self.mix = nn.ModuleList(nn.Conv2d(width, width, 1, bias=False) for _ in range(blocks))
         self.norm = nn.ModuleList(nn.BatchNorm2d(width, track_running_stats=False) for _ in range(blocks))
         self.last = nn.Conv2d(width, 1, 1, bias=False)

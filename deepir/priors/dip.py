@@ -19,6 +19,7 @@ class DIP(Network):
     """A skip network draws the scene from fixed noise, or from what the scene starts at.
 
     (Ulyanov, Vedaldi, Lempitsky 2018, "Deep image prior".) Any size: the network's canvas is larger, and cropped.
+    Scenes have noise of their own, and share the network.
 
     Args:
         shape, neutral, bf16: See `Network`.
@@ -61,7 +62,7 @@ class DIP(Network):
         unit = 2**scales
         # Reflection wants two px at the coarsest scale.
         self.canvas = [max(-(-side // unit), 2) * unit for side in shape[-2:]]
-        self.register_buffer("noise", spread * torch.rand(1, inputs, *self.canvas))
+        self.register_buffer("noise", spread * torch.rand(shape[0], inputs, *self.canvas))
         self.register_buffer("drawn", torch.tensor(0))
         self.net = Skip(inputs + picture, [width] * scales, skip=skip, up=up, pad=pad)
         self.begin_at_start(self.net.last)
@@ -72,7 +73,7 @@ class DIP(Network):
         x = self.noise
         if self.residual:
             beyond = [a - b for a, b in zip(self.canvas, self.shape[-2:], strict=True)]
-            start = F.pad(self.start[:1, :1], (0, beyond[1], 0, beyond[0]), mode="replicate")
+            start = F.pad(self.start[:, :1], (0, beyond[1], 0, beyond[0]), mode="replicate")
             x = torch.cat((x, start), 1)
         if self.perturb and torch.is_grad_enabled():
             x = x + self.perturb * self._fresh(x)

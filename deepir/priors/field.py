@@ -24,6 +24,8 @@ class Field(nn.Module):
 
     #: Whether `init_from` takes any value over that the field can represent; a network cannot.
     exact: ClassVar[bool] = True
+    #: Of a motion: the registration's model at which it starts.
+    model: ClassVar[str | None] = None
 
     def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
         super().__init__()

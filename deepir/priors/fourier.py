@@ -59,7 +59,7 @@ class Fourier(Coordinates):
         layers: list[nn.Module] = [Waves(count, bandwidth)]
         for i in range(depth):
             layers += [nn.Linear(2 * count if i == 0 else width, width), nn.ReLU()]
-        last = nn.Linear(width, 1)
+        last = nn.Linear(width, shape[0])
         self.begin_at_start(last)
         self.net = nn.Sequential(*layers, last)
 

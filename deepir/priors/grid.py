@@ -19,7 +19,8 @@ START = 1e-2  # standard deviation of the features at the begin
 class Grid(Network):
     """Features on dense grids, each twice as coarse as the one before, and a small network that mixes them.
 
-    (After Müller et al. 2022, "Instant neural graphics primitives"; dense, as a scene has few pixels.)
+    (After Müller et al. 2022, "Instant neural graphics primitives"; dense, as a scene has few pixels.) Scenes have
+    grids of their own, and share the small network.
 
     Args:
         shape, neutral: See `Network`.
@@ -44,7 +45,9 @@ class Grid(Network):
             raise ValueError("levels, features and width must be at least 1")
         sizes = [[max(-(-side // 2**level), 2) for side in shape[-2:]] for level in range(levels)]
         sizes[0] = list(shape[-2:])
-        self.grids = nn.ParameterList(nn.Parameter(START * torch.randn(1, features, *size)) for size in sizes)
+        self.grids = nn.ParameterList(
+            nn.Parameter(START * torch.randn(shape[0], features, *size)) for size in sizes
+        )
         self.mix = nn.Sequential(
             nn.Conv2d(levels * features, width, 1), nn.GELU(), nn.Conv2d(width, width, 1), nn.GELU()
         )

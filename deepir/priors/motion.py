@@ -31,7 +31,8 @@ class Motion(Field):
     ) -> None:
         super().__init__(shape, neutral)
         self.radius = math.hypot(*size) / 2
-        self.step = STEP * ratio / math.sqrt(size[0] * size[1])
+        self.felt = size[0] * size[1]  # how many samples feel a step of one parameter
+        self.step = STEP * ratio / math.sqrt(self.felt)
         self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.count))
 
     def forward(self) -> Tensor:
@@ -65,7 +66,7 @@ class Motion(Field):
 class Shift(Motion):
     """Translation, 2 parameters a frame."""
 
-    count = 2
+    model, count = "shift", 2
 
     def matrices(self, p: Tensor) -> Tensor:
         """`T p = p + t`."""
@@ -81,7 +82,7 @@ class Shift(Motion):
 class Rigid(Motion):
     """Rotation about the frame's centre and translation, 3 parameters a frame."""
 
-    count = 3
+    model, count = "rigid", 3
 
     def matrices(self, p: Tensor) -> Tensor:
         """`T p = R(angle) p + t`."""
@@ -99,7 +100,7 @@ class Rigid(Motion):
 class Affine(Motion):
     """Any linear map and translation, 6 parameters a frame."""
 
-    count = 6
+    model, count = "affine", 6
 
     def matrices(self, p: Tensor) -> Tensor:
         """`T p = A p + t`."""
@@ -116,7 +117,7 @@ class Affine(Motion):
 class Homography(Motion):
     """Any perspective map, 8 parameters a frame."""
 
-    count = 8
+    model, count = "homography", 8
 
     def matrices(self, p: Tensor) -> Tensor:
         """Affine part, and two perspective terms."""

@@ -15,7 +15,7 @@ class Network(Field):
     """A picture that a network draws, in units of the spread of what it starts from: `center + scale * draw()`.
 
     Args:
-        shape: Of the scene, (1, 1, H, W).
+        shape: Of the scene, (S, 1, H, W).
         neutral: The level, until it starts somewhere.
         residual: Whether the network draws what is added to what the scene starts at.
         bf16: Whether its layers are computed in bfloat16.

@@ -50,7 +50,7 @@ class Siren(Coordinates):
         if min(width, depth) < 1 or not 0 < omega < float("inf"):
             raise ValueError("width and depth must be at least 1, and omega a positive number")
         layers: list[nn.Module] = [Sine(2 if i == 0 else width, width, omega) for i in range(depth)]
-        self.net = nn.Sequential(*layers, nn.Linear(width, 1))
+        self.net = nn.Sequential(*layers, nn.Linear(width, shape[0]))
         with torch.no_grad():
             linear = [each for each in self.net.modules() if isinstance(each, nn.Linear)]
             linear[0].weight.uniform_(-1 / 2, 1 / 2)

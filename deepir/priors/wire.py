@@ -68,7 +68,7 @@ class Wire(Coordinates):
             raise ValueError("width and depth must be at least 1, omega positive and sharpness not negative")
         first = Gabor(2, width, omega, sharpness, real=True)
         inner = [Gabor(width, width, omega, sharpness) for _ in range(depth)]
-        last = nn.Linear(2 * width, 1)  # the real part of a complex one
+        last = nn.Linear(2 * width, shape[0])  # the real part of a complex one
         nn.init.uniform_(last.weight, -(width**-0.5), width**-0.5)
         self.begin_at_start(last)
         self.net = nn.Sequential(first, *inner, last)

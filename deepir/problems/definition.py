@@ -87,13 +87,16 @@ def start_scene_and_parts(problem: Problem) -> None:
 def start_scene(problem: Problem) -> None:
     """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
     average, weight = problem.backproject(problem.values())
-    problem.fields["scene"].init_from(filled(average, weight > SEEN * weight.max() / len(problem.data)))
+    frames = len(problem.data) / len(average)  # that show a scene
+    problem.fields["scene"].init_from(filled(average, weight > SEEN * weight.max() / frames))
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
     """Replace unknown pixels by the nearest known one, (S, C, H, W)."""
+    if len(image) > 1:  # scenes know nothing of each other
+        return torch.cat([filled(*each) for each in zip(image.split(1), known.split(1), strict=True)])
     holes = (~known).cpu().numpy()
-    if not holes.any():
+    if not holes.any() or holes.all():
         return image
     index = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
     nearest = np.ravel_multi_index(tuple(each[holes] for each in index), holes.shape)

@@ -57,18 +57,20 @@ class NUC(Definition):
         short, last = (8, 20) if modelled(problem) else (25, 35)
         return [
             Stage("sensor 1", (Step(still), *eliminate), short),
-            Stage("sensor 2", (Step(still), *eliminate), short, prepare=_update),
-            Stage("sensor 3", (Step(free), *eliminate), 30, prepare=_update),
-            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
+            Stage("sensor 2", (Step(still), *eliminate), short, prepare=update),
+            Stage("sensor 3", (Step(free), *eliminate), 30, prepare=update),
+            Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
         ]
 
 
-def _update(problem: Problem) -> None:
+def update(problem: Problem) -> None:
+    """Strengths from the last round, for the next."""
     update_strengths(problem)
     weigh_scene(problem, WEAK)
 
 
-def _finish(problem: Problem) -> None:
+def finish(problem: Problem) -> None:
+    """Strengths for the scene's own stage."""
     update_noise(problem, settled=True)
     measure_roughness(problem)
     weigh_scene(problem)

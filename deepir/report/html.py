@@ -13,6 +13,7 @@ from deepir.io.radiometry import KELVIN, unit
 from deepir.io.tones import PALETTES, ends, table
 from deepir.report.maps import COARSE, FINE, packed
 from deepir.report.page import write_page
+from deepir.report.panels import few
 
 if TYPE_CHECKING:
     from deepir.result import Result
@@ -42,7 +43,7 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
         "stages": _stages(result.history),
         "motion": _motion(result),
         "level": result.level if np.any(result.level) else [],
-        "histogram": _histogram(example, result.scene),
+        "histogram": _histogram(example, _first(result.scene)),
         "unit": _unit(result),
         "config": dump(config),
         "metrics": {name: value for name, value in result.metrics.items() if name != "messages"},
@@ -59,10 +60,10 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     """The maps in order: name, title, unit, how it is coloured, and `packed`."""
     here = _unit(result)
     yield _map("raw", "Raw frame", example, here)
-    yield _map("scene", "Scene", result.scene, here)
+    yield from _scenes("scene", "Scene", result.scene, here)
     kelvin = result.extra.get("scene_kelvin")
     if kelvin is not None and result.radiometry != KELVIN:
-        yield _map("scene_kelvin", "Temperature", kelvin, "K")
+        yield from _scenes("scene_kelvin", "Temperature", kelvin, "K")
     yield _map("gain", f"Gain, σ {100 * result.gain.std():.1f} %", result.gain, "", centre=1.0)
     yield _map("offset", f"Offset, σ {result.offset.std():.3g}", result.offset, here, centre=0.0)
     for name, image in result.extra.items():
@@ -73,7 +74,21 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1, "colours": "mask"}
     for name, image in result.uncertainty.items():
         own = "" if name == "gain" else here
-        yield _map(f"{name}_sd", f"Uncertainty of the {name}", image, own, colours="spread", fine=COARSE)
+        yield _map(
+            f"{name}_sd", f"Uncertainty of the {name}", _first(image), own, colours="spread", fine=COARSE
+        )
+
+
+def _scenes(name: str, title: str, scenes: Array, here: str) -> Iterator[dict[str, Any]]:
+    """The scene; where each frame has its own, that of the first by this name, and some of the others."""
+    yield _map(name, title, _first(scenes), here)
+    if scenes.ndim == 3:
+        for frame in few(len(scenes))[1:]:
+            yield _map(f"{name}_{frame}", f"{title} of frame {frame}", scenes[frame], here)
+
+
+def _first(scenes: Array) -> Array:
+    return scenes if scenes.ndim == 2 else scenes[0]
 
 
 def _map(

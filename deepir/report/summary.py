@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepir.io import replace
+from deepir.report.panels import some
 
 if TYPE_CHECKING:
     from deepir.result import Result
@@ -26,8 +27,11 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     FigureCanvasAgg(figure)
     grid = figure.subplots(2, 3)
     _picture(grid[0, 0], example, "raw frame", "gray")
-    _picture(grid[0, 1], result.scene, "scene", "gray")
-    if "scene" in result.uncertainty:
+    first = result.scene if result.scene.ndim == 2 else result.scene[0]
+    _picture(grid[0, 1], first, "scene", "gray")
+    if result.scene.ndim == 3:
+        _picture(grid[0, 2], some(result.scene), f"some of the {len(result.scene)} scenes", "gray")
+    elif "scene" in result.uncertainty:
         _picture(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", "viridis")
     else:
         _picture(grid[0, 2], result.scene, "scene, inferno", "inferno")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -14,10 +15,12 @@ from deepir.scenes import procedural
 from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
 from deepir.simulate.lag import constants, lagged, path
-from deepir.simulate.optics import at_rest, homographies, move, reach_of, scale_of
+from deepir.simulate.optics import at_rest, drawn, homographies, move, reach_of, scale_of
+from deepir.simulate.parallax import flow_of, parallax, relief
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
+from deepir.simulate.views import look
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,12 @@ class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
     #: Frame 0 without pattern, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
-    scene: np.ndarray  # (Q H, Q W)
+    scene: np.ndarray  # (Q H, Q W); with own_scenes each frame, (N, Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
+    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: motion and parallax
     tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
     housing: np.ndarray  # (N, H, W), flux of the housing above that of the first frame
     bad_pixels: np.ndarray  # (H, W) bool
@@ -37,7 +41,7 @@ class Truth:
     failed: np.ndarray  # (N,) bool: frames of another place
     read_noise: float  # sigma; rounding to counts adds a variance of 1/12
     photons_per_unit: float  # photon noise has variance gain · flux / this; 0: there is none
-    scale: float  # picture px per detector px
+    scale: float  # picture px per detector px; with own_scenes of frame 0's picture
 
 
 @dataclass(frozen=True)
@@ -60,51 +64,53 @@ class Simulation:
         return path, beside
 
 
-def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: int = 0) -> Simulation:
-    """Record a burst of a scene.
+def simulate(
+    scene: Scene | Sequence[Scene] | None = None, settings: Settings = DEFAULT, *, seed: int = 0
+) -> Simulation:
+    """Record a burst of a scene, or with `own_scenes` a frame of each of several.
 
     Motion, pattern, level, noise and each effect that is off by default have random streams of their own: with
     another noise the motion stays.
 
     Args:
         scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a
-            given shape, twice as fine as the truth's scene. None: `procedural(seed)`.
+            given shape, twice as fine as the truth's scene. None: `procedural(seed)`. With `own_scenes` one for each
+            frame, or None: each is drawn.
         settings: The camera and its motion.
         seed: The same seed gives the same burst.
 
     Raises:
-        DataError: The picture is no picture, or is too small for the frames and their motion.
+        DataError: A picture is no picture, or is too small for the frames and their motion; or there are too few.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(10)
+    streams = np.random.default_rng(seed).spawn(12)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
-    motion, tau = move(settings, motion_rng), np.zeros(settings.shape)
+    motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
         motion, tau = homographies(settings, path(settings, streams[8])), constants(settings, streams[8])
     gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
     if settings.bolometer:
         gain, offset, slowness = pixels(settings, streams[9])
         tau = tau * slowness
-    reach = reach_of(motion, settings)
-    scene = partial(procedural, seed) if scene is None else scene
-    if callable(scene):
-        height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
-        scene = scene((int(height), int(width)))
-    picture = np.asarray(scene, float)
-    if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
-        raise DataError(
-            f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}"
-        )
-    scale = scale_of(picture.shape, reach, settings)
-    flux, moving, static = observe(picture, motion, scale, settings, walk_rng, place_rng)
-    if settings.tau:
-        flux, motion, moving = (
-            lagged(flux, tau, settings),
-            motion[:: settings.substeps],
-            moving[:: settings.substeps],
-        )
-    if settings.factor > 1:
-        static = at_rest(picture, scale, settings)
+    if settings.own_scenes:
+        motion = np.tile(np.eye(3), (settings.n_frames, 1, 1))
+        flux, static, scale = look(scene, settings, streams[10])
+        moving = np.zeros(flux.shape, bool)
+    else:
+        reach = reach_of(motion, settings)
+        picture = drawn(partial(procedural, seed) if scene is None else scene, reach, settings)
+        scale = scale_of(picture.shape, reach, settings)
+        if settings.parallax:
+            beside = parallax(motion, relief(settings, streams[11]), settings)
+        flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
+        if settings.tau:
+            flux, motion, moving = (
+                lagged(flux, tau, settings),
+                motion[:: settings.substeps],
+                moving[:: settings.substeps],
+            )
+        if settings.factor > 1:
+            static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
     warmth = housing(settings)
     flux, static = settings.range * flux + dark + warmth, settings.range * static + dark
@@ -120,6 +126,7 @@ def simulate(scene: Scene | None = None, settings: Settings = DEFAULT, *, seed: 
         offset=offset,
         level=level,
         motion=motion,
+        flow=flow_of(motion, settings.shape, beside),
         tau=tau,
         housing=warmth,
         bad_pixels=bad > 0,

@@ -16,13 +16,15 @@ def observe(
     motion: np.ndarray,
     scale: float,
     settings: Settings,
+    beside: np.ndarray | None,
     walk_rng: np.random.Generator,
     place_rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Flux in units of the range, and where the walker has changed it, (N, H, W); frame 0 without him, (H, W)."""
 
     def seen(scene: np.ndarray, frames: slice) -> np.ndarray:
-        return render(scene, motion[frames], settings.shape, scale, settings.psf_sigma)
+        more = None if beside is None else beside[frames]
+        return render(scene, motion[frames], settings.shape, scale, settings.psf_sigma, more)
 
     static = seen(picture, np.s_[:])
     flux, failed = static.copy(), settings.failed_frame

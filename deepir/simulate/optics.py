@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import ndimage
 
 from deepir.errors import DataError
+from deepir.simulate.pictures import Scene
 from deepir.simulate.settings import Settings
 
 WARP = 0.01  # largest stretch, shear and keystone (change of scale at the frame's edge)
 
 
 def render(
-    picture: np.ndarray, motion: np.ndarray, shape: tuple[int, int], scale: float, psf_sigma: float = 0.0
+    picture: np.ndarray,
+    motion: np.ndarray,
+    shape: tuple[int, int],
+    scale: float,
+    psf_sigma: float = 0.0,
+    beside: np.ndarray | None = None,
 ) -> np.ndarray:
     """What the detector's pixels collect: `D B M_k x` without pattern and noise.
 
@@ -26,6 +34,7 @@ def render(
         scale: Picture px per detector px.
         psf_sigma: Gaussian blur of the optics, detector px; applied before the motion, with which it commutes
             but for stretch and keystone.
+        beside: (N, 2, *shape), x and y in detector px that are added to where pixels look; linear within a pixel.
 
     Returns:
         Frames (N, *shape), float64.
@@ -37,13 +46,33 @@ def render(
     centre_y, centre_x = (np.array(picture.shape) - 1) / 2
     frames = np.zeros((len(motion), *shape))
     for k, T in enumerate(motion):
+        more = np.zeros((2, *shape)) if beside is None else beside[k]
+        along_y, along_x = (np.gradient(more, axis=axis) for axis in (1, 2))
         for v, weight_v in zip(nodes / 2, weights / 2, strict=True):
             for u, weight_u in zip(nodes / 2, weights / 2, strict=True):
                 at_x, at_y, w = (row[0] * (x + u) + row[1] * (y + v)[:, None] + row[2] for row in T)
-                points = [centre_y + scale * at_y / w, centre_x + scale * at_x / w]
+                add_x, add_y = more + u * along_x + v * along_y
+                points = [centre_y + scale * (at_y / w + add_y), centre_x + scale * (at_x / w + add_x)]
                 sample = ndimage.map_coordinates(spline, points, order=3, mode="mirror", prefilter=False)
                 frames[k] += weight_u * weight_v * sample
     return frames
+
+
+def drawn(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
+    """A scene as a picture (height, width), for frames that see so far; `DataError` if it is none."""
+    if callable(scene):
+        height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
+        scene = scene((int(height), int(width)))
+    if isinstance(scene, list | tuple):
+        raise DataError(
+            f"scene: {len(scene)} pictures; for a frame of each, set simulate.own_scenes (own_scenes=true)"
+        )
+    picture = np.asarray(scene, float)
+    if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
+        raise DataError(
+            f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}"
+        )
+    return picture
 
 
 def at_rest(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
@@ -78,12 +107,12 @@ def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
 
 
 def reach_of(motion: np.ndarray, settings: Settings) -> np.ndarray:
-    """How far (y, x) from the centre the frames see, detector px: their corners and three sigma of blur."""
+    """How far (y, x) from the centre the frames see, detector px: their corners, parallax and three sigma of blur."""
     height, width = settings.shape
     corners = np.array([(i * width / 2, j * height / 2, 1) for i in (-1, 1) for j in (-1, 1)])
     seen = corners @ motion.mT
     reach = np.abs(seen[..., 1::-1] / seen[..., 2:]).max(axis=(0, 1))
-    return reach + 3 * settings.psf_sigma
+    return reach + 3 * settings.psf_sigma + settings.parallax
 
 
 def scale_of(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:

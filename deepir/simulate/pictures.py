@@ -22,15 +22,18 @@ SHIPPED = ("astronaut", "brick", "camera", "cell", "chelsea", "clock", "coffee",
 Scene = np.ndarray[Any, Any] | Callable[[tuple[int, int]], np.ndarray[Any, Any]]
 
 
-def picture(name: str) -> Scene:
+def picture(name: str) -> Scene | list[Scene]:
     """A grey picture (height, width), its range stretched to [0, 1], or a function that draws one of a given size.
 
     Args:
-        name: A file, `procedural:SEED`, `sky:SEED`, or a picture of scikit-image: `camera`.
+        name: A file, `procedural:SEED`, `sky:SEED`, or a picture of scikit-image: `camera`. Several, with commas
+            between them, make a list.
 
     Raises:
         DataError: There is none of that name, or it is no picture.
     """
+    if "," in name and not Path(name).exists():
+        return [each for part in name.split(",") if not isinstance(each := picture(part.strip()), list)]
     kind, _, seed = name.partition(":")
     if kind in DRAWN and seed.isdecimal():
         return partial(DRAWN[kind], int(seed))

@@ -43,6 +43,6 @@ def _recorded(settings: Settings, scene: str | None, seed: int, changed: int) ->
 def truth(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
     """The arrays that a result is compared with, float32; the scene is NaN where somebody stands before it."""
     found = simulation.truth
-    scene = np.where(found.moving[0], np.nan, found.scene)
+    scene = np.where(found.moving[0], np.nan, found.scene) if found.moving[0].any() else found.scene
     arrays = {"scene": scene, "gain": found.gain, "offset": found.offset}
     return {name: array.astype(np.float32) for name, array in arrays.items()}

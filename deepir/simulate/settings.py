@@ -20,6 +20,12 @@ CHOICES = {
     "gain_distribution": ("normal", "uniform"),
 }
 
+#: Effects that exclude others.
+APART = {
+    "tau": ("walker", "failed_frame", "parallax", "own_scenes"),
+    "own_scenes": ("walker", "failed_frame", "parallax"),
+}
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -66,8 +72,10 @@ class Settings:
     tremor: float = 8.0  # highest frequency of the smooth path, Hz
     readout: float = 0.0  # part of the time between frames that reading the rows takes, one after the other
     bolometer: bool = False  # gain, offset and tau's spread from the pixels' physics, not from the keys above
-    housing_drift: float = (
-        0.0  # flux that a warming housing adds on the axis, fraction of the range in a second
+    housing_drift: float = 0.0  # flux that a warming housing adds on the axis, fraction of the range a second
+    own_scenes: bool = False  # each frame is of a scene of its own, drawn or given; the camera is at rest
+    parallax: float = (
+        0.0  # px that the nearest moves more than the farthest in a frame that is shifted by max_shift
     )
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
@@ -97,6 +105,7 @@ class Settings:
                 f"simulate.dead_pixels, stuck_pixels, noisy_pixels = {bad:g} together: a fraction up to 0.5 is needed"
             )
         self._check_lag()
+        self._check_apart()
         for key in ("gain_shading", "readout", "walker"):
             if (value := getattr(self, key)) > 1:
                 raise ConfigError(f"simulate.{key} = {value}: a fraction up to 1 is needed")
@@ -109,8 +118,12 @@ class Settings:
     def _check_lag(self) -> None:
         if not (self.fps > 0 and 1 <= self.substeps <= 100):
             raise ConfigError("simulate: fps must be positive, and substeps a whole number from 1 to 100")
-        if self.tau and (self.walker or self.failed_frame):
-            raise ConfigError("simulate.tau: not together with simulate.walker or simulate.failed_frame")
+
+    def _check_apart(self) -> None:
+        for key, others in APART.items():
+            other = next((each for each in others if getattr(self, each)), None)
+            if getattr(self, key) and other:
+                raise ConfigError(f"simulate.{key}: not together with simulate.{other}")
 
     @property
     def least_scale(self) -> float:

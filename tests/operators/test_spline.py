@@ -30,7 +30,7 @@ def motions(n, angle=0.1, shift=2.0, tilt=0.01, seed=0):
 
 def by_torch(operator, x, motion):
     """As on other devices."""
-    return sample(x, operator._points(motion).to(x.dtype))
+    return sample(x, operator.points(motion).to(x.dtype))
 
 
 def gradients(warped, *of):

@@ -10,8 +10,10 @@ from deepir.build import build_scene
 from deepir.config import load
 from deepir.priors.dip import DIP
 from deepir.priors.grid import Grid
+from deepir.priors.network import Network
 from deepir.priors.siren import Sine, Siren
 from deepir.priors.wire import Gabor
+from deepir.registry import components
 
 SHAPE = (1, 1, 50, 70)
 
@@ -153,3 +155,22 @@ def test_every_convolution_of_the_skip_network_reflects_at_the_edges():
     ]
     assert len(threes) == 3 * 5
     assert all(c.padding_mode == "reflect" for c in threes)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, each in components("field").items() if issubclass(each, Network)]
+)
+def test_scenes_of_their_own_are_drawn_each(name):
+    """And as many steps: one network may draw them all."""
+    field = components("field")[name]((3, 1, 22, 26))
+    assert field().shape == (3, 1, 22, 26)
+    start = torch.rand(3, 1, 22, 26)
+    field.init_from(start)
+    optimiser = torch.optim.Adam(field.parameters(), lr=0.003)
+    for _ in range(40):
+        optimiser.zero_grad()
+        loss = (field() - torch.tensor([0.0, 1.0, 2.0]).view(3, 1, 1, 1)).square().mean()
+        loss.backward()
+        optimiser.step()
+    means = field().detach().mean((1, 2, 3))
+    assert means[0] < means[1] < means[2]

@@ -58,6 +58,18 @@ def test_a_report_holds_every_map_of_the_run(tmp_path, result, example, config):
     assert maps["gain"]["low"] + maps["gain"]["high"] == pytest.approx(2)
 
 
+def test_where_each_frame_has_a_scene_of_its_own_some_are_shown(tmp_path, result, example, config):
+    result.scene = np.stack([result.scene + each for each in range(8)])
+    result.extra = {"scene_kelvin": 200 + 0.01 * result.scene, "flow": np.zeros((8, 2, *example.shape))}
+    result.uncertainty["scene"] = np.ones(result.scene.shape)
+    write_report(tmp_path / "report.html", result, example, config)
+    names = [each["name"] for each in data(tmp_path / "report.html")["maps"]]
+    assert [name for name in names if name.startswith("scene")] == [
+        "scene", "scene_2", "scene_5", "scene_7",
+        "scene_kelvin", "scene_kelvin_2", "scene_kelvin_5", "scene_kelvin_7", "scene_sd",
+    ]  # fmt: skip
+
+
 def test_no_text_ends_the_data_or_starts_an_element(tmp_path, result, example, config):
     result.messages = ["</script><script>alert(1)</script>", "<!-- <img src=x onerror=alert(2)> %script%"]
     write_report(tmp_path / "report.html", result, example, config)

@@ -1,0 +1,85 @@
+"""Total variation of many frames: an offset from frames that nothing registers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import dctn, idctn
+
+from deepir.baselines.average import average
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.registry import register
+from deepir.result import Result
+from deepir.solve import Progress
+
+STEP = 1.0  # what the first frame may move a pixel, in typical gradients
+ROUNDING = 0.1  # of total variation, likewise
+
+
+@register("method", "multiview_tv")
+def multiview_tv(
+    burst: Burst,
+    config: Config,
+    *,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Path | None = None,
+) -> Result:
+    """The offset with which the frames' total variation is least, from all frames at once; then as `average`.
+
+    After Barral, Arias and Davy 2024, "Fixed pattern noise removal for multi-view single-sensor infrared camera": of
+    `Σ_k |∇(y_k - o)|`, along x and along y, the best ∇o at each edge is the median of the frames' gradients. They are
+    put together to an offset by least squares. No gain, no strengths.
+    """
+    return _corrected(burst, config, median_offset(burst.frames))
+
+
+@register("method", "multiview_tv_recursive")
+def multiview_tv_recursive(
+    burst: Burst,
+    config: Config,
+    *,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Path | None = None,
+) -> Result:
+    """The same a frame at a time, for long videos: each moves the offset down the slope of its total variation."""
+    return _corrected(burst, config, recursive_offset(burst.frames))
+
+
+def median_offset(frames: np.ndarray) -> np.ndarray:
+    """The offset (h, w), mean zero, whose gradients are nearest to the medians of those of frames (N, h, w)."""
+    score = sum(_adjoint(np.median(np.diff(frames, axis=axis), axis=0), axis) for axis in (-1, -2))
+    # Poisson's equation with free edges, by cosines.
+    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in frames.shape[1:])
+    curvature = y[:, None] + x
+    curvature[0, 0] = np.inf  # the level stays zero
+    offset: np.ndarray = idctn(dctn(score, norm="ortho") / curvature, norm="ortho")
+    return offset
+
+
+def recursive_offset(frames: np.ndarray) -> np.ndarray:
+    """The offset (h, w), mean zero, after one step for each frame, of length `1 / sqrt(k + 1)`."""
+    offset = np.zeros(frames.shape[1:])
+    typical = float(np.median(np.abs(np.diff(frames[0], axis=-1)))) or 1.0
+    for k, frame in enumerate(frames):
+        slope = np.zeros_like(offset)
+        for axis in (-1, -2):
+            gradient = np.diff(frame - offset, axis=axis)
+            slope += _adjoint(gradient / np.hypot(gradient, ROUNDING * typical), axis)
+        offset += STEP * typical / np.sqrt(k + 1) * slope / 4
+    return offset - offset.mean()
+
+
+def _adjoint(edges: np.ndarray, axis: int) -> np.ndarray:
+    """The adjoint of differences along an axis."""
+    return -np.diff(edges, axis=axis, prepend=0, append=0)
+
+
+def _corrected(burst: Burst, config: Config, offset: np.ndarray) -> Result:
+    frames = (burst.frames - offset).astype(np.float32)
+    result: Result = average(dataclasses.replace(burst, frames=frames), config)
+    result.offset = offset.astype(np.float32)
+    return result

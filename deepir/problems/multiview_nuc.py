@@ -1,0 +1,120 @@
+"""Non-uniformity correction of frames of different scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch.nn.functional as F
+from torch import Tensor
+
+from deepir.defects import lonely
+from deepir.errors import ConfigError, DataError
+from deepir.noise import flat_noise
+from deepir.priors.parts import Part
+from deepir.priors.shading import Shading
+from deepir.problem import Problem
+from deepir.problems.definition import Definition, start_scene
+from deepir.registry import register
+from deepir.solve import Stage, Step
+from deepir.strengths import weigh_scene
+from deepir.unregistered import find_pattern
+
+FEW = 4  # frames, below which pixels are hardly told from the scenes
+BLOCK = 8  # px, of which means are compared
+SAME, ALIKE = 0.003, 0.3  # mean squared differences of frames, to those of unrelated ones
+DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
+
+
+@register("problem", "multiview_nuc")
+class MultiviewNUC(Definition):
+    """The scene of each frame, and the gain and offset that all frames share; nothing is registered.
+
+    (The setting of Barral, Arias and Davy 2024, "Fixed pattern noise removal for multi-view single-sensor infrared
+    camera".) The sensor is found from the gradients of all frames together, then each scene with the sensor fixed.
+    """
+
+    frames = 2
+    operators = ("sensor",)
+
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """The sensor, from the frames alone, the noise that it leaves, and the scenes as they then look.
+
+        Raises:
+            DataError: The frames are all the same.
+        """
+        frames, usable = problem.data[:, 0], problem.precision[:, 0] > 0
+        self.messages = _demand_different(frames)
+        gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
+        edges, pattern = find_pattern(frames, usable, gain, offset)
+        misfit = edges.misfit(pattern)
+        usable = usable & ~((misfit > DEFECTIVE) & lonely(misfit))
+        if problem.known_noise:
+            problem.precision.mul_(usable[:, None])
+        else:
+            noise = flat_noise(_corrected(problem), usable)
+            problem.precision.copy_(usable[:, None] / max(noise, 1e-4 * float(frames[usable].std())) ** 2)
+        start_scene(problem)
+        weigh_scene(problem)
+
+    def plan(self, problem: Problem) -> list[Stage]:
+        """The scenes, with the sensor fixed.
+
+        Raises:
+            ConfigError: All frames share a scene; gain and offset are no sums of parts, or both are known.
+        """
+        if problem.fields["scene"].shape[0] < len(problem.data):
+            raise ConfigError(
+                "scene.shared: 'multiview_nuc' is for frames of different scenes, scene.shared=false; "
+                "frames of one scene are for 'nuc'"
+            )
+        gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
+        if not (gain or offset):
+            raise ConfigError("physics.sensor: gain and offset are both known; take problem=generic")
+        return [Stage("scene", (Step(("scene",)),), 40)]
+
+
+def _demand_different(frames: Tensor) -> list[str]:
+    """Messages for frames (N, h, w) that are few, or much alike; `DataError` if they show all the same."""
+    means = F.avg_pool2d(frames[:, None], BLOCK)[:, 0]
+    means = means - means.mean((1, 2), keepdim=True)
+    others = means.roll(len(means) // 2, 0)
+    unrelated = means.square().mean((1, 2)) + others.square().mean((1, 2))
+    apart = float(((means - others).square().mean((1, 2)) / unrelated.clamp(min=1e-30)).median())
+    if apart < SAME:
+        raise DataError(
+            "the frames all show the same: what stands still in all of them is taken for the sensor's pattern. "
+            "Take frames of different scenes, or move the camera and take problem 'nuc'"
+        )
+    messages = []
+    if apart < ALIKE:
+        messages.append(
+            f"the frames are much alike (they differ by {apart:.0%} of what unrelated ones do): what they all show at "
+            "one place is taken for the pattern. Take frames further apart, data.frames=::10, or problem 'nuc'"
+        )
+    if len(frames) < FEW:
+        messages.append(
+            f"{len(frames)} frames: what each pixel has of its own is hardly told from the scenes. "
+            f"Take {FEW}, better 10"
+        )
+    return messages
+
+
+def _parts(problem: Problem, slot: str) -> Sequence[Part]:
+    """The parts of the sensor's gain or offset; none if it is known."""
+    name = f"{problem.operator.named()[-1][0]}.{slot}"
+    unknown = problem.slots[name]
+    if unknown not in problem.free():
+        return ()
+    parts = problem.fields[unknown].parts()
+    if not parts or (slot == "gain" and any(isinstance(part, Shading) for part in parts)):
+        raise ConfigError(
+            f"physics.{name}: 'multiview_nuc' finds sums of column, row, pixel and, in the offset, shading"
+        )
+    return parts
+
+
+def _corrected(problem: Problem) -> Tensor:
+    """The frames without the sensor's pattern, (N, h, w)."""
+    values, stage = problem.values(()), problem.operator.named()[-1][0]
+    gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    return ((problem.data - offset) / gain)[:, 0]

@@ -1,0 +1,80 @@
+"""A scene that is not flat: a camera that shifts sees what is near move more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.errors import ConfigError
+from deepir.simulate.settings import Settings
+
+HILLS = 8  # that the scene is made of
+WIDTH = (0.08, 0.2)  # of a hill (sigma), fractions of the frame's shorter side
+MOST = 0.05  # of the frame's shorter side: a parallax for which no hill hides another
+PASSES = 60  # of the fixed point at most
+
+
+def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
+    """Hills: place (x, y) in detector px from the centre, width, height; scaled so that nearness is within [0, 1].
+
+    Raises:
+        ConfigError: A parallax for which hills hide each other, or of a camera that does not shift.
+    """
+    height, width = settings.shape
+    side = min(height, width)
+    if settings.parallax > MOST * side:
+        raise ConfigError(
+            f"simulate.parallax = {settings.parallax:g}: hills would hide each other; at most {MOST * side:g} px for "
+            f"frames of {height} x {width} px"
+        )
+    if not settings.max_shift:
+        raise ConfigError(
+            "simulate.parallax: a camera that does not shift sees none; raise simulate.max_shift, or take 0"
+        )
+    places = rng.uniform(-0.5, 0.5, (HILLS, 2)) * (width, height)
+    hills = np.column_stack((places, side * rng.uniform(*WIDTH, HILLS), rng.uniform(0.5, 1, HILLS)))
+    y, x = (np.arange(n) - (n - 1) / 2 for n in settings.shape)
+    hills[:, 3] /= nearness(hills, x, y[:, None]).max()
+    return hills
+
+
+def nearness(hills: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """How near the scene is at points of frame 0: 0 is the farthest, 1 the nearest."""
+    return sum(
+        tall * np.exp(((x - at_x) ** 2 + (y - at_y) ** 2) / (-2 * wide**2))
+        for at_x, at_y, wide, tall in hills
+    )
+
+
+def parallax(motion: np.ndarray, hills: np.ndarray, settings: Settings) -> np.ndarray:
+    """What is added to where pixels look, (N, 2, H, W), x and y in px.
+
+    A frame that is shifted by t sees a point of nearness d at `q = T p + parallax d(q) t / max_shift`. The scene's
+    points keep their nearness, so q is a fixed point, which there is as long as no hill hides another.
+    """
+    found = np.zeros((len(motion), 2, *settings.shape))
+    for k, T in enumerate(motion):
+        at_x, at_y = seen_at(T, settings.shape)
+        toward = settings.parallax * T[:2, 2] / settings.max_shift
+        near = np.zeros(settings.shape)
+        for _ in range(PASSES):
+            before, near = near, nearness(hills, at_x + toward[0] * near, at_y + toward[1] * near)
+            if np.abs(near - before).max() < 1e-6:
+                break
+        found[k] = toward[:, None, None] * near
+    return found
+
+
+def seen_at(T: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Where the pixels of a frame look, x and y from its centre, by the homography alone."""
+    y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
+    at_x, at_y, w = (row[0] * x + row[1] * y[:, None] + row[2] for row in T)
+    return at_x / w, at_y / w
+
+
+def flow_of(motion: np.ndarray, shape: tuple[int, int], beside: np.ndarray | None) -> np.ndarray:
+    """From each pixel to where it looks, (N, 2, H, W)."""
+    y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
+    looks = np.array(
+        [np.stack(seen_at(T, shape)) - np.stack(np.broadcast_arrays(x, y[:, None])) for T in motion]
+    )
+    return looks if beside is None else looks + beside

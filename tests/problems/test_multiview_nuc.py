@@ -1,0 +1,231 @@
+"""Frames of different scenes: the pattern that they share, without registration."""
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+import deepir
+from deepir.config import priors
+from deepir.errors import ConfigError, DataError
+from deepir.simulate import Settings, simulate
+from deepir.simulate.pictures import picture
+
+QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
+ONE = {"threads": 1}
+PICTURES = (
+    "camera,moon,gravel,astronaut,grass,procedural:1,procedural:2,procedural:3,procedural:4,procedural:5"
+)
+
+
+def views(pictures=PICTURES, **more):
+    """A frame of each picture; the pattern is an offset of 3 % at pixels, 2 % at columns and rows."""
+    settings = {
+        "n_frames": pictures.count(",") + 1, "shape": (64, 80), "own_scenes": True, "offset_pixel": 0.03,
+        "offset_column": 0.02, "offset_row": 0.02, "gain_pixel": 0.0, "gain_column": 0.0, "shading": 0.0,
+        "dead_pixels": 0.0,
+    }  # fmt: skip
+    return simulate(picture(pictures), Settings(**settings | more), seed=1)
+
+
+def likeness(first, second):
+    return np.corrcoef(first.ravel(), second.ravel())[0, 1]
+
+
+def pattern(sensor, level):
+    return sensor.gain * level + sensor.offset
+
+
+@pytest.fixture(scope="module")
+def sim():
+    """Ten frames of 64 x 80 px."""
+    return views()
+
+
+@pytest.fixture(scope="module")
+def result(sim):
+    return deepir.run("multiview_nuc", frames=sim.frames, **ONE)
+
+
+# ---- the sensor ----
+
+
+def test_the_pattern_of_ten_pictures_is_found(sim, result):
+    level = sim.frames.mean()
+    assert likeness(sim.frames.mean(0), pattern(sim.truth, level)) < 0.7  # what the frames' mean shows
+    assert likeness(pattern(result, level), pattern(sim.truth, level)) > 0.95
+
+
+def test_strengths_are_found_from_the_frames(result):
+    found = result.metrics["strengths"]
+    assert found["offset.pixel.sigma"] == pytest.approx(0.03, rel=0.15)
+    assert found["offset.column.sigma"] == pytest.approx(0.02, rel=0.3)
+    assert found["offset.row.sigma"] == pytest.approx(0.02, rel=0.3)
+
+
+def test_a_strength_that_is_given_stays(sim):
+    given = "physics.sensor.offset.pixel.sigma=0.05"
+    found = deepir.run("multiview_nuc", given, frames=sim.frames, **QUICK).metrics["strengths"]
+    assert found["offset.pixel.sigma"] == 0.05
+
+
+def test_more_frames_show_the_pattern_better(sim, result):
+    five = deepir.run("multiview_nuc", frames=sim.frames[:5], **QUICK)
+    level = sim.frames.mean()
+    few, many = (likeness(pattern(each, level), pattern(sim.truth, level)) for each in (five, result))
+    assert 0.9 < few < many
+
+
+def test_no_frame_comes_first(sim, result):
+    turned = deepir.run("multiview_nuc", frames=sim.frames[::-1], **ONE)
+    assert likeness(turned.offset, result.offset) > 0.9999
+    assert np.abs(turned.scene[::-1] - result.scene).max() < 0.01
+
+
+def test_levels_of_the_frames_do_not_matter_to_an_offset(sim):
+    levels = np.arange(len(sim.frames), dtype=np.float32)[:, None, None]
+    plain, shifted = (
+        deepir.run("multiview_nuc", "physics.sensor.gain=1", frames=frames, **QUICK).offset
+        for frames in (sim.frames, sim.frames + levels)
+    )
+    assert likeness(plain, shifted) > 0.999
+
+
+def test_units_do_not_matter(sim, result):
+    counts = deepir.run("multiview_nuc", frames=1000 * sim.frames, **ONE)
+    assert likeness(counts.offset, result.offset) > 0.999
+    assert np.abs(counts.scene / 1000 - result.scene).max() < 0.01
+
+
+def test_gain_is_told_from_offset_by_scenes_of_different_levels():
+    """With a pedestal of 8,000 counts a gain of 3 % is a pattern of 250, which the scenes' 1,500 change by a fifth."""
+    sim = views(counts=True, gain_pixel=0.03, gain_column=0.01, offset_pixel=0.003)
+    result = deepir.run("multiview_nuc", frames=sim.frames, **QUICK)
+    level = sim.frames.mean()
+    assert likeness(pattern(result, level), pattern(sim.truth, level)) > 0.97
+    assert likeness(result.gain, sim.truth.gain) > 0.9
+
+
+def test_a_shading_is_the_sensors_only_where_it_is_asked_for():
+    sim = views(shading=0.2)
+    plain, shaded = (
+        deepir.run("multiview_nuc", f"physics.sensor.offset={kind}", frames=sim.frames, **QUICK)
+        for kind in ("column+row+pixel", "column+row+shading+pixel")
+    )
+    first, second = (likeness(each.offset, sim.truth.offset) for each in (plain, shaded))
+    assert second > 0.95
+    assert second > first + 0.02
+
+
+def test_pixels_that_are_no_sensors_are_found():
+    sim = views(dead_pixels=0.01)
+    found, true = deepir.run("multiview_nuc", frames=sim.frames, **QUICK).bad_pixels, sim.truth.bad_pixels
+    assert (found & true).sum() > 0.9 * true.sum()
+    assert (found & ~true).sum() <= 0.001 * true.size
+
+
+def test_a_mask_is_kept_out(sim):
+    frames = sim.frames.copy()
+    frames[:, 20:30, 30:45] = np.nan
+    result = deepir.run("multiview_nuc", frames=frames, **QUICK)
+    good = ~result.bad_pixels
+    assert (~good).sum() == 150
+    assert likeness(result.offset[good], sim.truth.offset[good]) > 0.93
+
+
+# ---- the scenes ----
+
+
+def test_each_frame_has_a_scene_of_its_own(sim, result, tmp_path):
+    assert result.scene.shape == sim.truth.scene.shape == (10, 64, 80)
+    assert result.uncertainty["scene"].shape == (10, 64, 80)
+    path, truth = sim.save(tmp_path / "views.npz")
+    scored = deepir.run("multiview_nuc", f"data.path={path}", f"data.truth={truth}", **ONE).metrics
+    raw = deepir.run("multiview_nuc", f"data.path={path}", f"data.truth={truth}", method="average").metrics
+    assert scored["psnr_aligned"] > raw["psnr_aligned"] + 9
+    assert scored["ssim_aligned"] > 0.93
+
+
+def test_the_noise_is_found(sim, result):
+    assert result.metrics["noise_sigma"] == pytest.approx(sim.truth.read_noise, rel=0.4)
+
+
+def test_files_hold_all_scenes_and_pictures_show_some(sim, tmp_path):
+    deepir.run("multiview_nuc", frames=sim.frames, output={"dir": str(tmp_path / "run")}, **QUICK)
+    assert np.load(tmp_path / "run/result.npz")["scene"].shape == (10, 64, 80)
+    assert tifffile.imread(tmp_path / "run/scene.tiff").shape == (10, 64, 80)
+    with Image.open(tmp_path / "run/scene_preview.png") as shown:
+        assert shown.size == (160, 128)
+    assert (tmp_path / "run/summary.png").stat().st_size > 10_000
+
+
+def test_frames_and_their_truths_are_selected_together():
+    simulated = {"own_scenes": True, "n_frames": 4, "shape": [32, 40]}
+    data = {"simulate": simulated, "frames": [0, 2, 3], "crop": [4, 28, 2, 38]}
+    result = deepir.run("multiview_nuc", data=data, **QUICK)
+    assert result.scene.shape == (3, 24, 36)
+    assert "psnr" in result.metrics
+
+
+@pytest.mark.parametrize("prior", priors())
+def test_every_prior_takes_two_steps(prior):
+    frames = np.random.default_rng(0).random((3, 24, 32))
+    result = deepir.run("multiview_nuc", frames=frames, prior=prior, **QUICK)
+    assert result.scene.shape == (3, 24, 32)
+    assert np.isfinite(result.scene).all()
+    assert np.abs(result.scene[0] - result.scene[1]).max() > 0
+
+
+def test_better_priors_give_better_scenes():
+    sim = views(read_noise=0.03)
+    error = {
+        prior: np.std(
+            deepir.run("multiview_nuc", frames=sim.frames, prior=prior, **ONE).scene - sim.truth.scene
+        )
+        for prior in ("pixels", "tv", "red")
+    }
+    assert error["red"] < error["tv"] < error["pixels"]
+
+
+# ---- what it says ----
+
+
+def test_one_frame_is_refused(sim):
+    with pytest.raises(DataError, match=r"1 frame\(s\), but this needs at least 2$"):
+        deepir.run("multiview_nuc", frames=sim.frames[:1])
+
+
+def test_frames_that_are_all_the_same_are_refused(sim):
+    noise = 0.003 * np.random.default_rng(0).standard_normal((6, 64, 80))
+    with pytest.raises(DataError, match="the frames all show the same"):
+        deepir.run("multiview_nuc", frames=sim.frames[:1] + noise)
+
+
+def test_frames_of_one_scene_are_warned_of():
+    sim = simulate(None, Settings(n_frames=5, shape=(64, 80), max_shift=4.0), seed=1)
+    messages = deepir.run("multiview_nuc", frames=sim.frames, **QUICK).messages
+    assert any("much alike" in each and "data.frames=::10" in each for each in messages)
+
+
+def test_few_frames_are_warned_of(sim):
+    messages = deepir.run("multiview_nuc", frames=sim.frames[:3], **QUICK).messages
+    assert any(each.startswith("3 frames: what each pixel has of its own") for each in messages)
+
+
+def test_different_frames_are_met_with_silence(result):
+    assert result.messages == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("scene.shared=true", "scene.shared: 'multiview_nuc' is for frames of different scenes"),
+        ("scene.shared=2", "scene.shared = 2: true or false is needed"),
+        ("physics.sensor.offset=pixels", "physics.sensor.offset: 'multiview_nuc' finds sums of"),
+        ("physics.sensor.gain=column+shading", "physics.sensor.gain: 'multiview_nuc' finds sums"),
+        ("physics.sensor={gain: 1, offset: 0}", "gain and offset are both known"),
+    ],
+)  # fmt: skip
+def test_what_cannot_work_is_refused(sim, change, message):
+    with pytest.raises(ConfigError, match=message):
+        deepir.run("multiview_nuc", change, frames=sim.frames)
