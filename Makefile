@@ -44,6 +44,9 @@ bench-multiview: setup  ## quality and seconds: frames of different scenes
 bench-flow: setup  ## dense motion: simulated parallax, and a held-out frame of a real burst
 	$(BIN)/python benchmarks/flow.py --output docs/bench-flow.md
 
+bench-narcissus: setup  ## quality against the oracle, and seconds: stray flux
+	$(BIN)/python benchmarks/narcissus.py --output docs/bench-narcissus.md
+
 bench-priors: setup  ## quality and time of every prior
 	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
 
@@ -53,4 +56,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-priors bench-real clean

@@ -84,6 +84,7 @@ def noise_variance(sim: Simulation, picture: np.ndarray) -> np.ndarray:
     if truth.photons_per_unit:
         flux = render(picture, truth.motion, settings.shape, truth.scale, settings.psf_sigma)
         flux = settings.range * flux + (settings.pedestal if settings.counts else 0)
+        flux += truth.stray - truth.stray.min()
         variance += truth.gain * np.maximum(flux, 0) / truth.photons_per_unit
     return variance
 

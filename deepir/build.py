@@ -207,8 +207,8 @@ def scaled(motion: Tensor, ratio: float) -> Tensor:
 
 
 def _unknowns(slots: list[str]) -> dict[str, str]:
-    """Slot -> unknown: the slot's own name, with its stage where two would clash."""
-    own = [slot.rpartition(".")[2] for slot in slots]
+    """Slot -> unknown: the slot's own name (a mere `value` has its stage's), with its stage where two would clash."""
+    own = [slot.removesuffix(".value").rpartition(".")[2] for slot in slots]
     return {
         slot: name if own.count(name) == 1 and name != "scene" else slot.replace(".", "_")
         for slot, name in zip(slots, own, strict=True)

@@ -23,13 +23,14 @@ from torch import Tensor, nn
 
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.noise import typical_noise
-from deepir.operators import Lag, Sensor, Warp
+from deepir.operators import Add, Lag, Sensor, Warp
 from deepir.operators.points import displaced
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
 from deepir.priors.flow import Flow
 from deepir.priors.motion import Motion
 from deepir.priors.pixels import Pixels
+from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.slow import SMOOTH, Slow, expected, variances
 
@@ -51,11 +52,12 @@ class Curvature:
         mine = [fields[id(p)] for p in parameters]
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
-        self.drift = next((i for i, f in enumerate(mine) if isinstance(f, Drift) and f.sigma > 0), None)
-        drift = next((f for f in mine if isinstance(f, Drift) and f.sigma > 0), None)
+        #: Those of levels and of stray flux, which a slow scene looks like.
+        self.others = [i for i, f in enumerate(mine) if isinstance(f, Drift | Terms) and f.sigma > 0]
         slow = Slow(problem, tuple(parameters[self.scene].shape))
         self.basis = slow.scene
-        self.tensors = _tensors(problem, mine, parameters, slow, drift, eliminated)
+        others: Any = [mine[i] for i in self.others]
+        self.tensors = _tensors(problem, mine, parameters, slow, others, eliminated)
         self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()
@@ -70,15 +72,14 @@ class Curvature:
         torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
         waves = torch.fft.irfft2(spectrum, s=scene.shape)
         in_y, in_x, terms = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
-        slow = (in_y @ scene @ in_x.T)[terms].double()
-        if self.drift is not None:
-            slow = torch.cat((slow, given[self.drift].double()))
-        slow, levels = (self.tensors["slow"].double() @ slow).tensor_split([len(terms[0])])
+        slow = torch.cat([(in_y @ scene @ in_x.T)[terms], *(given[i] for i in self.others)]).double()
+        sizes = [len(terms[0]), *(self.sizes[i] for i in self.others)]
+        slow, *others = (self.tensors["slow"].double() @ slow).split(sizes)
         table = scene.new_zeros(len(in_y), len(in_x))
         table[terms] = slow.to(scene)
         torch.addmm(waves, in_y.T, table @ in_x, out=into[self.scene].view(scene.shape))
-        if self.drift is not None:
-            into[self.drift].copy_(levels)
+        for i, each in zip(self.others, others, strict=True):
+            into[i].copy_(each)
         return found
 
 
@@ -96,11 +97,16 @@ def curvature(
 def modelled(problem: Problem) -> bool:
     """Whether the model holds: for pixels that a moving sensor sees, whose lines' gains do not differ by much.
 
-    Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone.
+    Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone. Not
+    so where there is stray flux to be found: along slow waves it is lost without.
     """
     stages = [type(stage) for _, stage in problem.operator.named() if not isinstance(stage, Lag)]
-    if not isinstance(problem.fields["scene"], Pixels) or stages != [Warp, Sensor] or len(problem.data) < 2:
+    if stages not in ([Warp, Sensor], [Warp, Add, Sensor]) or len(problem.data) < 2:
         return False
+    if not isinstance(problem.fields["scene"], Pixels):
+        return False
+    if any(isinstance(problem.fields[name], Terms) for name in problem.free()):
+        return True
     gains = problem.fields[problem.slots["sensor.gain"]].parts()
     return not any(part.along in (COLUMN, ROW) and part.sigma > LINES for part in gains)
 
@@ -125,7 +131,7 @@ def _tensors(
     fields: Sequence[nn.Module],
     parameters: Sequence[nn.Parameter],
     slow: Slow,
-    drift: Drift | None,
+    others: Sequence[Drift | Terms],
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
     """`waves` (H, W / 2 + 1), inverse curvatures; `slow`, that of polynomials and levels; `scales` of all others."""
@@ -146,8 +152,8 @@ def _tensors(
         known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
-    inverse = _slow(problem, slow, drift, eliminated)
-    if not eliminated:
+    inverse = _slow(problem, slow, others, eliminated)
+    if not (eliminated or any(isinstance(each, Terms) for each in others)):
         inverse = torch.zeros_like(inverse)
     return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
 
@@ -228,16 +234,26 @@ def _frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Ten
     return y, 2 * math.pi * torch.fft.rfftfreq(width, dtype=torch.float64, device=device)
 
 
-def _slow(problem: Problem, slow: Slow, drift: Drift | None, eliminated: Collection[str]) -> Tensor:
-    """Inverse of the dense system of the scene's polynomials and, if they drift, the frames' levels.
+def _slow(
+    problem: Problem, slow: Slow, others: Sequence[Drift | Terms], eliminated: Collection[str]
+) -> Tensor:
+    """Inverse of the dense system of the scene's polynomials and, where they are free, frames' levels and stray flux.
 
     The pattern's own polynomials are eliminated, with what its parts let expect of them: where the motion leaves
     open whether scene or pattern has a slope, that is all there is to hold it.
     """
     scene: Any = problem.fields["scene"]
     terms = len(slow.scene.white)
-    whole = slow.normal(levels=drift is not None)
     found = variances(problem, eliminated)
+    maps = [slow.levels() if isinstance(each, Drift) else slow.of_terms(each)[0] for each in others]
+    whole = slow.normal(*maps)
+    unit = whole.new_full((len(whole),), float(scene.scale))
+    at = 2 * terms + 1
+    for each, made in zip(others, maps, strict=True):
+        mine = slice(at, at := at + made.shape[-1])
+        unit[mine] = float(each.step)
+        if isinstance(each, Terms):
+            whole[mine, mine] += _rest(problem, slow, each, found)
     spread = expected(found, slow.frame) + found[SMOOTH]
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _stiffness(problem, slow)
@@ -245,12 +261,28 @@ def _slow(problem: Problem, slow: Slow, drift: Drift | None, eliminated: Collect
     pattern = (pattern >= terms) & (pattern <= 2 * terms)
     held, shared = whole[pattern][:, pattern], whole[pattern][:, ~pattern]
     system = whole[~pattern][:, ~pattern] - shared.T @ torch.linalg.solve(held, shared)
-    unit = system.new_full((len(system),), float(drift.step) if drift is not None else 1.0)
-    unit[:terms] = float(scene.scale)
+    unit = unit[~pattern]
     system = unit[:, None] * system * unit
     system.diagonal().add_(RIDGE * system.diagonal().mean())
     # Of sums of products the last digits depend on where they lie in memory: without them, runs repeat to the bit.
     return torch.linalg.inv(system).float().contiguous()
+
+
+def _rest(problem: Problem, slow: Slow, field: Terms, variance: dict[tuple[int, ...], float]) -> Tensor:
+    """Curvature of stray flux in its prior and in what is not slow of it, behind a free pattern: a matrix."""
+    _, rest = slow.of_terms(field)
+    height, width = problem.data.shape[-2:]
+    unsure = typical_noise(problem.precision) ** 2 / len(problem.data) + variance[PIXEL]
+    columns, rows = rest.mean(1, keepdim=True).expand_as(rest), rest.mean(2, keepdim=True).expand_as(rest)
+    told = torch.eye(len(rest), dtype=rest.dtype, device=rest.device) / field.sigma.double().square()
+    for part, more in (
+        (rest - columns - rows, 0.0),
+        (columns, height * variance[COLUMN]),
+        (rows, width * variance[ROW]),
+    ):
+        flat = part.flatten(1)
+        told += height * width / (unsure + more) * flat @ flat.T / flat.shape[1]
+    return told
 
 
 def _stiffness(problem: Problem, slow: Slow) -> Tensor:

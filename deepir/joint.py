@@ -18,6 +18,7 @@ from deepir.contest import Contest
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
+from deepir.operators import Add, Sensor
 from deepir.operators.points import displacements, homographies
 from deepir.order import bridge_message, bridged
 from deepir.priors.parts import Part
@@ -241,7 +242,8 @@ def _result(
             result.extra[name] = value.squeeze()
     result.frames_used, result.history, result.messages = used, solution.history, messages
     gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
-    to_gauge(result, known_gain=not any(name in problem.free() for name in gains))
+    known = not any(name in problem.free() for name in gains)
+    to_gauge(result, known_gain=known, flux=added_flux(problem))
     cost = pattern_cost(problem)
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
     result.uncertainty = maps | {"scene": geometry.crop(maps["scene"])}
@@ -256,6 +258,13 @@ def _result(
         "strengths": strengths(problem),
     }
     return result
+
+
+def added_flux(problem: Problem) -> list[str]:
+    """The unknowns that are added to the scene's flux in front of the sensor."""
+    *before, (_, last) = problem.operator.named()
+    added = {name for name, stage in before if isinstance(stage, Add) and isinstance(last, Sensor)}
+    return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in added]
 
 
 def cost_message(cost: float, n_frames: int) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -85,14 +86,18 @@ def neutral(scene: Array, n_frames: int, size: tuple[int, int], bad_pixels: Arra
     )
 
 
-def to_gauge(result: Result, *, known_gain: bool = False) -> None:
+def to_gauge(result: Result, *, known_gain: bool = False, flux: Sequence[str] = ()) -> None:
     """Gain mean one, offset and level mean zero, over good pixels and used frames; the prediction does not change.
 
-    A known gain stays as it is.
+    A known gain stays as it is. `flux` names what in `extra` adds to the scene's: mean zero.
     """
     good = ~result.bad_pixels
     mean = 1.0 if known_gain else result.gain[good].mean(dtype=np.float64)
     result.gain, result.scene = result.gain / mean, result.scene * mean
+    for name in flux:
+        stray = result.extra[name] * mean
+        level = stray[good].mean(dtype=np.float64)
+        result.extra[name], result.scene = (stray - level).astype(np.float32), result.scene + level
     drift = np.nanmean(np.where(result.frames_used, result.level, np.nan))
     result.level, result.offset = result.level - drift, result.offset + drift
     shift = result.offset[good].mean(dtype=np.float64)

@@ -11,7 +11,7 @@ constant. All that the data say of them is a matrix `M_j` and a vector `q_j` for
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
@@ -20,6 +20,7 @@ from torch import Tensor
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.operators import Lag
 from deepir.priors.shading import Shading
+from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.thin import thinned
 
@@ -52,6 +53,7 @@ class Slow:
         )
         terms = self.frame.at(y.flatten(), x.flatten())
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
+        self.step, self.terms = (step_y, step_x), terms
         seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))
         self.carried = torch.linalg.lstsq(terms.expand(len(seen), *terms.shape), seen).solution
         weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
@@ -64,26 +66,34 @@ class Slow:
         self.kept = torch.linalg.inv(self.kept + variance * self.information)
         self.information = self.kept @ self.information
 
-    def normal(self, *, levels: bool) -> Tensor:
-        """Normal matrix of (θ, level of the pattern, φ, levels of the frames)."""
-        maps = self._maps(levels=levels)
+    def normal(self, *more: Tensor) -> Tensor:
+        """Normal matrix of (θ, level of the pattern, φ, and `more`, such as the levels of the frames)."""
+        maps = self._maps(more)
         return (maps.mT @ self.information @ maps).sum(0)
 
-    def score(self, residual: Tensor, *, levels: bool) -> Tensor:
+    def score(self, residual: Tensor, *more: Tensor) -> Tensor:
         """The right-hand side to it, of what the frames (N, h, w) are above their prediction without slow parts."""
         weighted = (self.problem.fitted()[:, 0] * residual).double()
         seen = torch.cat((weighted.sum((1, 2))[:, None], self.frame.sums(weighted)), 1)
-        return (self._maps(levels=levels).mT @ self.kept @ seen[..., None]).sum(0)[:, 0]
+        return (self._maps(more).mT @ self.kept @ seen[..., None]).sum(0)[:, 0]
 
-    def _maps(self, *, levels: bool) -> Tensor:
+    def levels(self) -> Tensor:
+        """What the frames' levels, less their mean, make of each frame's slow part, (N, terms + 1, N)."""
+        count, size, _ = self.carried.shape
+        each = torch.eye(count, dtype=self.carried.dtype, device=self.carried.device) - 1 / count
+        return torch.cat((each[:, None], each.new_zeros(count, size - 1, count)), 1)
+
+    def of_terms(self, field: Terms) -> tuple[Tensor, Tensor]:
+        """The slow part of each of the K terms of a map, (terms + 1, K), and what is not, (K, points y, points x)."""
+        maps = field.sampled(*self.step).double()
+        slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T).solution
+        return slow, maps - (self.terms @ slow).T.reshape(maps.shape)
+
+    def _maps(self, more: Sequence[Tensor]) -> Tensor:
         """Of all unknowns, (N, terms + 1, unknowns): what they make of each frame's slow part."""
         count, size, _ = self.carried.shape
-        one = torch.eye(size, dtype=self.carried.dtype, device=self.carried.device).expand(count, size, size)
-        if not levels:
-            return torch.cat((self.carried, one), 2)
-        each = torch.eye(count, dtype=one.dtype, device=one.device) - 1 / count
-        each = torch.cat((each[:, None], one.new_zeros(count, size - 1, count)), 1)
-        return torch.cat((self.carried, one, each), 2)
+        one = torch.eye(size, dtype=self.carried.dtype, device=self.carried.device)
+        return torch.cat([each.expand(count, size, -1) for each in (self.carried, one, *more)], 2)
 
 
 def late(problem: Problem, seen: Tensor) -> Tensor:

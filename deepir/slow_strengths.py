@@ -3,43 +3,57 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, ROW
+from deepir.operators import Add, Warp
 from deepir.operators.points import displaced
-from deepir.operators.warp import Warp
 from deepir.priors.drift import Drift
 from deepir.priors.shading import Shading
+from deepir.priors.terms import Terms
 from deepir.problem import Problem, Values
 from deepir.slow import Slow, expected, variances
 from deepir.thin import thinned
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
-ENOUGH = 4  # frames to tell shading from the scene
+ENOUGH, ENOUGH_STRAY = 4, 3  # frames to tell shading from the scene, and stray flux, which is mostly stronger
 CERTAIN = 5  # nats by which shading or drift have to make the frames likelier
 RARE = 15  # the same of a drift where it may be shading, which is far more common
 
 
 @torch.no_grad()
 def estimate_slow(problem: Problem, *, start: bool = False) -> None:
-    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too."""
-    shadings, drifts = _unknown(problem)
-    if not (shadings or drifts):
+    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too.
+
+    Stray flux is shading of another shape: there is some if there is shading, and it is as strong as it was found.
+    """
+    shadings, stray, drifts = _unknown(problem)
+    if not (shadings or stray or drifts):
         return
-    evidence = _Evidence(problem, problem.closed_form())
-    smooth, drift = evidence.most_likely(smooth=bool(shadings), drift=bool(drifts))
-    if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
+    evidence = _Evidence(problem, problem.closed_form(), stray)
+    # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
+    sure = not (start and stray)
+    smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
+    if smooth and len(problem.data) < _enough(stray):  # then a drift is not told from it either
         smooth = drift = 0.0
+    step = problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5
     for part in shadings:
         part.sigma.fill_(smooth)
     for field in drifts:
         field.sigma.fill_(drift)
         if start:
-            field.step.copy_(problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5)
+            field.step.copy_(step)
             field.init_from(evidence.levels(smooth, drift))
+    for each in stray:
+        if not each.given:
+            known = bool(smooth) and bool(each.sigma > 0)
+            each.sigma.fill_(float(each.coefficients.square().mean().sqrt()) if known else smooth)
+        if start:
+            each.step.copy_(step)
+            each.init_from(evidence.slow_pattern(smooth, drift))
     if start and (smooth or drift):
         scene = problem.fields["scene"]
         scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
@@ -48,49 +62,73 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
 @torch.no_grad()
 def shading_message(problem: Problem) -> list[str]:
     """Say so if too few frames are shaded."""
-    shadings, drifts = _unknown(problem)
-    if not shadings or len(problem.data) >= ENOUGH:
+    shadings, stray, drifts = _unknown(problem)
+    if not (shadings or stray) or len(problem.data) >= _enough(stray):
         return []
-    smooth, _ = _Evidence(problem, problem.closed_form()).most_likely(smooth=True, drift=bool(drifts))
+    evidence = _Evidence(problem, problem.closed_form(), stray)
+    smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
     if not smooth:
         return []
     return [
         f"the frames are shaded, which {len(problem.data)} of them do not tell from the scene: it is left in. "
-        f"Take {ENOUGH} or more"
+        f"Take {_enough(stray)} or more"
     ]
 
 
-def _unknown(problem: Problem) -> tuple[list[Shading], list[Drift]]:
-    """Shadings of the offset and drifts whose strengths are to be found; none unless a warp makes the frames."""
+def _enough(stray: Sequence[Terms]) -> int:
+    return ENOUGH_STRAY if stray else ENOUGH
+
+
+def _unknown(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
+    """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
     first = problem.operator.named()[0][1]
     if not isinstance(first, Warp) or first.size != problem.data.shape[-2:] or len(problem.data) < 2:
-        return [], []
+        return [], [], []
     closed, free = problem.closed_form(), problem.free()
     offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]
     parts = [part for name in offsets for part in problem.fields[name].parts()]
     fields = [problem.fields[name] for name in free]
     return (
         [part for part in parts if isinstance(part, Shading) and not part.given],
+        strays(problem),
         [field for field in fields if isinstance(field, Drift) and not field.given],
     )
+
+
+def strays(problem: Problem) -> list[Terms]:
+    """Free maps that are added before the sensor."""
+    stages = dict(problem.operator.named())
+    added = {name for slot, name in problem.slots.items() if isinstance(stages[slot.rpartition(".")[0]], Add)}
+    fields = [problem.fields[name] for name in problem.free() if name in added]
+    return [field for field in fields if isinstance(field, Terms)]
 
 
 class _Evidence:
     """How likely the slow parts of the frames are, for strengths (shading, drift); the scene's may be anything."""
 
-    def __init__(self, problem: Problem, eliminated: Collection[str]) -> None:
+    def __init__(self, problem: Problem, eliminated: Collection[str], strays: Sequence[Terms] = ()) -> None:
         values = problem.values()
         self.slow = Slow(problem, tuple(values["scene"].shape))
         variance = variances(problem, eliminated)
         self.expected = expected(variance, self.slow.frame)
+        #: Variances of the polynomials for a strength of one.
+        self.shape = torch.ones_like(self.expected)
+        if strays:
+            self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
+                0
+            )
         self.slow.doubt(self._chance(variance))
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = thinned(residual[:, None])
         middle = some.median()
         limit = OUTLIER * float((some - middle).abs().median())
         self.count, self.free = len(residual), len(self.slow.scene.white) + 1
-        self.normal = self.slow.normal(levels=True)
-        self.rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels=True)
+        levels = self.slow.levels()
+        self.normal = self.slow.normal(levels)
+        self.rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels)
+        for each in strays:  # the residual is without what is known of them
+            slow = self.slow.of_terms(each)[0] @ each.coefficients.double()
+            self.rhs += self.normal[:, self.free - 1 : self.free + len(self.expected)] @ slow
         a, b = self.normal[: self.free, : self.free], self.normal[: self.free, self.free :]
         a = a + 1e-9 * a.diagonal().mean() * torch.eye(self.free, dtype=a.dtype, device=a.device)
         self.back = torch.linalg.solve(a, torch.cat((b, self.rhs[: self.free, None]), 1))
@@ -143,7 +181,7 @@ class _Evidence:
     def _prior(self, strengths: Tensor) -> Tensor:
         """Variances of φ and of the levels, (K, terms + N)."""
         smooth, drift = strengths[:, :1].square(), strengths[:, 1:].square()
-        return torch.cat((self.expected + smooth, drift.expand(-1, self.count)), 1)
+        return torch.cat((self.expected + smooth * self.shape, drift.expand(-1, self.count)), 1)
 
     def _posterior(self, smooth: float, drift: float) -> tuple[Tensor, Tensor]:
         """Means of (θ, level of the pattern) and of (φ, levels)."""
@@ -156,6 +194,10 @@ class _Evidence:
         """The levels of the frames, (N, 1, 1, 1)."""
         found = self._posterior(smooth, drift)[1][-self.count :]
         return (found - found.mean())[:, None, None, None]
+
+    def slow_pattern(self, smooth: float, drift: float) -> Tensor:
+        """What is slow of the pattern, (h, w)."""
+        return self.slow.frame.spread(self._posterior(smooth, drift)[1][: -self.count])
 
     def slow_scene(self, smooth: float, drift: float) -> Tensor:
         """What the scene lacks, on its grid."""

@@ -230,18 +230,21 @@ def test_the_gauge_is_kept_and_does_not_change_the_prediction(seed, pedestal):
         level=rng.standard_normal(3),
         bad_pixels=bad,
         frames_used=used,
+        extra={"stray": 2 + 4 * rng.random((9, 11))},
     )
 
     def prediction():
-        scene, gain, offset = (each.astype(float) for each in (result.scene, result.gain, result.offset))
-        return gain * scene + offset + result.level[used][:, None, None].astype(float)
+        maps = (result.scene, result.gain, result.offset, result.extra["stray"])
+        scene, gain, offset, stray = (each.astype(float) for each in maps)
+        return gain * (scene + stray) + offset + result.level[used][:, None, None].astype(float)
 
     before = prediction()
-    to_gauge(result)
+    to_gauge(result, flux=["stray"])
     assert np.allclose(prediction(), before, rtol=1e-6, atol=1e-4)
     assert result.gain[~bad].mean(dtype=float) == pytest.approx(1, abs=1e-6)
     assert result.offset[~bad].mean(dtype=float) == pytest.approx(0, abs=1e-5 * (1 + pedestal))
     assert result.level[used].mean(dtype=float) == pytest.approx(0, abs=1e-6)
+    assert result.extra["stray"][~bad].mean(dtype=float) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_point_spread_function_sums_to_one(tmp_path):

@@ -73,3 +73,43 @@ def test_it_stands_aside_for_other_scenes_than_pixels_behind_a_warp(problem):
 
     assert curvature(problem, [problem.fields["motion"].values], ["offset"]) is None
     assert isinstance(problem.penalties["scene"]["prior"], Ridge)
+
+
+def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
+    """With it, a few iterations tell a slope of the scene from one of the stray flux."""
+    from deepir.operators import Add, Sensor, Warp
+    from deepir.priors.constant import Constant
+    from deepir.priors.motion import Shift
+    from deepir.priors.pixels import Pixels
+    from deepir.priors.terms import DCT
+    from deepir.problem import Problem
+
+    size, canvas = (40, 48), (60, 68)
+    chain = Sensor() @ Add() @ Warp(size, canvas, (10, 10))
+    maps, motion = (1, 1, *size), torch.eye(3).repeat(4, 1, 1)
+    motion[1:, :2, 2] = torch.tensor([[6.0, -3.0], [-5.0, 4.0], [2.0, 7.0]])
+    fields = {
+        "scene": Pixels((1, 1, *canvas)),
+        "motion": Shift((4, 3, 3), size=size),
+        "value": DCT(maps, sigma=50.0, order=6),
+        "gain": Constant(maps, 1.0),
+        "offset": Constant(maps),
+        "level": Constant((4, 1, 1, 1)),
+    }
+    y, x = torch.meshgrid(*(torch.linspace(-1, 1, side) for side in canvas), indexing="ij")
+    stray = torch.linspace(-10, 10, 48).expand(maps)
+    sensor = {"sensor.gain": torch.ones(maps), "sensor.offset": torch.zeros(maps)}
+    still = {"sensor.level": torch.zeros(4, 1, 1, 1), "add.value": stray}
+    data = chain((x.sin() + y * x)[None, None], **{"warp.motion": motion}, **sensor, **still)
+    reached = {}
+    for known in (True, False):
+        problem = Problem(chain, fields, data, torch.full_like(data, 100.0))
+        fields["motion"].init_from(motion)
+        fields["value"].init_from(torch.zeros(maps))
+        fields["scene"].init_from(data[:1].mean().expand(1, 1, *canvas))
+        if not known:
+            monkeypatch.setattr("deepir.solve.curvature", lambda *_: None)
+        solve(problem, [Stage("stray", (Step(("scene", "value")),), 15, tolerance=0.0)])
+        reached[known] = float((fields["value"]().detach() - stray).std())
+    assert reached[True] < 0.2
+    assert reached[True] < 0.5 * reached[False]

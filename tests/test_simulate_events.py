@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from deepir.errors import ConfigError
 from deepir.scenes import sky
 from deepir.simulate import Settings, simulate
 
@@ -166,6 +167,24 @@ def test_a_failed_frame_is_of_another_place():
     same = ~failed.truth.moving & ~failed.truth.failed[:, None, None]
     np.testing.assert_allclose(failed.frames[same], whole.frames[same], atol=1.1e-4)
     assert not whole.truth.failed.any()
+
+
+@pytest.mark.parametrize("shape", ["smooth", "radial", "ring", "edge"])
+def test_stray_flux_is_added_in_front_of_the_sensor(shape):
+    """The scene's level holds its mean, so that it has none of its own; the gain acts on both."""
+    dark, lit = (having(QUIET, stray=stray, stray_shape=shape, gain_pixel=0.1) for stray in (0.0, 0.7))
+    truth = lit.truth
+    assert np.ptp(truth.stray) == pytest.approx(0.7)
+    assert truth.stray.mean() == pytest.approx(0, abs=1e-12)
+    level = truth.scene - dark.truth.scene
+    assert np.ptp(level) < 1e-12
+    added = np.broadcast_to(truth.gain * (truth.stray + level.mean()), lit.frames.shape)
+    np.testing.assert_allclose(lit.frames - dark.frames, added, atol=1e-6)
+
+
+def test_a_shape_of_stray_flux_that_does_not_exist_is_refused():
+    with pytest.raises(ConfigError, match=r"simulate.stray_shape: 'rign' is unknown; did you mean 'ring'"):
+        Settings(stray_shape="rign")
 
 
 def test_a_sky_makes_a_burst():

@@ -43,5 +43,5 @@ def test_pictures_and_frames_have_to_fit():
         simulate(picture("camera,moon"), VIEWS)
     with pytest.raises(DataError, match=r"2 pictures; for a frame of each, set simulate.own_scenes"):
         simulate(picture("camera,moon"), Settings(n_frames=2))
-    with pytest.raises(ConfigError, match="not together with simulate.walker"):
+    with pytest.raises(ConfigError, match=r"not together with simulate\.walker"):
         simulate(None, Settings(n_frames=2, own_scenes=True, walker=0.3))

@@ -12,17 +12,26 @@ from deepir.registry import register
 
 @register("field", "constant")
 class Constant(Field):
-    """A given value that is never changed: a number, or an array from a file (a calibrated gain map)."""
+    """A given value that is never changed: a number, or an array from a file (a calibrated gain map).
+
+    `key` names the array in an `.npz` of several.
+    """
 
     values: Tensor
 
     def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, value: float | None = None, path: str | None = None
+        self,
+        shape: Shape,
+        neutral: float = 0.0,
+        *,
+        value: float | None = None,
+        path: str | None = None,
+        key: str | None = None,
     ) -> None:
         super().__init__(shape, neutral)
         if value is not None and path is not None:
             raise ConfigError("give either 'value' or 'path', not both")
-        given = torch.tensor(float(neutral if value is None else value)) if path is None else _read(path)
+        given = torch.tensor(float(neutral if value is None else value)) if path is None else _read(path, key)
         if given.ndim == 3 and len(self.shape) == 4:  # one channel
             given = given[:, None]
         try:
@@ -40,7 +49,7 @@ class Constant(Field):
         """Nothing: what is known stays."""
 
 
-def _read(path: str) -> Tensor:
+def _read(path: str, key: str | None) -> Tensor:
     from deepir.io import read_frames  # not above: it is slow to import
 
-    return torch.from_numpy(read_frames(path).frames)
+    return torch.from_numpy(read_frames(path, key=key).frames)

@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor, nn
 
-from deepir.priors.field import Field, Shape
+from deepir.priors.field import Shape
+from deepir.priors.strength import Held
 from deepir.registry import register
 
 
 @register("field", "drift")
-class Drift(Field):
+class Drift(Held):
     """One Gaussian value for each frame, of mean zero; `sigma`, in data units, is found from the burst if not given.
 
     Without strength it is zero: over a burst that does not drift, a free level would take part of the scene's slope
     away, for a camera that moves over a slope sees its level change.
     """
 
-    sigma: Tensor
-    step: Tensor
-
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
-        super().__init__(shape, neutral)
-        if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
-            raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
-        self.given = sigma is not None
-        self.register_buffer("sigma", torch.tensor(sigma or 0.0))
-        #: What a value moves for a step of one: all pixels of a frame feel it, see `Field`.
-        self.register_buffer("step", torch.tensor(1.0))
+        super().__init__(shape, neutral, sigma=sigma)
         self.values = nn.Parameter(torch.zeros(self.shape))
 
     def forward(self) -> Tensor:

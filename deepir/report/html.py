@@ -83,8 +83,8 @@ def _scenes(name: str, title: str, scenes: Array, here: str) -> Iterator[dict[st
     """The scene; where each frame has its own, that of the first by this name, and some of the others."""
     yield _map(name, title, _first(scenes), here)
     if scenes.ndim == 3:
-        for frame in few(len(scenes))[1:]:
-            yield _map(f"{name}_{frame}", f"{title} of frame {frame}", scenes[frame], here)
+        for other in few(len(scenes))[1:]:
+            yield _map(f"{name}_{other}", f"{title} {other}", scenes[other], here)
 
 
 def _first(scenes: Array) -> Array:

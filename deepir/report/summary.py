@@ -1,4 +1,4 @@
-"""One picture of a run: a raw frame, the scene and how sure it is, gain, offset, and how the loss fell."""
+"""One picture of a run: a raw frame, the scene and how sure it is, gain, offset, other maps, and how the loss fell."""
 
 from __future__ import annotations
 
@@ -23,9 +23,12 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     from matplotlib.figure import Figure
 
     height, width = example.shape
-    figure = Figure(figsize=(12, 12 * 0.66 * height / width + 0.9), layout="constrained", facecolor="white")
+    more = {name: each for name, each in result.extra.items() if each.shape == result.gain.shape}
+    columns = 3 + -(-len(more) // 2)
+    size = (4 * columns, 12 * 0.66 * height / width + 0.9)
+    figure = Figure(figsize=size, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(2, 3)
+    grid = figure.subplots(2, columns)
     _picture(grid[0, 0], example, "raw frame", "gray")
     first = result.scene if result.scene.ndim == 2 else result.scene[0]
     _picture(grid[0, 1], first, "scene", "gray")
@@ -38,6 +41,11 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     _picture(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
     _picture(grid[1, 1], result.offset, f"offset (σ {result.offset.std():.3g})", "RdBu_r", centre=0.0)
     _loss(grid[1, 2], result.history)
+    places = grid[:, 3:].T.flatten()
+    for (name, each), axes in zip(more.items(), places, strict=False):
+        _picture(axes, each, f"{name} (σ {each.std():.3g})", "RdBu_r", centre=0.0)
+    for axes in places[len(more) :]:
+        axes.set_axis_off()
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     with replace(path) as part:

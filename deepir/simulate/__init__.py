@@ -1,4 +1,4 @@
-"""A camera in software: bursts with truth, `y_k = g · D B M_k x + o + l_k + n_k` (docs/conventions.md)."""
+"""A camera in software: bursts with truth, `y_k = g · (D B M_k x + s) + o + l_k + n_k` (docs/conventions.md)."""
 
 from deepir.simulate.burst import Simulation, Truth, simulate
 from deepir.simulate.optics import render

@@ -20,6 +20,7 @@ from deepir.simulate.parallax import flow_of, parallax, relief
 from deepir.simulate.pictures import Scene
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
+from deepir.simulate.stray import stray_flux
 from deepir.simulate.views import look
 
 
@@ -27,11 +28,13 @@ from deepir.simulate.views import look
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, level, noise and walker (with optics and pixel's box), on a grid `factor` times as fine.
+    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics and pixel's box), on a grid `factor`
+    #: times as fine.
     scene: np.ndarray  # (Q H, Q W); with own_scenes each frame, (N, Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
+    stray: np.ndarray  # (H, W), mean zero over good pixels, where it is the scene's level
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
     flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: motion and parallax
     tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
@@ -83,25 +86,26 @@ def simulate(
         DataError: A picture is no picture, or is too small for the frames and their motion; or there are too few.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(12)
+    streams = np.random.default_rng(seed).spawn(11)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
+    views_rng, bolometer_rng, stray_rng = streams[8:]  # of lag, parallax and own scenes there is one at most
     motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
-        motion, tau = homographies(settings, path(settings, streams[8])), constants(settings, streams[8])
+        motion, tau = homographies(settings, path(settings, views_rng)), constants(settings, views_rng)
     gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
     if settings.bolometer:
-        gain, offset, slowness = pixels(settings, streams[9])
+        gain, offset, slowness = pixels(settings, bolometer_rng)
         tau = tau * slowness
     if settings.own_scenes:
         motion = np.tile(np.eye(3), (settings.n_frames, 1, 1))
-        flux, static, scale = look(scene, settings, streams[10])
+        flux, static, scale = look(scene, settings, views_rng)
         moving = np.zeros(flux.shape, bool)
     else:
         reach = reach_of(motion, settings)
         picture = drawn(partial(procedural, seed) if scene is None else scene, reach, settings)
         scale = scale_of(picture.shape, reach, settings)
         if settings.parallax:
-            beside = parallax(motion, relief(settings, streams[11]), settings)
+            beside = parallax(motion, relief(settings, views_rng), settings)
         flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
         if settings.tau:
             flux, motion, moving = (
@@ -117,6 +121,8 @@ def simulate(
 
     bad = more_defects(bad, settings, defects_rng)
     gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
+    stray = settings.range * stray_flux(settings, stray_rng)
+    flux, static, stray = flux + stray, static + stray[bad == 0].mean(), stray - stray[bad == 0].mean()
     level = settings.range * settings.level_drift * np.cumsum(level_rng.standard_normal(settings.n_frames))
     level -= level.mean()
     failed = np.arange(settings.n_frames) == (settings.failed_frame or -1)
@@ -125,6 +131,7 @@ def simulate(
         gain=gain,
         offset=offset,
         level=level,
+        stray=stray,
         motion=motion,
         flow=flow_of(motion, settings.shape, beside),
         tau=tau,

@@ -18,6 +18,7 @@ CHOICES = {
     "motion": ("shift", "rigid", "affine", "homography"),
     "jitter": ("both", "x", "y"),
     "gain_distribution": ("normal", "uniform"),
+    "stray_shape": ("smooth", "radial", "ring", "edge"),
 }
 
 #: Effects that exclude others.
@@ -77,6 +78,8 @@ class Settings:
     parallax: float = (
         0.0  # px that the nearest moves more than the farthest in a frame that is shifted by max_shift
     )
+    stray: float = 0.0  # flux in front of the sensor that is not the scene's, peak to peak, of the range
+    stray_shape: str = "smooth"  # or radial (about an axis), ring (a ghost), edge (a polariser's reflection)
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it

@@ -44,7 +44,7 @@ function motion() {
     return [x, -y, label]; // y is down
   });
   const axes = { x: "x (px)", y: "up (px)", equal: true };
-  return points.length > 1 ? dotted("Motion of the frame's centre", points, axes) : null;
+  return points.some(([x, y]) => x || y) ? dotted("Motion of the frame's centre", points, axes) : null;
 }
 
 function levels() {

@@ -1,0 +1,113 @@
+"""Stray flux in front of the sensor."""
+
+from __future__ import annotations
+
+import torch
+
+from deepir.build import MARGIN
+from deepir.errors import ConfigError
+from deepir.one_frame import flattest
+from deepir.operators import Add, Warp
+from deepir.priors.constant import Constant
+from deepir.priors.terms import Terms
+from deepir.problem import Problem
+from deepir.problems.definition import start_precision, start_scene
+from deepir.problems.nuc import NUC, WEAK
+from deepir.registration import register as register_frames
+from deepir.registration.motion import PARAMETERS
+from deepir.registry import lookup, register
+from deepir.slow_strengths import estimate_slow, strays
+from deepir.solve import Stage, Step
+from deepir.strengths import hold_out, start_parts, weigh_scene
+
+ALONE = (
+    "one frame: stray flux is told from the scene by its being smooth, and by nothing else. A slope or a large glow of "
+    "the scene is in it, its own fine parts and the pattern of the pixels are in the scene. Take 5 frames or more "
+    "while the camera moves"
+)
+
+
+@register("problem", "narcissus")
+class Narcissus(NUC):
+    """Scene, stray flux, gain, offset and motion from a jittered burst: the scene moves, the stray flux stays.
+
+    Stray flux first, with a gain that is taken for even: one that follows at once would explain strong stray flux as a
+    sensor that sees no scene. Then as in `nuc`. From one frame, only its smoothness tells stray flux from the scene.
+    """
+
+    frames = 1
+    operators = ("add", "sensor")
+
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """Noise and patterns as the raw frames show them; scene: registered average, less what is slow and stays."""
+        _demand_terms(problem)
+        start_precision(problem)
+        if len(problem.data) == 1:
+            _start_alone(problem)
+            self.messages = [ALONE]
+        start_scene(problem)
+        estimate_slow(problem, start=True)
+        start_parts(problem)
+        hold_out(problem, seed)
+        weigh_scene(problem, WEAK)
+
+    def plan(self, problem: Problem) -> list[Stage]:
+        """Scene and stray flux; then as in `nuc`."""
+        if len(problem.data) == 1:
+            return [Stage("scene", (Step(("scene",)),), 60, prepare=weigh_scene, use_held_out=True)]
+        first, *others = super().plan(problem)
+        closed = problem.closed_form()
+        still = tuple(name for name in problem.free() if name not in closed and name != "motion")
+        offset = [Step((name,), "eliminate") for name in closed if name == "offset"]
+        return [
+            Stage("stray 1", (Step(still), *offset), 20),
+            Stage("stray 2", (Step(still), *offset), 20, prepare=_register),
+            Stage(first.name, first.steps, first.iterations, prepare=_sensor),
+            *others,
+        ]
+
+
+@torch.no_grad()
+def _register(problem: Problem) -> None:
+    """Register the frames again, without stray flux and offset: strong ones, which stand still, draw frames along."""
+    values = problem.values()
+    dark = problem.predict(values | {"scene": torch.zeros_like(values["scene"])})
+    frames, usable = (problem.data - dark)[:, 0], problem.precision[:, 0] > 0
+    for name in problem.free():
+        field = problem.fields[name]
+        model = next((kind for kind in PARAMETERS if type(field) is lookup("field", kind)), None)
+        if model is None or not isinstance(first := problem.operator.named()[0][1], Warp):
+            continue
+        found = register_frames(frames.cpu(), model=model, ignore=~usable.any(0).cpu())
+        before = field().double().cpu()
+        apart = (found.motion - before)[:, :2, 2].abs().amax()
+        if found.used.all() and first.size == frames.shape[1:] and apart < MARGIN:
+            field.init_from(found.motion.to(problem.data.device))
+
+
+def _sensor(problem: Problem) -> None:
+    estimate_slow(problem)
+    weigh_scene(problem, WEAK)
+
+
+def _demand_terms(problem: Problem) -> None:
+    """Raise `ConfigError` for stray flux that is neither given nor made of few terms."""
+    stages = dict(problem.operator.named())
+    for slot, name in problem.slots.items():
+        field = problem.fields[name]
+        if isinstance(stages[slot.rpartition(".")[0]], Add) and not isinstance(field, Terms | Constant):
+            raise ConfigError(
+                f"physics.{slot}: stray flux that is free at each pixel is the offset. Take dct (smooth) or radial, "
+                "or a constant"
+            )
+
+
+@torch.no_grad()
+def _start_alone(problem: Problem) -> None:
+    """Stray flux as the one frame has it."""
+    for field in strays(problem):
+        frame, usable = problem.data[0, 0], problem.precision[0, 0] > 0
+        field.step.copy_(frame[usable].std() / frame.numel() ** 0.5)
+        if not field.given:
+            field.sigma.copy_(frame[usable].std())
+        field.init_from(flattest(frame, usable, field).to(frame))
