@@ -35,6 +35,9 @@ bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity corre
 bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
 	$(BIN)/python benchmarks/sr.py
 
+bench-rivals: setup  ## the default against every rival
+	$(BIN)/python benchmarks/rivals.py --output docs/bench-rivals.md
+
 bench-lag: setup  ## the time constant, and quality against ignoring it: thermal lag
 	$(BIN)/python benchmarks/lag.py
 
@@ -47,6 +50,9 @@ bench-flow: setup  ## dense motion: simulated parallax, and a held-out frame of 
 bench-narcissus: setup  ## quality against the oracle, and seconds: stray flux
 	$(BIN)/python benchmarks/narcissus.py --output docs/bench-narcissus.md
 
+bench-deconv: setup  ## quality against scikit-image's, and the widths found: deconvolution
+	$(BIN)/python benchmarks/deconv.py
+
 bench-priors: setup  ## quality and time of every prior
 	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
 
@@ -56,4 +62,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-real clean

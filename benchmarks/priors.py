@@ -1,18 +1,20 @@
-"""Quality and time of every prior on non-uniformity correction: `make bench-priors`.
+"""Quality and time of every prior: `make bench-priors`.
 
-Bursts are of two regimes of nuc_regimes.py, half A. A prior's own start is the scene that it is fitted from, the
-sensor already known: the result of total variation, or the registered average; a network that draws all of the scene
-starts from nothing.
+Bursts are of two regimes of nuc_regimes.py, half A, and, for super-resolution, of sr.py. A prior's own start is the
+scene that it is fitted from, the sensor already known: the result of total variation, or the registered average; a
+network that draws all of the scene starts from nothing.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from statistics import median
 
 import numpy as np
+import sr
 import torch
 from nuc_oracle import aligned
 from nuc_regimes import REGIMES, SEEDS
@@ -26,6 +28,8 @@ CHOSEN = ("columns U(.5, 1)", "counts")
 FRAMES = (3, 5, 10)
 #: What stands for the start of a prior: one that draws what is added, before its first iteration.
 STARTS = {"tv": "dip_residual", "average": "dip"}
+FINE = ((2, 8), (4, 16))  # factor and frames of super-resolution
+FINE_PICTURES = ("rocket", "procedural 40")  # not coffee: the denoiser `cnn` has learnt from it
 HEADER = (
     "| prior | start | " + " | ".join(f"{n} frames" for n in FRAMES) + " | over TV | over own start | s |"
 )
@@ -43,7 +47,9 @@ def main() -> None:
         f"<!-- written by benchmarks/priors.py: deepir {deepir.__version__}, torch {torch.__version__}, "
         f"{torch.get_num_threads()} threads; seeds {SEEDS['A'][: options.seeds]} -->"
     ]
-    for line in report(names, SEEDS["A"][: options.seeds]):
+    for line in chain(
+        report(names, SEEDS["A"][: options.seeds]), [""], fine_report(names, sr.SEEDS[: options.seeds])
+    ):
         print(line, flush=True)
         lines.append(line)
     if options.output:
@@ -84,9 +90,32 @@ def report(names: Sequence[str], seeds: Sequence[int]) -> Iterator[str]:
         yield f"| {' | '.join([*cells, f'{median(s for _, s in found.values()):.1f}'])} |"
 
 
-def quality(sim: Simulation, prior: str, *more: str) -> tuple[float, float]:
+def fine_report(names: Sequence[str], seeds: Sequence[int]) -> Iterator[str]:
+    """Lines of markdown for super-resolution: medians over pictures and seeds."""
+    keys = [(p, factor, n, seed) for factor, n in FINE for p in FINE_PICTURES for seed in seeds]
+    sims = {key: sr.burst(*key)[0] for key in keys}
+    columns = [f"x{factor}, {n} frames" for factor, n in FINE]
+    yield f"| prior | {' | '.join(columns)} | over TV | s |\n|{'---|' * (len(FINE) + 3)}"
+    reference: dict[tuple[str, int, int, int], float] = {}
+    for name in ["tv", *(each for each in names if each != "tv")]:
+        found = {key: finer(sim, name) for key, sim in sims.items()}
+        reference = reference or {key: psnr for key, (psnr, _) in found.items()}
+        by_factor = [median(found[key][0] for key in keys if key[1] == factor) for factor, _ in FINE]
+        over, seconds = (
+            median(found[key][0] - reference[key] for key in keys),
+            median(s for _, s in found.values()),
+        )
+        yield f"| {name} | {' | '.join(f'{each:.2f}' for each in by_factor)} | {over:+.2f} | {seconds:.1f} |"
+
+
+def finer(sim: Simulation, prior: str) -> tuple[float, float]:
+    """As `quality`, of super-resolution."""
+    return quality(sim, prior, f"physics.downsample.factor={sim.settings.factor}", problem="sr")
+
+
+def quality(sim: Simulation, prior: str, *more: str, problem: str = "nuc") -> tuple[float, float]:
     """PSNR in dB after one gain and level, and seconds."""
-    result = deepir.run("nuc", f"prior={prior}", *more, frames=sim.frames)
+    result = deepir.run(problem, f"prior={prior}", *more, frames=sim.frames)
     return aligned(np.asarray(result.scene, float), sim), result.metrics["seconds"]
 
 

@@ -14,9 +14,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from deepir.errors import ConfigError, DeepIRError, nearest
 from deepir.registry import lookup
 
-#: Arguments that the problem supplies, never a configuration.
-CONTEXT = frozenset({"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"})
+#: Arguments that the problem, or the run of a method, supplies, never a configuration.
+CONTEXT = frozenset(
+    {"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"}
+    | {"burst", "config", "callbacks", "checkpoint"}
+)
 WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
+SIMPLE = frozenset(kind.__name__ for kind in WANTED)
 WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
 
 
@@ -57,7 +61,8 @@ def _arguments(component: Any) -> dict[str, inspect.Parameter]:
     )
     found: dict[str, inspect.Parameter] = {}
     for call in [vars(each)["__init__"] for each in bases] or [component]:
-        hints, taken = typing.get_type_hints(call), inspect.signature(call).parameters.values()
+        hints = typing.get_type_hints(call, include_extras=True)
+        taken = inspect.signature(call).parameters.values()
         for each in taken:
             if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD) and each.name != "self":
                 found.setdefault(each.name, each.replace(annotation=hints.get(each.name, Any)))
@@ -134,6 +139,8 @@ def annotation_of(schema: type[BaseModel], path: str) -> Any:
 def _steps(schema: Any, loc: tuple[int | str, ...]) -> Iterator[tuple[str, Any]]:
     """A path's keys with their types; the names that pydantic gives to a union's branches are left out."""
     for part in loc:
+        if len(_alternatives(schema)) > 1 and (part in SIMPLE or str(part).startswith("dict[")):
+            return  # pydantic's name of a branch that has no keys of its own
         models = [each for each in _alternatives(schema) if hasattr(each, "model_fields")]
         inner = next((m.model_fields[part].annotation for m in models if part in m.model_fields), None)
         if inner is None and (branch := next((m for m in models if m.__name__ == part), None)):

@@ -8,7 +8,7 @@ the pixels' place, with its own penalties, and is fitted to the same data with t
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -37,15 +37,17 @@ class Contest:
         self.field = field.to(device)
         self.penalties = {name: penalty.to(device) for name, penalty in penalties.items()}
 
-    def after(self, stages: Sequence[Stage]) -> list[Stage]:
-        """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them."""
+    def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:
+        """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them.
+
+        `weigh` sets the weights of its penalties.
+        """
         fit, stopped = self.fit, self.fit.average > 0
         before = [dataclasses.replace(s, use_held_out=s.use_held_out and not stopped) for s in stages]
         step = Step(("scene",), fit.method, fit.lr, average=fit.average)
         rounds = [f"prior {i + 1}" for i in range(fit.rounds)] if fit.rounds > 1 else ["prior"]
         mine = [
-            Stage(name, (step,), fit.iterations, prepare=weigh_scene, use_held_out=not stopped)
-            for name in rounds
+            Stage(name, (step,), fit.iterations, prepare=weigh, use_held_out=not stopped) for name in rounds
         ]
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
         return [*before, *mine]

@@ -7,6 +7,8 @@ in a buffer of the problem, so that a resumed solve goes on with it.
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 
@@ -16,22 +18,31 @@ from deepir.strengths import weigh_scene
 
 TRIALS = 7
 ITERATIONS = 10  # of a trial, which begins where the one before it ended
-COARSE, FINE = 2.0, 1.0  # steps of the search, in powers of two
+#: Steps of the search, in powers of two. It begins at the first, from above: detail comes faster than it goes.
+COARSE, FINE = 2.0, 1.0
 #: Largest power: while the sensor is not quite known, a scene too smooth may predict best, and then it never will be.
 MOST = 3.0
 
 
-def start_trials(problem: Problem) -> None:
-    """Make room for the trials: each one's power of two of the natural weights, and its misfit."""
+def start_trials(problem: Problem, *, afresh: bool = False) -> None:
+    """Make room for the trials: each one's power of two of the natural weights, and its misfit.
+
+    With `afresh` each begins with the scene of the first, not of the one before it: where much of the scene is open,
+    one that has become rough does not become smooth again in so few iterations.
+    """
     problem.register_buffer("trials", torch.full((TRIALS, 2), torch.nan, dtype=torch.float64))
+    problem.register_buffer(
+        "smooth", torch.zeros_like(problem.fields["scene"]().detach()) if afresh else None
+    )
 
 
-def trials(problem: Problem) -> list[Stage]:
-    """The stages of the search; none where a weight is given, or there is none."""
+def trials(problem: Problem, *, first: float = COARSE, iterations: int = ITERATIONS) -> list[Stage]:
+    """The stages of the search, from the power `first` on; none where a weight is given, or there is none."""
     penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
     if not penalties or any(penalty.given is not None for penalty in penalties):
         return []
-    return [Stage(f"weight {i + 1}", (Step(("scene",)),), ITERATIONS, prepare=_try) for i in range(TRIALS)]
+    prepare = functools.partial(_try, first=first)
+    return [Stage(f"weight {i + 1}", (Step(("scene",)),), iterations, prepare=prepare) for i in range(TRIALS)]
 
 
 def weigh_by_trials(problem: Problem, factor: float = 1.0) -> None:
@@ -40,12 +51,25 @@ def weigh_by_trials(problem: Problem, factor: float = 1.0) -> None:
     weigh_scene(problem, factor * (2 ** best_power(tried) if tried else 1.0))
 
 
-def _try(problem: Problem) -> None:
+def _try(problem: Problem, first: float) -> None:
     """Set the weights for the next trial."""
     tried = _conclude(problem)
-    power = next_power(tried)
+    power = next_power(tried, first)
+    begin_smooth(problem)
     problem.get_buffer("trials")[_started(problem), 0] = power
     weigh_scene(problem, 2**power)
+
+
+@torch.no_grad()
+def begin_smooth(problem: Problem) -> None:
+    """Put the scene back to that of the first trial, if each is to begin with it."""
+    scene, smooth = problem.fields["scene"], getattr(problem, "smooth", None)
+    if smooth is None:
+        return
+    if _started(problem) == 1:
+        smooth.copy_(scene())
+    elif _started(problem):
+        scene.init_from(smooth)
 
 
 @torch.no_grad()
@@ -63,10 +87,10 @@ def _started(problem: Problem) -> int:
     return int(found)
 
 
-def next_power(tried: dict[float, float]) -> float:
+def next_power(tried: dict[float, float], first: float = COARSE) -> float:
     """Beyond the best where it lies at an end, else beside it; the best once more where nothing is left."""
     if not tried:
-        return COARSE  # from above: detail comes faster than it goes
+        return first
     best = min(tried, key=tried.__getitem__)
     if best == min(tried):
         return best - COARSE

@@ -11,11 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.build import Geometry, build
+from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.contest import Contest
 from deepir.errors import ConfigError, DataError, nearest
+from deepir.geometry import Geometry
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
 from deepir.operators import Add, Sensor
@@ -189,7 +190,7 @@ def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage
             for s in given
         ]
     if contest is not None:
-        stages = contest.after(stages)
+        stages = contest.after(stages, definition.weigh)
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
     return [

@@ -18,7 +18,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.yaml import parse
 
 #: Parts of a configuration that name components, whose keys the schema does not know.
-OPEN = ("physics", "scene", "fidelity")
+OPEN = ("physics", "scene", "fidelity", "method")
 
 
 def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]]:

@@ -26,6 +26,7 @@ HOMES = {
     "fidelity": ["deepir.fidelity"],
     "problem": ["deepir.problems"],
     "method": ["deepir.joint", "deepir.baselines"],
+    "training": ["deepir.training"],
 }
 _components: dict[str, dict[str, Any]] = {kind: {} for kind in HOMES}
 

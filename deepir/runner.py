@@ -21,6 +21,7 @@ from deepir.build import build
 from deepir.config import Config, load
 from deepir.errors import ConfigError
 from deepir.joint import plan
+from deepir.method import chosen
 from deepir.metrics import scores
 from deepir.order import demand_order
 from deepir.registry import lookup
@@ -68,7 +69,7 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
         DeepIRError: Whatever is wrong with the configuration, the files or the frames.
     """
     definition = lookup("problem", config.problem, "problem")
-    lookup("method", config.method, "method")
+    chosen(config)
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
@@ -96,7 +97,7 @@ def execute(
     """Run the method on data in memory; adds time, memory and scores to the metrics."""
     torch.manual_seed(config.seed)
     start = time.perf_counter()
-    method = lookup("method", config.method)
+    name, method = chosen(config)
     with threads.for_loops(config.threads), memory.kept():
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     seconds = time.perf_counter() - start
@@ -107,7 +108,7 @@ def execute(
         result.radiometry = data.radiometry
         result.extra["scene_kelvin"] = data.radiometry.kelvin(result.scene)
     result.metrics |= {
-        "method": config.method,
+        "method": name,
         "prior": config.prior,
         "frames": len(result.frames_used),
         "frames_used": int(result.frames_used.sum()),

@@ -106,10 +106,10 @@ class Output(_Strict):
 
 
 class Config(_Strict):
-    """A whole configuration; `physics`, `scene` and `fidelity` are checked by the components they name."""
+    """A whole configuration; `physics`, `scene`, `fidelity` and `method` are checked by the components they name."""
 
     problem: str = "generic"
-    method: str = "joint"
+    method: str | dict[str, Any] = "joint"
     prior: str = "tv"
     scene: dict[str, Any] = {}
     physics: dict[str, dict[str, Any] | None]

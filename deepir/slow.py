@@ -38,14 +38,18 @@ class Slow:
     def __init__(self, problem: Problem, canvas: tuple[int, ...]) -> None:
         warp: Any = problem.operator.named()[0][1]
         device = problem.data.device
-        height, width = warp.size
+        height, width = problem.data.shape[-2:]  # what the warp shows may be larger, by a blur's reach
         self.problem = problem
         self.scene, self.frame = (
             Shading((1, 1, *size)).to(device) for size in (canvas[-2:], (height, width))
         )
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
         motion = problem.values()[problem.slots["warp.motion"]].double()
-        points = warp.points(warp.instants.through(motion))[:, ::step_y, ::step_x].flatten(1, 2)
+        y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
+        points = warp.points(warp.instants.through(motion))[
+            :, y0 : y0 + height : step_y, x0 : x0 + width : step_x
+        ]
+        points = points.flatten(1, 2)
         y, x = torch.meshgrid(
             torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
             torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,

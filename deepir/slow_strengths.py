@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, ROW
-from deepir.operators import Add, Warp
+from deepir.operators import Add, Blur, Lag, Sensor, Warp
 from deepir.operators.points import displaced
 from deepir.priors.drift import Drift
 from deepir.priors.shading import Shading
@@ -81,8 +81,11 @@ def _enough(stray: Sequence[Terms]) -> int:
 
 def _unknown(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
-    first = problem.operator.named()[0][1]
-    if not isinstance(first, Warp) or first.size != problem.data.shape[-2:] or len(problem.data) < 2:
+    first, *others = (stage for _, stage in problem.operator.named())
+    same = all(
+        isinstance(stage, Add | Blur | Lag | Sensor) for stage in others
+    )  # of one size, but for a blur's reach
+    if not (isinstance(first, Warp) and same) or len(problem.data) < 2:
         return [], [], []
     closed, free = problem.closed_form(), problem.free()
     offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]

@@ -147,12 +147,21 @@ def pinned(config: Config, folder: Folder) -> Config:
             for key, each in value.items()
         }
 
+    method = config.method
+    if isinstance(method, dict):
+        files = {
+            k: absolute(v)
+            for k, v in method.items()
+            if k != "type" and isinstance(v, str) and Path(v).exists()
+        }
+        method = method | files
     data = config.data
     paths = {key: absolute(getattr(data, key)) for key in ("path", "truth", "mask")}
     paths["simulate"] = inside(data.simulate)
     return config.model_copy(
         update={
             "data": data.model_copy(update=paths),
+            "method": method,
             "physics": inside(config.physics),
             "scene": inside(config.scene),
             "output": config.output.model_copy(update={"dir": str(folder.path)}),

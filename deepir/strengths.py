@@ -14,6 +14,7 @@ from torch import Tensor
 from deepir.defects import crowded, defective, deviating
 from deepir.evidence import likeliest
 from deepir.noise import MAD
+from deepir.operators import Warp
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
@@ -31,10 +32,10 @@ ROUNDS = 2  # of the parts' strengths at each update
 MOST = 2.0
 
 
-def hold_out(problem: Problem, seed: int) -> None:
-    """Choose the samples that are held out."""
+def hold_out(problem: Problem, seed: int, share: float = HELD_OUT) -> None:
+    """Choose the samples that are held out, about so many of all."""
     generator = torch.Generator().manual_seed(seed)
-    chosen = torch.rand(problem.data.shape, generator=generator) < HELD_OUT
+    chosen = torch.rand(problem.data.shape, generator=generator) < share
     problem.held_out.copy_(chosen.to(problem.held_out.device))
 
 
@@ -103,13 +104,16 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
 
     What else they need they learn from the scene as it is.
     """
+    first = problem.operator.named()[0][1]
     with torch.no_grad():
         scene = problem.fields["scene"]()
     # Of frames that show the same scene the information adds up.
     precision = problem.precision.sum(0) if len(scene) == 1 else thinned(problem.precision)[0]
     average = float(precision[precision > 0].median().rsqrt())
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
-        noise = average * (1.0 if penalty.of_image else problem.operator.noise_gain)
+        noise = average * problem.operator.noise_gain
+        if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
+            noise /= first.noise_gain
         natural = penalty.natural(noise) * 2 ** (penalty.plain / float(problem.roughness)) ** 2
         penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
         with torch.no_grad():

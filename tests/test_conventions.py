@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
-from deepir.build import MARGIN, _canvas, build
+from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.fidelity import Gaussian
+from deepir.geometry import MARGIN, footprint
 from deepir.operators import Add, Blur, Chain, Downsample, Sensor, Warp
 from deepir.penalties.tv import TV
 from deepir.priors.parts import Pixel
@@ -170,7 +171,7 @@ def test_blur_is_a_valid_true_convolution():
 )  # fmt: skip
 def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_integer(x, y, angle, size):
     motion = torch.stack([homography(), homography(x=x, y=y, angle=angle)])
-    (height, width), (y0, x0) = _canvas(motion, size, 1.0)
+    (height, width), (y0, x0) = footprint(motion, size, 1.0)
     assert isinstance(y0, int)
     assert isinstance(x0, int)
     centre = torch.tensor([(size[1] - 1) / 2, (size[0] - 1) / 2], dtype=torch.float64)
@@ -194,7 +195,7 @@ def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_
 def test_the_canvas_holds_the_blurs_radius_too():
     # The warp's output is larger than the frame by the radius: footprints are those of what the blur reads.
     size = Chain({"blur": Blur(radius=3)}).in_size((20, 30))
-    assert _canvas(None, size, 1.0) == ((20 + 6 + 16, 30 + 6 + 16 + 2), (8, 8))
+    assert footprint(None, size, 1.0) == ((20 + 6 + 16, 30 + 6 + 16 + 2), (8, 8))
 
 
 def test_validity_that_the_corners_tell_is_that_of_all_samples():

@@ -1,10 +1,16 @@
 """What every registered denoiser keeps to, and the penalty that is made of one."""
 
+import numpy as np
 import pytest
 import torch
 
+from deepir.build import build
+from deepir.burst import Burst
+from deepir.config import load
+from deepir.denoisers.unit_range import unit_range
 from deepir.penalties.red import RED
 from deepir.registry import components
+from deepir.strengths import weigh_scene
 
 DENOISERS = components("denoiser")
 
@@ -61,3 +67,48 @@ def test_red_is_of_the_picture_and_not_of_the_splines_coefficients(small_nuc):
     problem.represent("scene", problem.fields["scene"], {"red": penalty})
     penalty.target.copy_(problem.operator.image(scene))
     assert float(problem.losses(problem.values())["scene.red"].detach()) == pytest.approx(0, abs=1e-12)
+
+
+def test_red_takes_a_function_in_a_names_place():
+    penalty, noisy = RED((1, 1, 40, 48), denoiser=lambda picture, noise: picture - noise), picture()
+    penalty.adapt(noisy, 20.0)
+    assert torch.equal(penalty.target, noisy - 7.0)
+
+
+def test_red_falls_from_its_first_strength_to_its_last_and_trusts_as_much_as_it_tells():
+    told = []
+
+    def denoise(picture, noise):
+        told.append(noise)
+        return picture
+
+    penalty = RED((1, 1, 40, 48), denoiser=denoise, first=2.0, strength=1.0, trust=0.25)
+    weights = []
+    for _ in range(6):
+        weights.append(penalty.natural(10.0))
+        penalty.adapt(picture(), 10.0)
+    assert told == pytest.approx([20, 16, 12.8, 10.24, 10, 10])
+    assert weights == pytest.approx([0.25 / sigma**2 for sigma in told])
+
+
+def test_red_is_told_the_noise_of_the_scenes_pixels():
+    # Sixteen frames show each px of a scene that is four times as fine once, with the noise of one frame.
+    frames = np.random.default_rng(0).normal(0.5, 0.1, (16, 16, 20)).astype(np.float32)
+    config = load("sr", ["physics.downsample.factor=4", "prior=pixels", "scene.penalties.red.first=2.0"])
+    burst = Burst(frames, np.ones(frames.shape, bool), np.zeros((16, 20), bool))
+    problem, _ = build(config, burst, torch.eye(3, dtype=torch.float64).repeat(16, 1, 1))
+    problem.precision.copy_((problem.precision > 0) / 0.1**2)
+    penalty = problem.penalties["scene"]["red"]
+    weigh_scene(problem)
+    assert float(penalty.weight) == pytest.approx(penalty.trust / (penalty.first * 0.1) ** 2, rel=1e-5)
+
+
+def test_a_model_for_pictures_in_the_unit_range_takes_any_units():
+    def model(x, sigma):
+        assert float(x.min()) == 0
+        assert float(x.max()) == 1
+        return x + sigma
+
+    found = unit_range(model)(picture().double(), 20.0)
+    assert torch.allclose(found, picture().double() + 20, atol=1e-3)
+    assert found.dtype == torch.float64

@@ -40,10 +40,11 @@ def test_each_kind_has_its_components():
             "wire",
         },
         "penalty": {"hessian", "huber_tv", "l1", "red", "ridge", "smooth", "tgv", "tv"},
-        "denoiser": {"dct", "nl_means", "wavelets"},
+        "denoiser": {"cnn", "dct", "nl_means", "wavelets"},
         "fidelity": {"gaussian", "huber", "l1", "poisson"},
-        "problem": {"generic", "nuc", "sr"},
+        "problem": {"deconv", "generic", "nuc", "sr"},
         "method": {"average", "bicubic", "joint"},
+        "training": {"denoiser"},
     }
     assert HOMES.keys() == wanted.keys()
     for kind, names in wanted.items():

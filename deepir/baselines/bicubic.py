@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import torch
 from scipy import ndimage
@@ -15,17 +13,10 @@ from deepir.config import Config
 from deepir.problems.definition import filled
 from deepir.registry import register
 from deepir.result import Result, neutral
-from deepir.solve import Progress
 
 
 @register("method", "bicubic")
-def bicubic(
-    burst: Burst,
-    config: Config,
-    *,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Path | None = None,
-) -> Result:
+def bicubic(burst: Burst, config: Config) -> Result:
     """Enlarge the first frame by a cubic spline; gain and offset stay as they are."""
     first = dataclasses.replace(burst, frames=burst.frames[:1], valid=burst.valid[:1])
     _, geometry = build(config, first)

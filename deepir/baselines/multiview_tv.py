@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 from scipy.fft import dctn, idctn
@@ -14,20 +12,13 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
 from deepir.result import Result
-from deepir.solve import Progress
 
 STEP = 1.0  # what the first frame may move a pixel, in typical gradients
 ROUNDING = 0.1  # of total variation, likewise
 
 
 @register("method", "multiview_tv")
-def multiview_tv(
-    burst: Burst,
-    config: Config,
-    *,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Path | None = None,
-) -> Result:
+def multiview_tv(burst: Burst, config: Config) -> Result:
     """The offset with which the frames' total variation is least, from all frames at once; then as `average`.
 
     After Barral, Arias and Davy 2024, "Fixed pattern noise removal for multi-view single-sensor infrared camera": of
@@ -38,13 +29,7 @@ def multiview_tv(
 
 
 @register("method", "multiview_tv_recursive")
-def multiview_tv_recursive(
-    burst: Burst,
-    config: Config,
-    *,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Path | None = None,
-) -> Result:
+def multiview_tv_recursive(burst: Burst, config: Config) -> Result:
     """The same a frame at a time, for long videos: each moves the offset down the slope of its total variation."""
     return _corrected(burst, config, recursive_offset(burst.frames))
 

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 import deepir
+from deepir.cli.analyze import analyze
 from deepir.cli.apply import apply
 from deepir.cli.batch import batch
 from deepir.cli.calibrate import calibrate
@@ -20,6 +21,7 @@ from deepir.cli.listing import list_components
 from deepir.cli.resume import resume
 from deepir.cli.run import run
 from deepir.cli.simulate import simulate
+from deepir.cli.train import train
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(
@@ -37,6 +39,8 @@ app.command()(calibrate)
 app.command()(apply)
 app.command("list")(list_components)
 app.command()(check)
+app.command()(analyze)
+app.command()(train)
 
 
 def _version(wanted: bool) -> None:

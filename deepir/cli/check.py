@@ -57,12 +57,13 @@ def _configuration(name: str, settings: list[str]) -> None:
     from deepir.cli.run import output_folder
     from deepir.config import load
     from deepir.folder import Folder
+    from deepir.method import chosen
 
     config = load(name, settings)
     folder = Folder(output_folder(config, name))
     state = folder.state()
     data = _data(config)
-    typer.echo(f"configuration: {name} is in order; problem {config.problem}, method {config.method}")
+    typer.echo(f"configuration: {name} is in order; problem {config.problem}, method {chosen(config)[0]}")
     for stage, slots in config.physics.items():
         typer.echo(f"  {stage}: {_short(slots) or 'as it is'}")
     typer.echo(f"  scene: prior {config.prior}, {_short(config.scene)}")

@@ -31,7 +31,9 @@ class Constant(Field):
         super().__init__(shape, neutral)
         if value is not None and path is not None:
             raise ConfigError("give either 'value' or 'path', not both")
-        given = torch.tensor(float(neutral if value is None else value)) if path is None else _read(path, key)
+        given = (
+            torch.tensor(float(neutral if value is None else value)) if path is None else read_map(path, key)
+        )
         if given.ndim == 3 and len(self.shape) == 4:  # one channel
             given = given[:, None]
         try:
@@ -49,7 +51,8 @@ class Constant(Field):
         """Nothing: what is known stays."""
 
 
-def _read(path: str, key: str | None) -> Tensor:
+def read_map(path: str, key: str | None = None) -> Tensor:
+    """The arrays of a file, (N, h, w)."""
     from deepir.io import read_frames  # not above: it is slow to import
 
     return torch.from_numpy(read_frames(path, key=key).frames)

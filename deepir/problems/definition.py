@@ -33,6 +33,11 @@ class Definition:
     #: Operators that the physics must have.
     operators: ClassVar[tuple[str, ...]] = ()
 
+    @staticmethod
+    def weigh(problem: Problem) -> None:
+        """Set the weights of the scene's penalties at their full strength; of a prior that is fitted last, too."""
+        weigh_scene(problem)
+
     def initialise(self, problem: Problem, seed: int) -> None:
         """Set starts and strengths from the data."""
         start_precision(problem)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from deepir.build import MARGIN
 from deepir.errors import ConfigError
+from deepir.geometry import MARGIN
 from deepir.one_frame import flattest
 from deepir.operators import Add, Warp
 from deepir.priors.constant import Constant
@@ -18,7 +18,7 @@ from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.slow_strengths import estimate_slow, strays
 from deepir.solve import Stage, Step
-from deepir.strengths import hold_out, start_parts, weigh_scene
+from deepir.strengths import doubt_misfits, hold_out, start_parts, weigh_scene
 
 ALONE = (
     "one frame: stray flux is told from the scene by its being smooth, and by nothing else. A slope or a large glow of "
@@ -48,6 +48,7 @@ class Narcissus(NUC):
         start_scene(problem)
         estimate_slow(problem, start=True)
         start_parts(problem)
+        doubt_misfits(problem)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
 

@@ -27,7 +27,8 @@ KINDS = {
     "denoiser": ("Denoisers", "What `red` regularises by: `scene.penalties.red.denoiser`."),
     "fidelity": ("Fidelities", "How prediction and data are compared: `fidelity`."),
     "problem": ("Problems", "How a problem is started and solved: `problem`."),
-    "method": ("Methods", "What runs: `method`."),
+    "method": ("Methods", "What runs: `method`. [rivals.md](rivals.md) has their sources."),
+    "training": ("Trainings", "What `deepir train NAME` trains."),
 }
 
 
@@ -58,7 +59,7 @@ def page() -> str:
 
 def _row(name: str, component: Any, kind: str) -> list[str]:
     slots = [", ".join(f"`{slot}`" for slot in _slots(component))] if kind == "operator" else []
-    options = "" if kind in ("problem", "method", "denoiser") else _options(component)
+    options = "" if kind in ("problem", "denoiser", "training") else _options(component)
     return [f"`{name}`", summary(component), *slots, options]
 
 

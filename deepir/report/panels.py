@@ -1,4 +1,4 @@
-"""A row of grey pictures with titles."""
+"""Rows of grey pictures with titles."""
 
 from __future__ import annotations
 
@@ -28,20 +28,24 @@ def few(count: int) -> list[int]:
     return found
 
 
-def write_panels(path: Path, panels: Sequence[Panel]) -> None:
-    """Write a PNG of (title, picture (h, w), value of black, value of white), side by side, 64 grey levels."""
+def write_panels(path: Path, panels: Sequence[Panel], rows: int = 1) -> None:
+    """Write a PNG of (title, picture (h, w), value of black, value of white), in `rows`, 64 grey levels."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from PIL import Image
 
     height, width = panels[0][1].shape
-    figure = Figure(figsize=(12, 12 / len(panels) * height / width + 0.3), dpi=100)
+    columns = -(-len(panels) // rows)
+    tall = 12 / columns * height / width
+    figure = Figure(figsize=(12, rows * (tall + 0.3)), dpi=100)
     canvas = FigureCanvasAgg(figure)
-    figure.subplots_adjust(0, 0, 1, 1 - 0.3 / figure.get_figheight(), wspace=0.02)
-    for axes, (title, image, black, white) in zip(figure.subplots(1, len(panels)), panels, strict=True):
+    figure.subplots_adjust(0, 0, 1, 1 - 0.3 / figure.get_figheight(), wspace=0.02, hspace=0.3 / tall)
+    places = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in places:
+        axes.set_axis_off()
+    for axes, (title, image, black, white) in zip(places, panels, strict=False):
         axes.imshow(image, cmap="gray", vmin=black, vmax=white, interpolation="nearest")
         axes.set_title(title, fontsize=11, pad=4)
-        axes.set_axis_off()
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).convert("L")
     picture.quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)

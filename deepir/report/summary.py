@@ -29,21 +29,21 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     figure = Figure(figsize=size, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.subplots(2, columns)
-    _picture(grid[0, 0], example, "raw frame", "gray")
+    draw_map(grid[0, 0], example, "raw frame", "gray")
     first = result.scene if result.scene.ndim == 2 else result.scene[0]
-    _picture(grid[0, 1], first, "scene", "gray")
+    draw_map(grid[0, 1], first, "scene", "gray")
     if result.scene.ndim == 3:
-        _picture(grid[0, 2], some(result.scene), f"some of the {len(result.scene)} scenes", "gray")
+        draw_map(grid[0, 2], some(result.scene), f"some of the {len(result.scene)} scenes", "gray")
     elif "scene" in result.uncertainty:
-        _picture(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", "viridis")
+        draw_map(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", "viridis")
     else:
-        _picture(grid[0, 2], result.scene, "scene, inferno", "inferno")
-    _picture(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
-    _picture(grid[1, 1], result.offset, f"offset (σ {result.offset.std():.3g})", "RdBu_r", centre=0.0)
+        draw_map(grid[0, 2], result.scene, "scene, inferno", "inferno")
+    draw_map(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
+    draw_map(grid[1, 1], result.offset, f"offset (σ {result.offset.std():.3g})", "RdBu_r", centre=0.0)
     _loss(grid[1, 2], result.history)
     places = grid[:, 3:].T.flatten()
     for (name, each), axes in zip(more.items(), places, strict=False):
-        _picture(axes, each, f"{name} (σ {each.std():.3g})", "RdBu_r", centre=0.0)
+        draw_map(axes, each, f"{name} (σ {each.std():.3g})", "RdBu_r", centre=0.0)
     for axes in places[len(more) :]:
         axes.set_axis_off()
     buffer = io.BytesIO()
@@ -52,7 +52,8 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
         part.write_bytes(buffer.getvalue())
 
 
-def _picture(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
+def draw_map(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
+    """A map (h, w) with its scale; colours are even about the centre, where there is one."""
     low, high = np.nanpercentile(image, [0.5, 99.5])
     if centre is not None:
         reach = max(high - centre, centre - low, 1e-6)

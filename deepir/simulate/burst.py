@@ -12,6 +12,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.scenes import procedural
+from deepir.simulate.blur import psf
 from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
 from deepir.simulate.lag import constants, lagged, path
@@ -28,8 +29,8 @@ from deepir.simulate.views import look
 class Truth:
     """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics and pixel's box), on a grid `factor`
-    #: times as fine.
+    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics, unless `sharp`, and pixel's box), on a
+    #: grid `factor` times as fine.
     scene: np.ndarray  # (Q H, Q W); with own_scenes each frame, (N, Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
@@ -45,6 +46,7 @@ class Truth:
     read_noise: float  # sigma; rounding to counts adds a variance of 1/12
     photons_per_unit: float  # photon noise has variance gain · flux / this; 0: there is none
     scale: float  # picture px per detector px; with own_scenes of frame 0's picture
+    psf: np.ndarray  # (K, K), the optics alone, five points per detector px, sum one
 
 
 @dataclass(frozen=True)
@@ -86,26 +88,26 @@ def simulate(
         DataError: A picture is no picture, or is too small for the frames and their motion; or there are too few.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(11)
+    streams = np.random.default_rng(seed).spawn(10)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
-    views_rng, bolometer_rng, stray_rng = streams[8:]  # of lag, parallax and own scenes there is one at most
+    rare_rng, bolometer_rng = streams[8:]  # of lag, parallax, own scenes and stray flux there is mostly one
     motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
-        motion, tau = homographies(settings, path(settings, views_rng)), constants(settings, views_rng)
+        motion, tau = homographies(settings, path(settings, rare_rng)), constants(settings, rare_rng)
     gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
     if settings.bolometer:
         gain, offset, slowness = pixels(settings, bolometer_rng)
         tau = tau * slowness
     if settings.own_scenes:
         motion = np.tile(np.eye(3), (settings.n_frames, 1, 1))
-        flux, static, scale = look(scene, settings, views_rng)
+        flux, static, scale = look(scene, settings, rare_rng)
         moving = np.zeros(flux.shape, bool)
     else:
         reach = reach_of(motion, settings)
         picture = drawn(partial(procedural, seed) if scene is None else scene, reach, settings)
         scale = scale_of(picture.shape, reach, settings)
         if settings.parallax:
-            beside = parallax(motion, relief(settings, views_rng), settings)
+            beside = parallax(motion, relief(settings, rare_rng), settings)
         flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
         if settings.tau:
             flux, motion, moving = (
@@ -113,7 +115,7 @@ def simulate(
                 motion[:: settings.substeps],
                 moving[:: settings.substeps],
             )
-        if settings.factor > 1:
+        if settings.factor > 1 or settings.sharp:
             static = at_rest(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
     warmth = housing(settings)
@@ -121,7 +123,7 @@ def simulate(
 
     bad = more_defects(bad, settings, defects_rng)
     gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
-    stray = settings.range * stray_flux(settings, stray_rng)
+    stray = settings.range * stray_flux(settings, rare_rng)
     flux, static, stray = flux + stray, static + stray[bad == 0].mean(), stray - stray[bad == 0].mean()
     level = settings.range * settings.level_drift * np.cumsum(level_rng.standard_normal(settings.n_frames))
     level -= level.mean()
@@ -142,6 +144,7 @@ def simulate(
         read_noise=settings.read_noise * settings.range,
         photons_per_unit=settings.photons / settings.range,
         scale=scale,
+        psf=psf(settings),
     )
     frames = expose(flux, gain, offset, level, bad, settings, noise_rng, defects_rng)
     return Simulation(frames, truth, settings, seed)

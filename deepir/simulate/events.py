@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.scenes import procedural
+from deepir.simulate.blur import blurred
 from deepir.simulate.optics import render
 from deepir.simulate.settings import Settings
 
@@ -24,7 +25,8 @@ def observe(
 
     def seen(scene: np.ndarray, frames: slice) -> np.ndarray:
         more = None if beside is None else beside[frames]
-        return render(scene, motion[frames], settings.shape, scale, settings.psf_sigma, more)
+        behind = blurred(scene, scale, settings)
+        return render(behind, motion[frames], settings.shape, scale, settings.psf_sigma, more)
 
     static = seen(picture, np.s_[:])
     flux, failed = static.copy(), settings.failed_frame

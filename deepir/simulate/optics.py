@@ -8,6 +8,8 @@ import numpy as np
 from scipy import ndimage
 
 from deepir.errors import DataError
+from deepir.simulate.blur import blurred
+from deepir.simulate.blur import reach as radius_of
 from deepir.simulate.pictures import Scene
 from deepir.simulate.settings import Settings
 
@@ -76,9 +78,10 @@ def drawn(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings)
 
 
 def at_rest(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
-    """What a detector behind the same optics, `factor` times as fine, sees of frame 0, (Q H, Q W)."""
+    """What a detector `factor` times as fine sees of frame 0, behind the same optics or (`sharp`) none, (Q H, Q W)."""
     fine, (height, width) = settings.factor, settings.shape
-    blur = settings.psf_sigma * fine  # in px of the finer detector
+    blur = 0.0 if settings.sharp else settings.psf_sigma * fine  # in px of the finer detector
+    picture = picture if settings.sharp else blurred(picture, scale, settings)
     return render(picture, np.eye(3)[None], (fine * height, fine * width), scale / fine, blur)[0]
 
 
@@ -107,12 +110,12 @@ def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
 
 
 def reach_of(motion: np.ndarray, settings: Settings) -> np.ndarray:
-    """How far (y, x) from the centre the frames see, detector px: their corners, parallax and three sigma of blur."""
+    """How far (y, x) from the centre the frames see, detector px: their corners, the blur and the parallax."""
     height, width = settings.shape
     corners = np.array([(i * width / 2, j * height / 2, 1) for i in (-1, 1) for j in (-1, 1)])
     seen = corners @ motion.mT
     reach = np.abs(seen[..., 1::-1] / seen[..., 2:]).max(axis=(0, 1))
-    return reach + 3 * settings.psf_sigma + settings.parallax
+    return reach + radius_of(settings) + settings.parallax
 
 
 def scale_of(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:

@@ -81,6 +81,15 @@ class Settings:
     stray: float = 0.0  # flux in front of the sensor that is not the scene's, peak to peak, of the range
     stray_shape: str = "smooth"  # or radial (about an axis), ring (a ghost), edge (a polariser's reflection)
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
+    airy_radius: float = (
+        0.0  # first dark ring of the optics' diffraction, 1.22 wavelengths x f-number, detector px
+    )
+    defocus_radius: float = 0.0  # radius of the disc that a point out of focus is seen as, detector px
+    motion_blur: float = (
+        0.0  # px that the camera moves, straight and evenly, during the exposure of each frame
+    )
+    motion_blur_angle: float = 0.0  # direction of that, from +x towards +y, degrees
+    sharp: bool = False  # the truth's scene is without the optics' blur, as deconvolution is to find it
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
     pedestal: float = 8000.0  # counts at scene value 0; a flux too: the gain acts on it
     contrast: float = 1500.0  # counts between scene values 0 and 1

@@ -9,6 +9,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.scenes import procedural
+from deepir.simulate.blur import blurred
 from deepir.simulate.optics import at_rest, drawn, reach_of, render, scale_of
 from deepir.simulate.pictures import Scene
 from deepir.simulate.settings import Settings
@@ -42,6 +43,7 @@ def look(
     for scene in scenes[: settings.n_frames]:
         picture = drawn(scene, reach, settings)
         scales.append(scale_of(picture.shape, reach, settings))
-        frames.append(render(picture, still, settings.shape, scales[-1], settings.psf_sigma)[0])
+        behind = blurred(picture, scales[-1], settings)
+        frames.append(render(behind, still, settings.shape, scales[-1], settings.psf_sigma)[0])
         fine.append(at_rest(picture, scales[-1], settings) if settings.factor > 1 else frames[-1])
     return np.array(frames), np.array(fine), scales[0]

@@ -119,6 +119,7 @@ SETTINGS = {
     "solver.plan=[{name: a, steps: [{group: [scene], metod: adam}]}]": ["metod", "did you mean 'method'"],
     # components
     "method=averge": ["method: ", "did you mean 'average'", "joint"],
+    "method=[1]": ["method = [1]: text or a mapping is needed"],
     "problem=nuk": ["problem: ", "did you mean 'nuc'"],
     "prior=tvv": ["prior: ", "did you mean 'tv'"],
     "fidelity=gausian": ["fidelity: ", "did you mean 'gaussian'"],

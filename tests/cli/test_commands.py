@@ -19,7 +19,7 @@ def test_help_is_quick_and_does_without_torch():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert time.perf_counter() - start < 0.5
     assert done.stdout.endswith("set()\n")
-    for command in ("run", "demo", "simulate", "resume", "compare", "batch", "list", "check"):
+    for command in ("run", "demo", "simulate", "resume", "compare", "batch", "list", "check", "analyze"):
         assert f"\n  {command} " in done.stdout
 
 
@@ -33,7 +33,7 @@ def test_version(deepir):
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "demo", "simulate", "resume", "compare", "batch", "list", "check"]
+    "command", ["run", "demo", "simulate", "resume", "compare", "batch", "list", "check", "analyze"]
 )
 def test_every_command_explains_itself(deepir, command):
     status, out, _ = deepir(command, "--help")

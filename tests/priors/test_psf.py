@@ -5,13 +5,17 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import ndimage
+from scipy import ndimage, special
 
 from deepir.errors import ConfigError
 from deepir.operators import Blur
+from deepir.priors.airy import Airy
 from deepir.priors.constant import Constant
+from deepir.priors.defocus import Defocus
 from deepir.priors.gaussian import Gaussian
 from deepir.priors.kernel import Kernel
+from deepir.priors.motion_blur import MotionBlur
+from deepir.priors.simplex import Simplex
 
 SIZE = (60, 80)
 
@@ -72,7 +76,7 @@ def test_a_kernel_from_a_file_is_scaled_to_sum_one(tmp_path):
 
 def test_a_kernel_without_a_file_does_not_blur():
     x = torch.rand(1, 1, 8, 9)
-    assert torch.equal(Blur(radius=1)(x, psf=Kernel((1, 1, 3, 3))()), x[..., 1:-1, 1:-1])
+    assert torch.allclose(Blur(radius=1)(x, psf=Kernel((1, 1, 3, 3))()), x[..., 1:-1, 1:-1])
 
 
 def test_a_kernel_without_a_positive_sum_is_refused(tmp_path):
@@ -98,3 +102,43 @@ def test_a_map_of_another_size_is_refused_with_both_sizes(tmp_path):
         Constant((1, 1, 6, 7), 1.0, path=str(tmp_path / "gain.npy"))
     with pytest.raises(ConfigError, match="either"):
         Constant((1, 1, 6, 7), 1.0, path="a.npy", value=1.0)
+
+
+def test_an_airy_pattern_is_that_of_bessels_function():
+    at = np.arange(-8, 9)
+    v = special.jn_zeros(1, 1)[0] * np.hypot(at, at[:, None]) / 2.5 + 1e-9
+    wanted = (2 * special.j1(v) / v) ** 2
+    found = Airy((1, 1, 17, 17), size=SIZE, radius=2.5)().detach()[0, 0]
+    assert np.allclose(found, wanted / wanted.sum(), atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [1.5, 2.7, 4.0])
+def test_a_point_out_of_focus_is_a_disc(radius):
+    found = Defocus((1, 1, 13, 13), size=SIZE, radius=radius)().detach()[0, 0].numpy()
+    at = np.arange(-6, 7)
+    distance = np.hypot(at, at[:, None])
+    assert np.allclose(found[distance < radius - 1.2], 1 / (np.pi * radius**2), rtol=0.1)
+    assert found[distance > radius + 1.5].max() < 1e-3
+    assert found.sum() == pytest.approx(1, abs=1e-5)
+
+
+def test_a_camera_that_moves_along_x_blurs_along_x():
+    found = MotionBlur((1, 1, 11, 11), size=SIZE, length=5.0)().detach()[0, 0].numpy()
+    assert np.allclose(found[5, 3:8], 0.2, atol=0.03)
+    steep = MotionBlur((1, 1, 11, 11), size=SIZE, length=5.0, angle=90.0)().detach()[0, 0].numpy()
+    assert np.allclose(steep, found.T, atol=1e-5)
+
+
+def test_values_of_any_shape_are_not_negative_and_sum_to_one():
+    field = Simplex((1, 1, 5, 5), size=SIZE)
+    field.init_from(torch.randn(1, 1, 5, 5))
+    found = field().detach()
+    assert found.min() >= 0
+    assert float(found.sum()) == pytest.approx(1, abs=1e-6)
+
+
+def test_a_kernel_that_is_smaller_than_its_array_lies_in_the_middle(tmp_path):
+    np.save(tmp_path / "psf.npy", np.arange(1.0, 10).reshape(3, 3))
+    found = Kernel((1, 1, 7, 7), path=str(tmp_path / "psf.npy"))()[0, 0].numpy()
+    assert np.allclose(found[2:5, 2:5], np.arange(1.0, 10).reshape(3, 3) / 45)
+    assert found.sum() == pytest.approx(1)

@@ -1,0 +1,136 @@
+"""Over how many px, and for how many frames, a non-uniformity is like itself.
+
+After Saragadam et al. 2021, "How much should we jitter the camera?": the autocorrelation of the pattern says how far
+the camera must move, and its temporal autocorrelation how many frames share one pattern.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import fft
+
+Array = np.ndarray[Any, Any]
+
+ALIKE = 0.1  # autocorrelation below which two pixels are strangers (the paper's)
+HOLDS = 0.8  # autocorrelation down to which a pattern is the same (the paper's)
+FARTHEST = 50  # px
+STRIPES = 0.05  # share of the variance from which lines are worth mentioning
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What is known of a pattern.
+
+    `pattern` (h, w) in the data's units, mean zero; `correlation` (2 L + 1, 2 L + 1), its autocorrelation less its
+    shading, no lag in the middle; `lengths` (x, y), how far a motion must go, px; `columns`, `rows` and `shading`,
+    their shares of the variance; `in_time` (K,), the autocorrelation from frame to frame, and `holds`, for how many
+    frames the pattern is the same: None where it was seen once, infinite where it never changes.
+    """
+
+    pattern: Array
+    correlation: Array
+    lengths: tuple[float, float]
+    columns: float
+    rows: float
+    shading: float
+    in_time: Array | None = None
+    holds: float | None = None
+
+    def at(self, shifts: Array) -> Array:
+        """The autocorrelation at shifts (..., 2), (x, y) in px, by the nearest lag."""
+        farthest = len(self.correlation) // 2
+        x, y = np.moveaxis(np.rint(shifts).astype(int).clip(-farthest, farthest), -1, 0)
+        return np.asarray(self.correlation[farthest + y, farthest + x])
+
+
+def of_map(pattern: Array, good: Array | None = None, twin: Array | None = None) -> Statistics:
+    """Statistics of a pattern (h, w) that is known once; `good` (h, w) bool: where.
+
+    `twin` is the same pattern with other noise: products of the two are free of it.
+    """
+    good = np.ones(pattern.shape, bool) if good is None else good
+    twin = pattern if twin is None else twin
+    rough, other = (np.where(good, each - smooth(each, good), 0.0) for each in (pattern, twin))
+    level = pattern[good].mean()
+    total, left = (
+        (a * b)[good].mean() for a, b in ((pattern - level, twin - twin[good].mean()), (rough, other))
+    )
+    correlation = autocorrelation(rough, other, good)
+    middle = len(correlation) // 2
+    along_x, along_y = correlation[middle, middle:], correlation[middle:, middle]
+    rows, columns = plateau(along_x), plateau(along_y)
+    lengths = (length((along_x - rows) / (1 - rows)), length((along_y - columns) / (1 - columns)))
+    share = max(0.0, 1 - left / total) if total > 0 else 0.0
+    return Statistics(
+        np.where(good, pattern - level, 0),
+        correlation,
+        lengths,
+        columns * (1 - share),
+        rows * (1 - share),
+        share,
+    )
+
+
+def of_flat(frames: Array, good: Array | None = None) -> Statistics:
+    """Statistics of frames (N, h, w), N > 1, of a uniform source, one after the other."""
+    frames = frames.astype(np.float64)
+    good = np.ones(frames.shape[1:], bool) if good is None else good
+    once = of_map(frames[::2].mean(0), good, frames[1::2].mean(0))
+    mean = frames.mean(0)
+    in_time = over_time(frames, good)
+    return replace(
+        once,
+        pattern=np.where(good, mean - mean[good].mean(), 0),
+        in_time=in_time,
+        holds=length(in_time, HOLDS),
+    )
+
+
+def autocorrelation(pattern: Array, twin: Array, good: Array) -> Array:
+    """Of maps (h, w), zero where not good, at lags up to a quarter of the shorter side and at most 50 px."""
+    farthest = min(FARTHEST, min(pattern.shape) // 4)
+    size = [fft.next_fast_len(side + farthest) for side in pattern.shape]
+    one, other, seen = (fft.rfft2(each, size) for each in (pattern, twin, good.astype(float)))
+    products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (seen, seen)))
+    lags = np.arange(-farthest, farthest + 1)
+    found = (products / pairs.clip(min=1))[np.ix_(lags, lags)]
+    found = (found + found[::-1, ::-1]) / 2
+    return np.asarray(found / max(found[farthest, farthest], 1e-300))
+
+
+def smooth(pattern: Array, good: Array) -> Array:
+    """The shading: the quadratic polynomial that is nearest to a map (h, w) where it is good."""
+    y, x = (np.linspace(-1, 1, side) for side in pattern.shape)
+    y, x = np.broadcast_arrays(y[:, None], x)
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
+    weights, *_ = np.linalg.lstsq(terms[good], pattern[good], rcond=None)
+    return np.asarray(terms @ weights)
+
+
+def plateau(along: Array) -> float:
+    """Where an autocorrelation ends up over far lags: the share of lines, which are like themselves all along."""
+    return float(np.clip(np.median(along[len(along) // 2 :]), 0, 0.99))
+
+
+def length(along: Array, least: float = ALIKE) -> float:
+    """The lag at which an autocorrelation first falls below `least`, on a line between lags; infinite if none."""
+    below = np.flatnonzero(along < least)
+    if not below.size:
+        return float("inf")
+    k = int(below[0])
+    return float(k) if k == 0 else k - 1 + float((along[k - 1] - least) / (along[k - 1] - along[k]))
+
+
+def over_time(frames: Array, good: Array) -> Array:
+    """Autocorrelation of the pattern of frames (N, h, w) from frame to frame, noise left out, up to half of the frames.
+
+    Noise is in the products of a frame with itself only: lag zero is where the line through lags one and two leads.
+    """
+    flat = np.stack([frame[good] - smooth(frame, good)[good] for frame in frames])
+    products = flat @ flat.T / flat.shape[1]
+    found = np.array([np.diagonal(products, k).mean() for k in range(1, max(2, len(frames) // 2 + 1))])
+    start = 2 * found[0] - found[1] if len(found) > 1 else found[0]
+    return np.concatenate([[1.0], found / start]) if start > 0 else np.ones(1)

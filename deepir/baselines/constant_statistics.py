@@ -1,0 +1,34 @@
+"""Every pixel sees the same scene in the long run: the oldest online correction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.baselines.average import Array, corrected, whole
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.registry import register
+from deepir.result import Result
+
+
+@register("method", "constant_statistics")
+def constant_statistics(burst: Burst, config: Config) -> Result:
+    """Give all pixels the same mean and deviation over time, then register and average.
+
+    J. G. Harris, Y.-M. Chiang: Nonuniformity correction of infrared image sequences using the constant-statistics
+    constraint, IEEE Trans. Image Processing 8 (1999). It wants hundreds of frames that cross the whole scene: of a
+    short burst it takes the scene for the pattern.
+    """
+    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels).astype(np.float64)
+    mean, deviation = statistics(frames)
+    gain = deviation / deviation.mean()
+    return corrected(burst, config, gain, mean - gain * mean.mean())
+
+
+def statistics(frames: Array) -> tuple[Array, Array]:
+    """Mean and mean absolute deviation of each pixel, (h, w), by the paper's recursion over frames (N, h, w)."""
+    mean, deviation = frames[0].copy(), np.zeros(frames.shape[1:])
+    for n, frame in enumerate(frames[1:], 2):
+        mean += (frame - mean) / n
+        deviation += (np.abs(frame - mean) - deviation) / n
+    return mean, deviation

@@ -1,0 +1,50 @@
+"""A line through what a pixel says and what the others say that it should."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.baselines.average import Array, corrected, find, indices, places, pulled_back, whole
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.registry import register
+from deepir.result import Result
+
+
+@register("method", "hardie2000")
+def hardie2000(burst: Burst, config: Config) -> Result:
+    """Fit each pixel's gain and bias to the registered average of the frames, by least squares.
+
+    R. C. Hardie, M. M. Hayat, E. Armstrong, B. Yasuda: Scene-based nonuniformity correction with video sequences and
+    registration, Applied Optics 39 (2000): the scene is averaged along the trajectories of the motion, and a line
+    `y = gain z + bias` fitted to the pairs that a pixel has seen. Two unknowns a pixel and no prior: three frames
+    leave one degree of freedom. The registration is deepir's.
+    """
+    found = motion, used, _ = find(burst, config)
+    frames, valid = burst.frames[used], (burst.valid & ~burst.bad_pixels)[used]
+    seen = frames.mean(0, keepdims=True).repeat(len(frames), 0)
+    if motion is not None:
+        seen = along(frames, valid, motion[used].numpy())
+    return corrected(burst, config, *lines(seen, whole(frames, valid)), found)
+
+
+def along(frames: Array, valid: Array, motion: Array) -> Array:
+    """The scene at each sample (N, h, w): the mean of all frames along the trajectory through it."""
+    looks = np.stack([places(each, frames.shape[1:]) for each in motion])
+    beyond = np.abs(looks).max(axis=(0, 2, 3)) - (np.array(frames.shape[1:]) - 1) / 2
+    margin = [(0, 0), *((rim, rim) for rim in np.ceil(beyond + 1e-6).astype(int))]
+    mean = pulled_back(np.pad(frames, margin), np.pad(valid, margin), motion).numpy()
+    return np.stack(
+        [ndimage.map_coordinates(mean, indices(each, mean.shape), order=3, mode="mirror") for each in looks]
+    )
+
+
+def lines(scene: Array, frames: Array) -> tuple[Array, Array]:
+    """Gain and bias (h, w) of the lines `frames = gain * scene + bias` over N samples; gain one if all agree."""
+    x, y = scene.astype(np.float64), frames.astype(np.float64)
+    x_mean, y_mean = x.mean(0), y.mean(0)
+    spread = ((x - x_mean) ** 2).sum(0)
+    both = ((x - x_mean) * (y - y_mean)).sum(0)
+    gain = np.divide(both, spread, out=np.ones_like(spread), where=spread > 0)
+    return gain, y_mean - gain * x_mean

@@ -1,0 +1,191 @@
+"""Scene and sensor together, under Gaussian priors: the strongest of the classical methods."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Annotated
+
+import torch
+import torch.nn.functional as F
+from pydantic import Field
+from scipy.optimize import nnls
+from torch import Tensor
+
+from deepir.baselines.average import find
+from deepir.build import build
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.errors import ConfigError
+from deepir.noise import sample_noise
+from deepir.operators import Chain, Sensor
+from deepir.problems.definition import start_scene
+from deepir.registry import register
+from deepir.result import Result, neutral, to_gauge
+
+ROUNDS, ITERATIONS, TOLERANCE = (
+    3,
+    60,
+    1e-3,
+)  # of Gauss-Newton; of conjugate gradients in each, at most, and their end
+WIDE = 2.0  # the prior of D z to its root mean square, which is that of edges and texture alike
+KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[None, None]
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+@register("method", "hardie_droege2007")
+def hardie_droege2007(
+    burst: Burst,
+    config: Config,
+    *,
+    scene: Positive | None = None,
+    gain: Positive | None = None,
+    offset: Positive | None = None,
+) -> Result:
+    """The most probable scene, gain and bias under Gaussian priors, with or without super-resolution.
+
+    R. C. Hardie, D. R. Droege: A MAP estimator for simultaneous superresolution and detector nonuniformity correction,
+    EURASIP J. Advances in Signal Processing (2007): the minimum of
+    `|y - g W z - b|^2 / 2 sigma_n^2 + |D z|^2 / 2 sigma_z^2 + |b|^2 / 2 sigma_b^2`, where D takes the mean of the four
+    neighbours away, by conjugate gradients; and here with the gain, `|g - 1|^2 / 2 sigma_g^2`. The deviations `scene`
+    (of D z), `gain` and `offset` are found from the burst unless they are given; the registration is deepir's.
+
+    Raises:
+        ConfigError: The physics do not end in a sensor.
+    """
+    motion, used, messages = find(burst, config)
+    kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
+    problem, geometry = build(config, kept, None if motion is None else motion[used])
+    *optics, (_, last) = problem.operator.named()
+    if not isinstance(last, Sensor):
+        raise ConfigError("physics: method 'hardie_droege2007' wants the stage 'sensor' last")
+    problem = problem.double()
+    start_scene(problem)
+    with torch.no_grad():
+        values, chain = problem.values(), Chain(dict(optics))
+        z = values["scene"]
+        slots = {
+            slot: values[name]
+            for slot, name in problem.slots.items()
+            if slot.partition(".")[0] in dict(optics)
+        }
+        model = Model(
+            look=lambda z: chain(z, **slots),
+            back=lambda y: chain.adjoint(y, tuple(z.shape), **slots),
+            data=problem.data,
+            usable=(problem.precision > 0).double(),
+        )
+        model.find_strengths(z, scene, gain, offset)
+        z, iterations = model.solve(z)
+        found, bias = model.sensor(model.look(z))
+        y0, y1, x0, x1 = geometry.window
+        image = problem.operator.image(z)[0, 0, y0:y1, x0:x1]
+    result = neutral(image.numpy(), len(used), burst.size, burst.bad_pixels)
+    result.gain, result.offset = found[0, 0].numpy(), bias[0, 0].numpy()
+    if motion is not None:
+        result.motion[used] = values["motion"].numpy()
+        result.motion[~used] = float("nan")
+    result.frames_used, result.messages = used, messages
+    to_gauge(result)
+    result.metrics = {"iterations": iterations, "evaluations": iterations, "stop_reason": "converged"}
+    return result
+
+
+@dataclasses.dataclass
+class Model:
+    """`data = g look(z) + b + noise` where `usable`, all (N, 1, h, w) float64; `back` is the adjoint of `look`."""
+
+    look: Callable[[Tensor], Tensor]
+    back: Callable[[Tensor], Tensor]
+    data: Tensor
+    usable: Tensor
+    #: 1 / variance of the noise, of D z, of gain and of bias.
+    precisions: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+
+    def find_strengths(
+        self,
+        average: Tensor,
+        scene: float | None = None,
+        gain: float | None = None,
+        bias: float | None = None,
+    ) -> None:
+        """Set the precisions: as given, or as the registered average and what the frames have beside it tell."""
+        n = len(self.data)
+        noise = max(sample_noise(self.data[:, 0], self.usable[:, 0] > 0), 1e-4 * float(self.data.std()))
+        whole = self.usable.amin(0, keepdim=True) > 0
+        flux = self.look(average)
+        level, left = (each.mean(0, keepdim=True)[whole] for each in (flux, self.data - flux))
+        # The average holds 1 / n of the pattern itself, and of the noise.
+        squares = (left**2 - noise**2 / n) / (1 - 1 / max(n, 2))
+        parts, _ = nnls(torch.stack([level**2, torch.ones_like(level)], 1).numpy(), squares.numpy())
+        pattern = max(float(squares.mean()), 1e-6 * noise**2)
+        of_gain = gain**2 if gain else max(float(parts[0]), 1e-4 * pattern / float((level**2).mean()))
+        of_bias = bias**2 if bias else max(float(parts[1]), 1e-4 * pattern)  # neither is ruled out
+        of_scene = scene**2 if scene else WIDE**2 * float((rest(average) ** 2).mean())
+        self.precisions = (1 / noise**2, 1 / of_scene, 1 / of_gain, 1 / of_bias)
+
+    def solve(self, z: Tensor) -> tuple[Tensor, int]:
+        """The most probable scene from a start, by Gauss-Newton steps in which gain and bias follow the scene."""
+        noise, smooth, _, _ = self.precisions
+        count = 0
+        for _ in range(ROUNDS):
+            flux = self.look(z)
+            gain, bias = self.sensor(flux)
+            left = self.usable * (self.data - gain * flux - bias)
+            slope = noise * self.back(gain * left) - smooth * roughness(z)
+            weight = noise * self.back(gain**2 * self.usable) + 1.25 * smooth
+
+            def curvature(step: Tensor, gain: Tensor = gain, flux: Tensor = flux) -> Tensor:
+                moved = self.usable * gain * self.look(step)
+                more, higher = self._ridge(flux, moved)
+                moved = self.usable * (moved - more * flux - higher)
+                return noise * self.back(gain * moved) + smooth * roughness(step)
+
+            step, iterations = conjugate_gradients(curvature, slope, weight)
+            z, count = z + step, count + iterations
+        return z, count
+
+    def sensor(self, flux: Tensor) -> tuple[Tensor, Tensor]:
+        """The most probable gain and bias (1, 1, h, w), given what falls on the detector."""
+        gain, bias = self._ridge(flux, self.usable * (self.data - flux))
+        return 1 + gain, bias
+
+    def _ridge(self, flux: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+        """Of each pixel, a and b of `target = a flux + b` under the priors of gain and bias."""
+        noise, _, of_gain, of_bias = self.precisions
+        a11 = (self.usable * flux**2).sum(0, keepdim=True) + of_gain / noise
+        a12 = (self.usable * flux).sum(0, keepdim=True)
+        a22 = self.usable.sum(0, keepdim=True) + of_bias / noise
+        b1, b2 = (flux * target).sum(0, keepdim=True), target.sum(0, keepdim=True)
+        determinant = a11 * a22 - a12**2
+        return (a22 * b1 - a12 * b2) / determinant, (a11 * b2 - a12 * b1) / determinant
+
+
+def rest(z: Tensor) -> Tensor:
+    """D z, what a pixel has beyond the mean of its four neighbours; pixels at the rim have none."""
+    return F.conv2d(z, KERNEL)
+
+
+def roughness(z: Tensor) -> Tensor:
+    """D' D z."""
+    return F.conv_transpose2d(rest(z), KERNEL)
+
+
+def conjugate_gradients(
+    curvature: Callable[[Tensor], Tensor], slope: Tensor, weight: Tensor
+) -> tuple[Tensor, int]:
+    """`curvature(step) = slope`, preconditioned by the diagonal `weight`; the step, and after how many iterations."""
+    step, left = torch.zeros_like(slope), slope
+    along = towards = left / weight
+    size = start = float((left * towards).sum())
+    for iteration in range(ITERATIONS):
+        if size <= TOLERANCE**2 * start:
+            return step, iteration
+        bent = curvature(along)
+        length = size / float((along * bent).sum())
+        step, left = step + length * along, left - length * bent
+        towards = left / weight
+        before, size = size, float((left * towards).sum())
+        along = towards + size / before * along
+    return step, ITERATIONS

@@ -1,0 +1,58 @@
+"""What a pixel says should be what the frame before has said of the same place."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from scipy import ndimage
+
+from deepir.baselines.average import Array, corrected, find, indices, places, whole
+from deepir.baselines.online import STABLE, played, scaled, sensor
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.registry import register
+from deepir.result import Result
+
+
+@register("method", "irlms")
+def irlms(
+    burst: Burst,
+    config: Config,
+    *,
+    rate: Annotated[float, Field(gt=0, lt=1)] = 0.1,
+    passes: Annotated[int, Field(ge=1)] = 30,
+) -> Result:
+    """Least mean squares between frames that are registered, one after the other.
+
+    C. Zuo, Q. Chen, G. Gu, X. Sui: Scene-based nonuniformity correction algorithm based on interframe registration,
+    JOSA A 28 (2011): steepest descent, with step `rate`, on the squared difference of the corrected frame and the
+    corrected one before it, moved to its place by bilinear interpolation. A burst is short and is played `passes`
+    times, forth and back; the paper's video once. The registration is deepir's, rotations too.
+    """
+    found = motion, used, _ = find(burst, config)
+    frames, low, span = scaled(whole(burst.frames, burst.valid & ~burst.bad_pixels)[used])
+    steps = np.eye(3)[None].repeat(len(frames), 0) if motion is None else motion[used].numpy()
+    weight, bias = learned(frames, steps, rate, passes)
+    return corrected(burst, config, *sensor(weight, bias, low, span), found)
+
+
+def learned(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple[Array, Array]:
+    """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one, moved by (N, 3, 3)."""
+    frames = frames.clip(*STABLE)
+    weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
+    for before, now in itertools.pairwise(played(len(frames), passes)):
+        step = np.linalg.inv(motion[before]) @ motion[now]
+        wanted = moved(weight * frames[before] + bias, step)
+        error = np.nan_to_num(wanted - (weight * frames[now] + bias))
+        weight += rate * error * frames[now]
+        bias += rate * error
+    return weight, bias
+
+
+def moved(frame: Array, step: Array) -> Array:
+    """A frame (h, w) as it looks after a pull (3, 3), by bilinear interpolation; NaN where it did not see."""
+    at = indices(places(step, frame.shape), frame.shape)
+    return ndimage.map_coordinates(frame, at, order=1, cval=np.nan)

@@ -1,0 +1,48 @@
+"""Midway equalisation of columns, frame by frame: no motion is needed."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.baselines.average import Array, averaged, whole
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.registry import register
+from deepir.result import Result
+
+WIDTHS = np.arange(0.5, 8.5, 0.5)  # px, from which the one is chosen
+
+
+@register("method", "mire")
+def mire(burst: Burst, config: Config) -> Result:
+    """Give neighbouring columns the same histogram, then register and average.
+
+    Y. Tendero, S. Landeau, J. Gilles: Non-uniformity correction of infrared images by midway equalization, Image
+    Processing On Line 2 (2012). Single frame, columns only, blind to pixels; a column's response need not be linear.
+    """
+    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels)
+    return averaged(burst, config, np.stack([equalised(frame) for frame in frames]))
+
+
+def equalised(frame: Array) -> Array:
+    """A frame (h, w) with columns equalised over the width at which its total variation is least."""
+    return min((midway(frame, width) for width in WIDTHS), key=variation)
+
+
+def midway(frame: Array, width: float) -> Array:
+    """Replace each column's quantiles by their mean over the columns about it, weighted by a Gaussian of `width` px.
+
+    Averages of inverse cumulative histograms are the midway histogram. Reflection at the sides keeps the mean.
+    """
+    order = frame.argsort(axis=0, kind="stable")
+    quantiles = np.take_along_axis(frame, order, axis=0)
+    shared = ndimage.gaussian_filter1d(quantiles.astype(np.float64), width, axis=1, mode="reflect")
+    result = np.empty_like(shared)
+    np.put_along_axis(result, order, shared, axis=0)
+    return result
+
+
+def variation(frame: Array) -> float:
+    """Sum of absolute differences of neighbours."""
+    return float(np.abs(np.diff(frame, axis=0)).sum() + np.abs(np.diff(frame, axis=1)).sum())

@@ -1,0 +1,49 @@
+"""Every sample goes to the nearest point of a fine grid."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.baselines.average import Array, averaged, find, indices, places
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.registry import register
+from deepir.result import Result
+
+
+@register("method", "shift_and_add")
+def shift_and_add(burst: Burst, config: Config) -> Result:
+    """Add registered samples up on the fine grid, and fill in where none fell; the pixels' blur stays.
+
+    M. Elad, Y. Hel-Or: A fast super-resolution reconstruction algorithm for pure translational motion and common
+    space-invariant blur, IEEE Trans. Image Processing 10 (2001): the maximum-likelihood estimate of the blurred scene.
+    Gain and offset stay as they are.
+    """
+    found = motion, used, _ = find(burst, config)
+    result = averaged(burst, config, burst.frames, found)
+    if motion is not None:
+        good = (burst.valid & ~burst.bad_pixels)[used]
+        result.scene = added(burst.frames[used], good, motion[used].numpy(), result.scene.shape)
+    return result
+
+
+def added(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) -> Array:
+    """Means of the samples of frames (N, h, w) that are nearest to each point of a finer grid; holes are filled.
+
+    A hole takes the mean of what is about it, weighted by a Gaussian as narrow as reaches anything.
+    """
+    ratio = shape[0] / frames.shape[1]
+    total, count = np.zeros((2, *shape))
+    for frame, good, forth in zip(frames, valid, motion, strict=True):
+        row, column = np.rint(indices(places(forth, frame.shape), shape, ratio)).astype(int).reshape(2, -1)
+        inside = good.ravel() & (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+        np.add.at(total, (row[inside], column[inside]), frame.ravel()[inside])
+        np.add.at(count, (row[inside], column[inside]), 1)
+    width = 0.5
+    while not count.all():
+        near, weight = ndimage.gaussian_filter(total, width), ndimage.gaussian_filter(count, width)
+        reached = (count == 0) & (weight > 1e-6)
+        total[reached], count[reached] = (near / weight.clip(min=1e-12))[reached], 1
+        width *= 2
+    return (total / count).astype(np.float32)

@@ -1,0 +1,73 @@
+"""Where the frames lie in the scene's array."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from scipy.fft import next_fast_len
+from torch import Tensor
+
+from deepir.operators import Chain, Warp
+from deepir.operators.warp import NEAR
+
+MARGIN = 8  # px that the canvas reaches beyond the registered footprints
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Sizes along the operator, and where frame 0 lies in the scene."""
+
+    ratio: float  # scene px per detector px
+    window: tuple[int, int, int, int]  # (y0, y1, x0, x1) of frame 0 in the scene's array
+
+    def crop(self, scene: Any) -> Any:
+        """The part of a scene (1, 1, H, W) that frame 0 shows, (h, w); of one for each frame, (N, h, w)."""
+        y0, y1, x0, x1 = self.window
+        pictures = scene[:, 0, y0:y1, x0:x1]
+        return pictures[0] if len(pictures) == 1 else pictures
+
+
+def locate(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geometry:
+    """Frame 0's window has the frame's size times the ratio, and its centre."""
+    stages = [stage for _, stage in chain.named()]
+    first, later = stages[0], Chain(dict(chain.named()[1:]))
+    rest = later if isinstance(first, Warp) else chain
+    near, far = rest.in_size(size), rest.in_size((2 * size[0], 2 * size[1]))
+    ratio = (far[0] - near[0]) / size[0]
+    height, width = round(ratio * size[0]), round(ratio * size[1])
+    y0, x0 = first.origin if isinstance(first, Warp) else (0, 0)
+    inner = near if isinstance(first, Warp) else scene
+    y0, x0 = y0 + (inner[0] - height) // 2, x0 + (inner[1] - width) // 2
+    return Geometry(ratio, (int(y0), int(y0) + height, int(x0), int(x0) + width))
+
+
+def footprint(
+    motion: Tensor | None, size: tuple[int, int], ratio: float
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Canvas (H, W) and origin (y, x) that hold all footprints of frames of `size`, and a margin."""
+    if motion is None:
+        motion = torch.eye(3, dtype=torch.float64)[None]
+    y, x = ((side - 1) / 2 for side in size)
+    corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64)
+    moved = scaled(motion, ratio).double() @ corners
+    points = moved[:, :2] / moved[:, 2:].clamp(min=NEAR) + corners.new_tensor([[x], [y]])
+    low, high = points.amin((0, 2)), points.amax((0, 2))  # straight lines stay straight
+    x0, y0 = (MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
+    x1, y1 = (
+        MARGIN + math.ceil(max(float(v), side - 1)) for v, side in zip(high, reversed(size), strict=True)
+    )
+    return (_quick(y0 + y1 + 1), _quick(x0 + x1 + 1)), (y0, x0)
+
+
+def _quick(side: int) -> int:
+    """An even length, a little more than `side`, whose Fourier transform is two or three times as fast."""
+    return 2 * int(next_fast_len(-(-side // 2)))
+
+
+def scaled(motion: Tensor, ratio: float) -> Tensor:
+    """A motion in px of a grid that is `ratio` times finer; the centres coincide."""
+    s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
+    return motion * (s[:, None] / s)

@@ -1,0 +1,165 @@
+"""Deconvolution: a scene without the blur of the optics, of defocus or of a moving camera."""
+
+from __future__ import annotations
+
+import torch
+
+from deepir.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
+from deepir.errors import ConfigError
+from deepir.priors.airy import Airy
+from deepir.priors.defocus import Defocus
+from deepir.priors.gaussian import Gaussian
+from deepir.priors.motion_blur import MotionBlur
+from deepir.priors.psf import PSF
+from deepir.priors.simplex import Simplex
+from deepir.problem import Problem
+from deepir.problems.definition import Definition, start_precision, start_scene, start_scene_and_parts
+from deepir.registry import register
+from deepir.slow_strengths import estimate_slow
+from deepir.solve import Stage, Step
+from deepir.spectrum import fit_psf
+from deepir.strengths import HELD_OUT as LEAST
+from deepir.strengths import hold_out, update_noise, update_strengths, weigh_scene
+
+#: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
+WEAK = 0.2
+CUT = 0.1  # of a point-spread function's peak: more than that is not to be cut off
+STILL = 0.5  # px of motion below which a burst counts as still
+#: Share of a frame's samples, in all frames together, that is held out: what a blur leaves of detail, few do not tell.
+HELD_OUT = 0.1
+ITERATIONS = 40  # of a trial: through a blur, detail comes slowly
+
+
+@register("problem", "deconv")
+class Deconv(Definition):
+    """A sharp scene from one frame or a burst, with a point-spread function that is known or not.
+
+    One with a width is found from the frames' spectrum, and held: together with the scene it would go to none. How
+    strong the scene's prior is to be, held-out samples say. Gain and offset are estimated where the frames move.
+    """
+
+    operators = ("blur",)
+    weigh = staticmethod(weigh_by_trials)
+
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """Noise, blur and pattern as the raw frames show them; scene: registered average."""
+        self.messages = hold_sensor(problem)
+        start_precision(problem)
+        self.messages += start_psf(problem)
+        demand_room(problem)
+        if problem.closed_form():
+            start_scene_and_parts(problem)
+            estimate_slow(problem, start=True)
+        else:
+            start_scene(problem)
+        hold_out(problem, seed, max(LEAST, HELD_OUT / len(problem.data)))
+        weigh_scene(problem, WEAK)
+        start_trials(problem, afresh=True)
+
+    def plan(self, problem: Problem) -> list[Stage]:
+        """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
+        closed = tuple(problem.closed_form())
+        eliminate = (Step(closed, "eliminate"),) if closed else ()
+        sharp = "scene" in problem.free()  # else it is a target that is known, of which any blur can be found
+        held = {*closed, *(psf_names(problem) if sharp else ())}
+        free = tuple(name for name in problem.free() if name not in held)
+        still = (Step(tuple(name for name in free if name != "motion")), *eliminate)
+        sensor = [
+            Stage("sensor 1", still, 40),
+            Stage("sensor 2", still, 40, prepare=_update),
+            Stage("sensor 3", (Step(free), *eliminate), 40, prepare=_update),
+        ]
+        return [
+            *(sensor if closed else [Stage("start", still, 40)]),
+            *trials(problem, first=0.0, iterations=ITERATIONS),
+            Stage("scene", (Step(("scene",)),) if sharp else still, 120, prepare=_finish, use_held_out=True),
+        ]
+
+
+def psf_names(problem: Problem) -> list[str]:
+    """The unknowns that are bound to a blur."""
+    return [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "psf"]
+
+
+@torch.no_grad()
+def hold_sensor(problem: Problem) -> list[str]:
+    """Leave gain and offset as they are where the frames do not move, and say so: a scene would explain any pattern."""
+    closed = problem.closed_form()
+    motion = problem.values().get("motion")
+    if not closed or (motion is not None and float((motion - motion[:1])[:, :2, 2].abs().max()) >= STILL):
+        return []
+    for name in closed:
+        problem.fields[name].requires_grad_(False)
+    few = "one frame does not" if len(problem.data) == 1 else "the frames do not move, and so do not"
+    return [
+        f"{few} tell the sensor's pattern from the scene: {' and '.join(closed)} are left neutral. "
+        "Correct the frames first, or give a burst that moves by 3 to 10 px"
+    ]
+
+
+def start_psf(problem: Problem) -> list[str]:
+    """Find each free point-spread function from the spectrum of the frames; one of any shape as the likeliest kind.
+
+    Of frames without a scene, or sharp ones, the spectrum tells no width: the least is taken then, with a message.
+    """
+    frames, usable, messages = problem.data, problem.precision > 0, []
+    for name in psf_names(problem):
+        field = problem.fields[name]
+        if name not in problem.free():
+            continue
+        if isinstance(field, PSF):
+            fit_psf(field, frames, usable)
+            if cut_off(field):
+                field.load_state_dict(next(field.starts()))
+                messages.append(
+                    f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
+                    f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius"
+                )
+        elif isinstance(field, Simplex):
+            size = (int(frames.shape[-2]), int(frames.shape[-1]))
+            found = [
+                kind(field.shape, size=size).to(frames) for kind in (Gaussian, Airy, Defocus, MotionBlur)
+            ]
+            best = min(found, key=lambda each: fit_psf(each, frames, usable))
+            field.init_from(best().detach())
+    return messages
+
+
+def name_of(problem: Problem, unknown: str) -> str:
+    """The slot that an unknown is bound to."""
+    return next(slot for slot, name in problem.slots.items() if name == unknown)
+
+
+@torch.no_grad()
+def cut_off(field: PSF) -> bool:
+    """Whether a point-spread function reaches beyond its array."""
+    psf = field()[0, 0]
+    return float(max(psf[0].max(), psf[:, 0].max())) > CUT * float(psf.max())
+
+
+@torch.no_grad()
+def demand_room(problem: Problem) -> None:
+    """Raise `ConfigError` for a point-spread function that its array cuts off."""
+    for slot, name in problem.slots.items():
+        field = problem.fields[name]
+        if not isinstance(field, PSF):
+            continue
+        radius = field.shape[-1] // 2
+        if cut_off(field):
+            wider = f"physics.{slot.rpartition('.')[0]}.radius={2 * max(radius, 2)}"
+            raise ConfigError(
+                f"physics.{slot}: a width of {float(field.width):.3g} px does not fit into a radius of {radius} px "
+                f"from the centre; take {wider}"
+            )
+
+
+def _update(problem: Problem) -> None:
+    update_strengths(problem)
+    weigh_by_trials(problem, WEAK)
+
+
+def _finish(problem: Problem) -> None:
+    if len(problem.data) > 1:  # in one frame, edges that the prior rounds misfit as defects do
+        update_noise(problem, settled=True)
+    weigh_by_trials(problem)
+    begin_smooth(problem)

@@ -1,0 +1,60 @@
+"""Pictures to learn from: those of scikit-image that no benchmark judges by, and drawn scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.scenes import procedural
+
+#: Of scikit-image; all others are kept for tuning and judging.
+PHOTOGRAPHS = ("brick", "cell", "chelsea", "coffee", "hubble_deep_field", "retina")
+FIRST, SCENES = 1000, 160  # seeds of the drawn scenes; those below are for tuning and judging
+HEIGHTS = (160, 520)  # px of a drawn scene: coarse and fine ones
+SHRUNK = (1, 2, 3)  # times; a photograph is sharper when it is small
+
+
+class Pictures:
+    """Pictures in [0, 1], and crops of them: half are of photographs, half of scenes, each drawn when it is wanted."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self.photographs = _photographs()
+        self.heights = rng.integers(*HEIGHTS, SCENES)
+        self.drawn: dict[int, np.ndarray] = {}
+
+    def crops(self, count: int, side: int) -> Tensor:
+        """(count, 1, side, side), float32: turned, mirrored, and half of them negative."""
+        return torch.from_numpy(np.stack([self._crop(side) for _ in range(count)])[:, None])
+
+    def _crop(self, side: int) -> np.ndarray:
+        picture = self._photograph() if self.rng.integers(2) else self._scene()
+        y, x = (int(self.rng.integers(length - side + 1)) for length in picture.shape)
+        crop = np.rot90(picture[y : y + side, x : x + side], int(self.rng.integers(4)))
+        return (crop if self.rng.integers(2) else crop.T) * np.float32(self.rng.choice([-1, 1]))
+
+    def _photograph(self) -> np.ndarray:
+        """Large ones, which have more to show, more often."""
+        sides = np.sqrt([each.size for each in self.photographs])
+        return self.photographs[self.rng.choice(len(sides), p=sides / sides.sum())]
+
+    def _scene(self) -> np.ndarray:
+        i = int(self.rng.integers(SCENES))
+        if i not in self.drawn:
+            shape = (int(self.heights[i]), int(1.25 * self.heights[i]))
+            self.drawn[i] = procedural(FIRST + i, shape).astype(np.float32)
+        return self.drawn[i]
+
+
+def _photographs() -> list[np.ndarray]:
+    """Each colour of each photograph, in several sizes."""
+    import skimage.data
+    from skimage.transform import downscale_local_mean
+
+    found = []
+    for name in PHOTOGRAPHS:
+        whole = np.atleast_3d(getattr(skimage.data, name)()).astype(np.float32) / 255
+        for colour in np.moveaxis(whole, -1, 0):
+            found += [downscale_local_mean(colour, (times, times)).astype(np.float32) for times in SHRUNK]
+    return found

@@ -1,0 +1,81 @@
+"""What a training is, and the loop that all share."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+CLIP = 1.0  # largest norm of a gradient
+WARM_UP = 200  # iterations in which the step grows to its full size
+
+
+class Training:
+    """A network with what it learns from; `rate` is Adam's step, which falls to zero along a cosine."""
+
+    iterations: ClassVar[int] = 10_000
+    rate: ClassVar[float] = 1e-3
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng  # for all that is drawn at random
+
+    def network(self) -> nn.Module:
+        """A new network; its weights are drawn by torch."""
+        raise NotImplementedError
+
+    def loss(self, network: nn.Module) -> Tensor:
+        """How far the network is off, on examples newly drawn; a scalar."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Where a training is: handed to `report` after every iteration."""
+
+    iteration: int
+    iterations: int
+    loss: float  # averaged over the last hundred iterations or so
+    seconds: float
+
+
+def train(
+    kind: Callable[[np.random.Generator], Training],
+    *,
+    seed: int = 0,
+    iterations: int | None = None,
+    report: Callable[[Learning], Any] = lambda learning: None,
+) -> nn.Module:
+    """Train a network: the same seed gives the same weights, on the same machine and with as many threads.
+
+    Networks compute in bfloat16, weights and their steps are in float32.
+    """
+    torch.manual_seed(seed)
+    training = kind(np.random.default_rng(seed))
+    network = training.network().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    total = training.iterations if iterations is None else iterations
+    adam = torch.optim.Adam(network.parameters(), lr=training.rate, fused=True)
+    steps = torch.optim.lr_scheduler.LambdaLR(adam, lambda i: _step(i, total))
+    start, average = time.monotonic(), math.nan
+    for i in range(total):
+        with torch.autocast("cpu", torch.bfloat16):
+            loss = training.loss(network)
+        adam.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), CLIP)
+        adam.step()
+        steps.step()
+        last = loss.item()
+        average = last if i == 0 else average + max(0.01, 1 / (i + 1)) * (last - average)
+        report(Learning(i + 1, total, average, time.monotonic() - start))
+    return network.eval()
+
+
+def _step(iteration: int, total: int) -> float:
+    """The step as a share of its full size."""
+    return min(1.0, (iteration + 1) / WARM_UP) * (1 + math.cos(math.pi * iteration / total)) / 2

@@ -1,0 +1,79 @@
+"""Least mean squares between registered frames."""
+
+import numpy as np
+
+from deepir.baselines.irlms import learned, moved
+from deepir.baselines.online import played, scaled, sensor
+from deepir.simulate import render
+from deepir.simulate.pictures import picture
+
+FULL = 16383  # of 14 bits
+
+
+def video(n=50, shape=(96, 128), contrast=12_000):
+    """A scene in counts that wanders by a few px from frame to frame, and its motion."""
+    rng = np.random.default_rng(0)
+    at = np.zeros((n, 2))
+    for k in np.arange(1, n):
+        step = rng.uniform(-5, 5, 2)
+        at[k] = at[k - 1] + np.where(np.abs(at[k - 1] + step) > 18, -step, step)
+    motion = np.tile(np.eye(3), (n, 1, 1))
+    motion[:, :2, 2] = at
+    return 2000 + contrast * render(picture("moon"), motion, shape, 2.8, 0.5), motion
+
+
+def test_a_pattern_of_14_bits_is_gone_after_50_frames():
+    # Zuo et al. 2011: gain sigma 0.2, offset sigma 40: above 35 dB after 50 frames.
+    scene, motion = video()
+    rng = np.random.default_rng(1)
+    gain, offset = 1 + 0.2 * rng.standard_normal(scene.shape[1:]), 40 * rng.standard_normal(scene.shape[1:])
+    frames = np.clip(np.rint(gain * scene + offset), 0, FULL)
+    inside, low, span = scaled(frames)
+    weight, bias = learned(inside, motion, rate=0.1)
+    result = low + span * (weight * inside[-1] + bias)
+
+    def psnr(found):
+        return 20 * np.log10(FULL / (found - scene[-1]).std())
+
+    assert psnr(frames[-1]) < 22
+    assert psnr(result) > 35
+
+
+def test_a_scene_without_pattern_teaches_nothing():
+    frames = 0.5 + np.zeros((4, 10, 12))
+    weight, bias = learned(frames, np.tile(np.eye(3), (4, 1, 1)), 0.1, 5)
+    assert np.array_equal(weight, np.ones((10, 12)))
+    assert np.array_equal(bias, np.zeros((10, 12)))
+
+
+def test_a_stuck_pixel_does_not_spread():
+    scene, motion = video(n=6)
+    frames, _, _ = scaled(scene)
+    clean = learned(frames, motion, 0.1, 100)
+    frames[:, 40, 50] = 6.0
+    spoilt = learned(frames, motion, 0.1, 100)
+    for each, other in zip(clean, spoilt, strict=True):
+        assert np.isfinite(other).all()
+        assert np.abs(other - each)[:15].max() < 0.02
+
+
+def test_a_frame_moves_as_the_motion_says():
+    frame = np.random.default_rng(2).random((9, 11))
+    step = np.eye(3)
+    step[:2, 2] = (2, -1)  # a pull: +x right, +y down
+    found = moved(frame, step)
+    assert np.allclose(found[1:, :-2], frame[:-1, 2:])
+    assert np.isnan(found[0]).all()
+
+
+def test_correction_and_sensor_are_inverse():
+    rng = np.random.default_rng(3)
+    weight, bias, frame = 1 + 0.1 * rng.random((4, 5)), rng.random((4, 5)), 100 + 50 * rng.random((4, 5))
+    gain, offset = sensor(weight, bias, 100.0, 50.0)
+    clean = 100 + 50 * (weight * (frame - 100) / 50 + bias)
+    assert np.allclose((frame - offset) / gain, clean)
+
+
+def test_frames_are_played_forth_and_back():
+    assert list(played(4, 2)) == [0, 1, 2, 3, 2, 1, 0]
+    assert list(played(1, 3)) == [0]

@@ -1,0 +1,73 @@
+"""What holds for every method beside `joint`, a new one too: it is found in the registry."""
+
+import functools
+import inspect
+
+import numpy as np
+import pytest
+
+import deepir
+from deepir.registry import components
+from deepir.simulate import Settings, simulate
+from deepir.simulate.pictures import picture
+
+RIVALS = [
+    name for name, each in components("method").items() if each.__module__.startswith("deepir.baselines")
+]
+#: Options without which a method does not run: arrays that are saved, and named.
+GIVEN = {"flat_field": {"shutter": lambda sim: 300 + sim.truth.offset[None]}}
+
+
+@pytest.fixture(scope="module")
+def camera():
+    """Eight frames in counts, 64 x 80 px."""
+    settings = Settings(n_frames=8, shape=(64, 80), counts=True, max_shift=5.0)
+    return simulate(picture("camera"), settings, seed=4)
+
+
+@pytest.fixture(scope="module")
+def run(camera, tmp_path_factory):
+    """The result of a method on the camera's burst."""
+
+    @functools.cache
+    def run(name, problem="nuc"):
+        folder, options = tmp_path_factory.mktemp(name), {"type": name}
+        for key, make in GIVEN.get(name, {}).items():
+            np.save(folder / f"{key}.npy", make(camera))
+            options[key] = str(folder / f"{key}.npy")
+        return deepir.run(problem, frames=camera.frames, method=options)
+
+    return run
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_the_result_is_in_the_gauge_and_keeps_the_level(run, camera, name):
+    result = run(name)
+    good = ~result.bad_pixels
+    assert result.gain[good].mean() == pytest.approx(1, abs=1e-5)
+    assert result.offset[good].mean() == pytest.approx(0, abs=0.01)
+    assert result.level.mean() == pytest.approx(0, abs=0.01)
+    assert abs(result.scene.mean() - camera.truth.scene.mean()) < 0.05 * camera.settings.contrast
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_the_result_is_whole(run, camera, name):
+    result = run(name)
+    assert result.scene.shape == camera.truth.scene.shape
+    assert result.scene.dtype == result.gain.dtype == result.offset.dtype == np.float32
+    for name in ("scene", "gain", "offset"):
+        assert np.isfinite(getattr(result, name)).all()
+    assert result.motion.shape == (8, 3, 3)
+    assert np.array_equal(result.motion[0], np.eye(3))
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_it_runs_on_a_scene_finer_than_the_detector(run, name):
+    assert run(name, "sr").scene.shape == (256, 320)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_it_says_what_it_is_and_where_it_is_from(name):
+    method = components("method")[name]
+    assert name in ("average", "bicubic") or "(19" in method.__doc__ or "(20" in method.__doc__
+    assert list(inspect.signature(method).parameters)[:2] == ["burst", "config"]

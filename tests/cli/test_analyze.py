@@ -1,0 +1,70 @@
+"""`deepir analyze`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deepir.simulate import Settings, simulate
+
+
+@pytest.fixture
+def bursts(folder):
+    """Bursts that move as they should, and not; and a flat stack."""
+    camera = {"n_frames": 6, "shape": (64, 80), "counts": True}
+    for name, jitter in {"both": "both", "along_x": "x"}.items():
+        simulate(None, Settings(**camera, jitter=jitter), seed=1).save(f"{name}.npz")
+    rng = np.random.default_rng(0)
+    pattern = 40 * rng.standard_normal((64, 80)) + 40 * rng.standard_normal((1, 80))
+    np.save("flat.npy", 8000 + pattern + 5 * rng.standard_normal((12, 64, 80)))
+
+
+def test_a_burst_that_suffices(deepir, bursts):
+    status, out, _ = deepir("analyze", "both.npz")
+    assert status == 0
+    assert "move the camera between frames by more than 3 px in x and 3 px in y" in out
+    assert "this burst suffices" in out
+    with Image.open("runs/both-analysis.png") as picture:
+        assert picture.width > 600
+
+
+def test_a_burst_along_one_axis_is_flagged(deepir, bursts):
+    _, out, _ = deepir("analyze", "along_x.npz", "--output", "here.png")
+    assert "moves along x only" in out
+    assert "suffices" not in out
+    assert Path("here.png").stat().st_size > 10_000
+
+
+def test_a_run_is_analysed_as_it_is(deepir, bursts):
+    deepir("run", "nuc", "data.path=both.npz", "output.dir=runs/mine")
+    folder = Path("runs/mine")
+    before = [path.name for path in folder.iterdir()]
+    status, out, _ = deepir("analyze", "runs/mine")
+    assert status == 0
+    assert "this burst: 6 frames" in out
+    assert "takes no settings" in deepir("analyze", "runs/mine", "seed=1")[2]
+    assert sorted([*before, "analysis.png"]) == sorted(path.name for path in folder.iterdir())
+
+
+def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
+    status, out, _ = deepir("analyze", "flat.npy", "--flat")
+    assert status == 0
+    assert "columns 4" in out or "columns 5" in out
+    assert "the pattern holds for longer than the 6 frames over which it can be seen" in out
+    assert "this burst" not in out
+    assert "than the 3 frames" in deepir("analyze", "flat.npy", "data.frames=6", "--flat")[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nothing.npz"], "nothing.npz: no such file"),
+        (["flat.npy", "seed=3", "--flat"], "seed=3: of the settings only data are taken here"),
+        (["both.npz", "sed=3"], "did you mean 'seed'"),
+    ],
+)
+def test_errors_say_what_to_do(deepir, bursts, arguments, message):
+    status, _, err = deepir("analyze", *arguments)
+    assert status == 2
+    assert message in err
