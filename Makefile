@@ -9,7 +9,7 @@ setup: .venv/.done  ## make .venv with the tested versions
 
 .venv/.done: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare,hdf5,video]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare,docs,hdf5,video]'
 	@touch $@
 
 demo: setup  ## correct a simulated burst; results and pictures in runs/demo/
@@ -25,6 +25,9 @@ lint: setup  ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: setup  ## the documentation as a site, in site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
 	$(BIN)/python benchmarks/nuc.py --output docs/bench-nuc.md
@@ -57,6 +60,6 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 
 clean:  ## remove .venv and caches
-	rm -rf .venv build dist .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-real clean

@@ -29,6 +29,7 @@ FILES = (
     "scene_kelvin.tiff",
     "scene_preview.png",
     "summary.png",
+    "report.html",
     "metrics.json",
 )
 #: What `deepir.io.write.replace` leaves behind when it is killed.

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.io import write_json, write_mat, write_npz, write_preview, write_tiff
 from deepir.io.radiometry import KELVIN, Radiometry, unit
-from deepir.schema import Output
+from deepir.schema import Config
 
 Array = np.ndarray[Any, Any]
 
@@ -46,15 +46,17 @@ class Result:
         names = ("scene", "gain", "offset", "motion", "level", "bad_pixels", "frames_used")
         return {name: getattr(self, name) for name in names} | self.extra
 
-    def save(self, folder: Path, example: Array, output: Output) -> None:
-        """Write all files of a finished run that `output` asks for; `example` is a raw frame for the summary.
+    def save(self, folder: Path, example: Array, config: Config) -> None:
+        """Write all files of a finished run that `config.output` asks for; `example` is a raw frame to compare with.
 
         Each is replaced whole.
         """
         from deepir.report.flow import write_flow
+        from deepir.report.html import write_report
         from deepir.report.panels import some
         from deepir.report.summary import write_summary
 
+        output = config.output
         write_npz(folder / "result.npz", self.arrays())
         if output.mat:
             write_mat(folder / "result.mat", self.arrays())
@@ -67,6 +69,7 @@ class Result:
         write_summary(folder / "summary.png", self, example)
         if "flow" in self.extra:
             write_flow(folder / "flow.png", self.extra["flow"], self.motion)
+        write_report(folder / "report.html", self, example, config)
         write_json(folder / "metrics.json", self.metrics)
 
 

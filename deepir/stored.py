@@ -110,7 +110,7 @@ class _Work:
             for message in result.messages:
                 log.warning(message)
             result.metrics["seconds"] = round(result.metrics["seconds"] + self.before, 3)
-            result.save(folder.path, data.frames[0], self.config.output)
+            result.save(folder.path, data.frames[0], self.config)
         except (ConfigError, DataError, SolverError) as error:
             log.error(str(error))
             raise

@@ -43,8 +43,8 @@ def compare(
 ) -> int:
     """Run all combinations of values: deepir compare nuc data.path=burst.npz method=joint,average data.frames=3,5,10.
 
-    Results go to output.dir (runs/NAME-compare): a folder for each run, table.md, table.csv and quality.png.
-    The same command again goes on where it was interrupted.
+    Results go to output.dir (runs/NAME-compare): a folder for each run, report.html, table.md, table.csv and
+    quality.png. The same command again goes on where it was interrupted.
     """
     plugins = load_plugins(plugin)
     from deepir.sweep.axes import listed
@@ -118,4 +118,6 @@ def _report(rows: Sequence[Row], where: Path) -> None:
         shown.add_row(*map(escape, line))
     Console(width=None if sys.stdout.isatty() else 200).print(shown)
     plots = "; plots: quality.png" * (where / "quality.png").exists()
-    typer.echo(f"results: {where}/table.md, table.csv and a folder for each run{plots}")
+    typer.echo(
+        f"results: {where}/table.md, table.csv and a folder for each run{plots}; to look at: report.html"
+    )

@@ -74,4 +74,6 @@ def report(result: Result, folder: Path) -> None:
     if (known := kelvin[np.isfinite(kelvin)]).size:
         low, high = known.min() - ZERO_CELSIUS, known.max() - ZERO_CELSIUS
         typer.echo(f"temperatures {low:.2f} to {high:.2f} °C: {folder}/scene_kelvin.tiff")
-    typer.echo(f"results: {folder}/result.npz, {folder}/scene.tiff; pictures: {folder}/summary.png")
+    typer.echo(
+        f"results: {folder}/result.npz, {folder}/scene.tiff; to look at: {folder}/report.html, {folder}/summary.png"
+    )

@@ -28,11 +28,11 @@ def coloured(shades: Array, palette: str) -> Array:
 
 
 def table(palette: str) -> Array:
-    """256 colours (256, 3), uint8, from cold to hot."""
+    """256 colours (256, 3), uint8, from cold to hot: of one of `PALETTES`, or of matplotlib's."""
     from matplotlib import colormaps
     from matplotlib.colors import LinearSegmentedColormap
 
-    known = PALETTES[palette]
+    known = PALETTES.get(palette, palette)
     colours = (
         colormaps[known] if isinstance(known, str) else LinearSegmentedColormap.from_list(palette, known)
     )

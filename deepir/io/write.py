@@ -52,7 +52,7 @@ def write_npz(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Non
 
 def write_json(path: PathLike, content: Any) -> None:
     """Write JSON. Numpy's numbers and arrays become plain; NaN and infinity, not in JSON, become null."""
-    text = json.dumps(_plain(content), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(plain(content), indent=2, allow_nan=False, ensure_ascii=False)
     with replace(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
@@ -63,7 +63,7 @@ def write_tiff(
     """Write `(h, w)` or `(N, h, w)` as float32 TIFF; ImageDescription holds `metadata` as JSON."""
     import tifffile
 
-    description = json.dumps(_plain(metadata or {}), allow_nan=False)
+    description = json.dumps(plain(metadata or {}), allow_nan=False)
     with replace(path) as temporary:
         tifffile.imwrite(
             temporary,
@@ -93,14 +93,14 @@ def write_mat(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Non
         scipy.io.savemat(file, dict(arrays), do_compression=True)
 
 
-def _plain(value: Any) -> Any:
-    """`value` in JSON's own types."""
+def plain(value: Any) -> Any:
+    """`value` in JSON's own types; NaN and infinity, not in JSON, become null."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, os.PathLike) else value

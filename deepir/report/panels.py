@@ -15,11 +15,17 @@ def some(scenes: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """One picture to look at: the scene (H, W); of scenes (N, H, W) four or fewer, from first to last, side by side."""
     if scenes.ndim == 2:
         return scenes
-    chosen = scenes[np.linspace(0, len(scenes) - 1, min(len(scenes), 4)).round().astype(int)]
+    chosen = scenes[few(len(scenes))]
     rows = [np.concatenate(list(pair), axis=1) for pair in (chosen[:2], chosen[2:]) if len(pair)]
     missing = rows[0].shape[1] - rows[-1].shape[1]
     rows[-1] = np.pad(rows[-1], ((0, 0), (0, missing)), constant_values=np.nan)
     return np.concatenate(rows)
+
+
+def few(count: int) -> list[int]:
+    """Four or fewer of `count`, from first to last."""
+    found: list[int] = np.linspace(0, count - 1, min(count, 4)).round().astype(int).tolist()
+    return found
 
 
 def write_panels(path: Path, panels: Sequence[Panel], rows: int = 1) -> None:

@@ -25,14 +25,13 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter
 
     metric = shown(found)[0]
-    finished = [row for row in found if row.metrics.get(metric) is not None]
-    if not finished or len(grouped(finished, AVERAGED)) < 2:
+    finished, against = drawn(found)
+    if not against:
         path.unlink(missing_ok=True)
         return
-    against = ["frames", "seconds"] if len({row.metrics["frames"] for row in finished}) > 1 else ["seconds"]
     figure = Figure(figsize=(6 * len(against), 4.5), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
-    lines = _lines(finished)
+    lines = curves(finished)
     for axes, x in zip(figure.subplots(1, len(against), squeeze=False)[0], against, strict=True):
         for label, groups in lines.items():
             _draw(axes, groups, x, metric, label)
@@ -53,7 +52,16 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
         part.write_bytes(buffer.getvalue())
 
 
-def _lines(found: Sequence[Row]) -> dict[str, list[Group]]:
+def drawn(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
+    """The rows that can be drawn, and against what: nothing, where they make a single point."""
+    finished = [row for row in found if row.metrics.get(shown(found)[0]) is not None]
+    if not finished or len(grouped(finished, AVERAGED)) < 2:
+        return finished, []
+    several = len({row.metrics["frames"] for row in finished}) > 1
+    return finished, ["frames", "seconds"] if several else ["seconds"]
+
+
+def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
     """Groups that differ in the number of frames only, by what they have in common."""
     lines: dict[str, list[Group]] = {}
     for group in grouped(found, AVERAGED):

@@ -39,7 +39,8 @@ class Sweep:
                 say(cell, error)
 
     def write(self, title: str) -> list[table.Row]:
-        """Write `table.csv`, `table.md` and `quality.png`; the rows."""
+        """Write `table.csv`, `table.md`, `quality.png` and `report.html`; the rows."""
+        from deepir.sweep.html import write_report
         from deepir.sweep.plots import write_plots
 
         found = table.rows(self.cells, self.errors)
@@ -47,6 +48,7 @@ class Sweep:
         table.write_markdown(self.folder / "table.md", found, title)
         table.write_csv(self.folder / "table.csv", found)
         write_plots(self.folder / "quality.png", found)
+        write_report(self.folder / "report.html", found, title)
         return found
 
 

@@ -134,7 +134,7 @@ def check_free(folder: Path) -> None:
         ours = page.is_file() and page.read_text(encoding="utf-8").startswith(HEADER)
     except (OSError, UnicodeDecodeError):
         ours = False
-    for name in ("table.md", "table.csv", "quality.png"):
+    for name in ("table.md", "table.csv", "quality.png", "report.html"):
         if not ours and (folder / name).exists():
             raise ConfigError(
                 f"output.dir: {folder} holds {name}, which no comparison wrote; give another folder with output.dir=DIR"

@@ -74,7 +74,7 @@ class TestHere:
         assert status == 0, err
         made = {path.name for path in (folder / "runs/nuc-compare").iterdir()}
         cells = {f"method={method},seed={seed}" for method in ("average", "joint") for seed in (0, 1)}
-        assert made == cells | {"table.csv", "table.md", "quality.png"}
+        assert made == cells | {"table.csv", "table.md", "quality.png", "report.html"}
         for words in ("joint", "2/2", "PSNR (dB)", "radiometric error", "runs/nuc-compare/table.md"):
             assert words in out
         assert "deepir: 4/4 method=joint,seed=1: PSNR (dB)" in err

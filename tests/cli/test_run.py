@@ -18,6 +18,7 @@ ENDED = {
     "scene.tiff",
     "scene_preview.png",
     "summary.png",
+    "report.html",
     "metrics.json",
 }
 PLUGIN = '''

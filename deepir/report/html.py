@@ -1,0 +1,167 @@
+"""`report.html` of a run: one file to look at, by which the result explains itself."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepir.io.radiometry import KELVIN, unit
+from deepir.io.tones import PALETTES, ends, table
+from deepir.report.maps import COARSE, FINE, packed
+from deepir.report.page import write_page
+from deepir.report.panels import few
+
+if TYPE_CHECKING:
+    from deepir.result import Result
+    from deepir.schema import Config
+
+Array = np.ndarray[Any, Any]
+#: Tables of colours beside those to choose from: of maps about a centre, of standard deviations, of yes and no.
+OTHERS = {"signed": "RdBu_r", "spread": "viridis", "mask": "gray"}
+BINS = 160
+
+
+def write_report(path: Path, result: Result, example: Array, config: Config) -> None:
+    """Write the page; `example` is a raw frame (h, w), which lies on the grid of the scene, if coarser."""
+    from deepir.config import dump
+
+    source = config.data.path
+    data = {
+        "title": config.problem,
+        "source": "simulated burst" if source is None else Path(source).name,
+        "figures": _figures(result),
+        "stop_reason": result.metrics.get("stop_reason", ""),
+        "messages": result.messages,
+        "maps": list(_maps(result, example)),
+        "palettes": {name: _colours(name) for name in PALETTES},
+        "others": {name: _colours(each) for name, each in OTHERS.items()},
+        "palette": config.output.palette,
+        "stages": _stages(result.history),
+        "motion": _motion(result),
+        "level": result.level if np.any(result.level) else [],
+        "histogram": _histogram(example, _first(result.scene)),
+        "unit": _unit(result),
+        "config": dump(config),
+        "metrics": {name: value for name, value in result.metrics.items() if name != "messages"},
+    }
+    write_page(path, "run.html", ("maps.js", "views.js", "plots.js", "curves.js", "run.js"), data)
+
+
+def _unit(result: Result) -> str:
+    """`counts` or `K`; empty where the input does not say."""
+    return str(unit(result.radiometry).get("unit", ""))
+
+
+def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
+    """The maps in order: name, title, unit, how it is coloured, and `packed`."""
+    here = _unit(result)
+    yield _map("raw", "Raw frame", example, here)
+    yield from _scenes("scene", "Scene", result.scene, here)
+    kelvin = result.extra.get("scene_kelvin")
+    if kelvin is not None and result.radiometry != KELVIN:
+        yield from _scenes("scene_kelvin", "Temperature", kelvin, "K")
+    yield _map("gain", f"Gain, σ {100 * result.gain.std():.1f} %", result.gain, "", centre=1.0)
+    yield _map("offset", f"Offset, σ {result.offset.std():.3g}", result.offset, here, centre=0.0)
+    for name, image in result.extra.items():
+        if image.ndim == 2 and name != "scene_kelvin":
+            low, high = ends(image.astype(float))
+            yield _map(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
+    bad = result.bad_pixels
+    yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1, "colours": "mask"}
+    for name, image in result.uncertainty.items():
+        own = "" if name == "gain" else here
+        yield _map(
+            f"{name}_sd", f"Uncertainty of the {name}", _first(image), own, colours="spread", fine=COARSE
+        )
+
+
+def _scenes(name: str, title: str, scenes: Array, here: str) -> Iterator[dict[str, Any]]:
+    """The scene; where each frame has its own, that of the first by this name, and some of the others."""
+    yield _map(name, title, _first(scenes), here)
+    if scenes.ndim == 3:
+        for other in few(len(scenes))[1:]:
+            yield _map(f"{name}_{other}", f"{title} {other}", scenes[other], here)
+
+
+def _first(scenes: Array) -> Array:
+    return scenes if scenes.ndim == 2 else scenes[0]
+
+
+def _map(
+    name: str,
+    title: str,
+    image: Array,
+    here: str,
+    *,
+    centre: float | None = None,
+    colours: str = "",
+    fine: int = FINE,
+) -> dict[str, Any]:
+    """One map; about a `centre` its colours are those of signs, and reach as far to both sides."""
+    found = {"name": name, "title": title, "unit": here, "colours": colours} | packed(image, fine)
+    if centre is None:
+        return found
+    reach = max(found["high"] - centre, centre - found["low"], 1e-6)
+    return found | {"low": centre - reach, "high": centre + reach, "colours": "signed"}
+
+
+def _colours(palette: str) -> str:
+    return base64.b64encode(table(palette).tobytes()).decode()
+
+
+def _figures(result: Result) -> list[tuple[str, str]]:
+    """The figures that matter most, with their names."""
+    found, here = result.metrics, _unit(result)
+    shown = {
+        "psnr_aligned": ("PSNR", "{:.1f} dB"),
+        "held_out_rmse": ("held-out error", f"{{:.3g}} {here}"),
+        "noise_sigma": ("noise σ", f"{{:.3g}} {here}"),
+        "pattern_cost_db": ("cost of the pattern", "{:.1f} dB"),
+        "seconds": ("time", "{:.1f} s"),
+    }
+    used = f"{int(result.frames_used.sum())} of {len(result.frames_used)}"
+    known = [
+        (name, form.format(found[key])) for key, (name, form) in shown.items() if _number(found.get(key))
+    ]
+    return [*known, ("frames used", used)]
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value))
+
+
+def _stages(history: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Name, losses and held-out errors (iteration, error) of each stage."""
+    stages: dict[str, dict[str, Any]] = {}
+    for row in history:
+        stage = stages.setdefault(row["stage"], {"name": row["stage"], "loss": [], "held_out": []})
+        stage["loss"].append(row["loss"])
+        if "held_out" in row:
+            stage["held_out"].append((len(stage["loss"]), row["held_out"]))
+    return list(stages.values())
+
+
+def _motion(result: Result) -> list[tuple[int, float, float, float]]:
+    """Frame, where its centre looks (x, y in px of the scene's grid), and its turn in degrees."""
+    rows = []
+    for frame in np.flatnonzero(result.frames_used):
+        m = result.motion[frame]
+        turn = np.degrees(np.arctan2(m[1, 0] - m[0, 1], m[0, 0] + m[1, 1]))
+        rows.append((int(frame), m[0, 2] / m[2, 2], m[1, 2] / m[2, 2], turn))
+    return rows
+
+
+def _histogram(raw: Array, scene: Array) -> dict[str, Any]:
+    """Shares of the pixels in bins over what both span, percentiles 0.5 to 99.5."""
+    limits = [ends(image) for image in (raw, scene)]
+    low, high = min(each for each, _ in limits), max(each for _, each in limits)
+    high = high if high > low else low + 1.0
+    shares = {
+        name: np.histogram(image, BINS, (low, high))[0] / max(image.size, 1)
+        for name, image in {"raw frame": raw, "scene": scene}.items()
+    }
+    return {"low": low, "high": high, "shares": shares}

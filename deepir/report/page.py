@@ -1,0 +1,44 @@
+"""One self-contained HTML page: a frame with a body, style, scripts and data put in."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from deepir.io.write import plain, replace
+
+WEB = Path(__file__).parent / "web"
+
+
+def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
+    """Write a page with a body and scripts of the folder `web`; they find `data` as JSON in `#data`.
+
+    The page's policy allows these scripts and this style by their digests, and nothing from a network: text that
+    got past the escaping would not run.
+    """
+    style = _read("page.css")
+    script = "".join(map(_read, ("page.js", *scripts)))
+    policy = f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}"
+    parts = {"policy": policy, "style": style, "body": _read(body), "script": script, "data": _json(data)}
+    page = _read("page.html")
+    for name, text in parts.items():
+        page = page.replace(f"%{name}%", text)
+    with replace(path) as part:
+        part.write_text(page, encoding="utf-8")
+
+
+def _read(name: str) -> str:
+    return (WEB / name).read_text(encoding="utf-8")
+
+
+def _digest(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _json(data: Mapping[str, Any]) -> str:
+    """JSON that cannot end the element it stands in: no `<`."""
+    return json.dumps(plain(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

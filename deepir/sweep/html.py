@@ -1,0 +1,54 @@
+"""`report.html` of a sweep: its table, to be sorted, with its curves and a link to the report of each run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from deepir.report.page import write_page
+from deepir.sweep.plots import curves, drawn
+from deepir.sweep.table import SHOWN, Group, Row, grouped, shown
+
+
+def write_report(path: Path, found: Sequence[Row], title: str) -> None:
+    """Write the page beside the folders of the runs; `title` is the command."""
+    groups, metrics = grouped(found), shown(found)
+    finished, against = drawn(found)
+    data = {
+        "title": title,
+        "axes": list(groups[0].values),
+        "metrics": [{"name": SHOWN[each][0], "decimals": SHOWN[each][1]} for each in metrics],
+        "rows": [
+            {
+                "values": list(group.values.values()),
+                "spreads": [group.spread(metric) for metric in metrics],
+                "runs": [_run(path.parent, row) for row in group.rows],
+            }
+            for group in groups
+        ],
+        "most": metrics[0] == "psnr_aligned",  # the first metric is best where it is greatest; others: least
+        "curves": {x: _curves(curves(finished), x, metrics[0]) for x in against},
+    }
+    write_page(path, "sweep.html", ("plots.js", "sweep.js"), data)
+
+
+def _run(folder: Path, row: Row) -> dict[str, Any]:
+    """A run, with where its own report is, if it is there."""
+    report = folder / row.name / "report.html"
+    link = f"{quote(row.name)}/report.html" if report.is_file() else None
+    return {"name": row.name, "link": link, "done": bool(row.metrics), "error": row.error}
+
+
+def _curves(lines: dict[str, list[Group]], x: str, metric: str) -> list[dict[str, Any]]:
+    """Name, and (x, median, least, greatest) of each point, of each line."""
+    found = []
+    for name, groups in lines.items():
+        points = [
+            (across[0], *up)
+            for group in groups
+            if (across := group.spread(x)) and (up := group.spread(metric))
+        ]
+        found.append({"name": name, "points": sorted(points)})
+    return found
