@@ -16,10 +16,10 @@ demo: setup  ## correct a simulated burst; results and pictures in runs/demo/
 	$(BIN)/deepir demo
 
 test: setup lint  ## lint and tests
-	$(BIN)/python -m pytest -m "not slow and not matrix"
+	$(BIN)/python -m pytest -n 2 -m "not slow and not matrix"
 
 test-all: setup lint  ## lint and all tests, the slow ones too
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 lint: setup  ## ruff and mypy
 	$(BIN)/ruff check .
