@@ -68,7 +68,7 @@ def _noise_and_motion(frames: Array) -> list[str]:
     lines = [f"temporal noise about {temporal_noise(frames):.3g} (standard deviation of a sample)"]
     shift, evidence = apparent_motion(frames)
     if shift > STILL and evidence > SURE:
-        return [*lines, f"motion: yes, roughly {shift:.1g} px between frames, or more"]
+        return [*lines, f"motion: yes, roughly {shift:.1f} px between frames, or more"]
     return [
         *lines,
         "motion: none to be seen; without motion the fixed pattern cannot be told from the scene",

@@ -1,0 +1,78 @@
+"""The commands of the tutorial and the gallery, on smaller frames and with fewer iterations than on the pages."""
+
+import re
+import shlex
+
+import pytest
+from documentation import ROOT
+
+from deepir.cli import main
+from deepir.config import SHIPPED
+
+TUTORIAL = ROOT / "docs/tutorial.md"
+GALLERY = ROOT / "docs/gallery.md"
+SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), re.MULTILINE | re.DOTALL))
+SHAPE = re.compile(r"shape=\[\d+,\d+\]")
+
+
+@pytest.fixture
+def working_folder(tmp_path, monkeypatch):
+    """An empty one."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def command(line, capfd):
+    """What `deepir ...` prints, on both streams."""
+    program, *arguments = shlex.split(SHAPE.sub("shape=[80,96]", line), comments=True)
+    assert program == "deepir"
+    quick = ["solver.max_iterations=3"] if arguments[0] == "run" else []
+    capfd.readouterr()
+    status = main([*arguments, *quick])
+    printed = "".join(capfd.readouterr())
+    assert status == 0, printed
+    return printed
+
+
+def shown(page):
+    """(kind, text) of the page's commands and of what they print, in order."""
+    return re.findall(r"^```(sh|text)\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+
+
+def commands(text):
+    return text.replace("\\\n", " ").splitlines()
+
+
+def told(line):
+    """A line without its figures, which are other ones on smaller frames."""
+    return re.sub(r"[\d.]+(e[+-]\d+)?", "#", line.strip())
+
+
+def test_the_tutorial_runs_and_prints_what_it_shows(capfd, working_folder):
+    printed: set[str] = set()
+    for kind, text in shown(TUTORIAL):
+        if kind == "text":
+            assert {told(line) for line in text.splitlines()} <= printed
+            continue
+        printed = set()
+        for line in commands(text):
+            printed |= {told(each) for each in command(line, capfd).splitlines()}
+
+
+def test_every_shipped_configuration_is_in_the_gallery():
+    assert SECTIONS.keys() == {path.stem for path in SHIPPED.glob("*.yaml")}
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_the_gallery_runs(name, capfd, working_folder):
+    simulated, run = commands(re.search(r"^```sh\n(.*?)^```$", SECTIONS[name], re.MULTILINE | re.DOTALL)[1])
+    command(simulated, capfd)
+    assert run.split()[2] == name
+    command(run, capfd)
+    assert (working_folder / f"runs/{name}/result.npz").exists()
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_the_gallerys_pictures_are_small(name):
+    assert f"(images/gallery/{name}.png)" in SECTIONS[name]
+    assert (ROOT / f"docs/images/gallery/{name}.png").stat().st_size < 60_000
