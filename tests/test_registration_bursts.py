@@ -11,6 +11,7 @@ from deepir.registration import align, burst, likelihood, register
 from deepir.registration.flatten import flatten
 from deepir.scenes import sky
 from deepir.simulate import Settings, simulate
+from deepir.simulate.pictures import picture as scene
 
 SHAPE = (128, 160)
 #: Counts on a pedestal: a pixel's gain of 3 % is a pattern of 240 counts.
@@ -151,6 +152,15 @@ def test_a_burst_that_stands_still_is_found_still(settings):
     result = register(frames + noise)
     assert result.used.all()
     assert torch.equal(result.motion, torch.eye(3, dtype=torch.float64).expand(5, 3, 3))
+
+
+@pytest.mark.parametrize("name", ["camera", "moon", "astronaut"])
+@pytest.mark.parametrize("seed", [5, 6])
+def test_pixels_that_flicker_do_not_set_a_still_burst_in_motion(name, seed):
+    settings = Settings(n_frames=5, shape=(120, 160), counts=True, max_shift=0.0)
+    found = simulate(scene(name), settings, seed=seed)
+    result = register(torch.from_numpy(found.frames.astype(np.float32)))
+    assert np.abs((result.motion.numpy() - np.eye(3))[result.used.numpy()]).max() < 0.1
 
 
 def test_an_object_that_goes_its_own_way_does_not_take_the_motion_along():

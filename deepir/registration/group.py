@@ -17,6 +17,9 @@ FAILED = 0.6  # agreement below which a frame is left out: other scenes reach 0.
 OVERLAP = 0.15  # share of the frame that must see what others see
 CLEARLY = 1.5  # times more unexplained: a worse motion
 SAME = 1.1  # times what is left with motions, for each degree of freedom: frames that do not move
+#: Motions by more than this share of the frame explain frames that do not move, too, down to so many times less: what
+#: few frames see is easily explained.
+FAR, SAME_IF_FAR = 0.3, 4.0
 ROUGH = 3  # rounds of alignment
 
 
@@ -73,7 +76,8 @@ def at_rest(level: Level, found: Aligned) -> Tensor:
     if len(frames) < 3:
         return torch.zeros_like(same)
     change = float((frames - frames.mean(0)).square().mean() / frames.square().mean().clamp_min(1e-12))
-    return same & (change / (len(frames) - 1) < SAME * left(found))
+    far = found.motion[:, :2, 2].abs() > FAR * torch.tensor(level.shape[::-1])
+    return same & (change / (len(frames) - 1) < (SAME_IF_FAR if far.any() else SAME) * left(found))
 
 
 def agreement(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:
