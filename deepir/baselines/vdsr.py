@@ -13,10 +13,9 @@ from torch import Tensor, nn
 from deepir import weights
 from deepir.baselines.average import Array, averaged, find, pulled_back, whole
 from deepir.baselines.bicubic import enlarged
-from deepir.baselines.online import scaled
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.geometry import scaled as motion_on
+from deepir.geometry import scaled
 from deepir.registry import register
 from deepir.result import Result
 
@@ -31,43 +30,43 @@ def vdsr(burst: Burst, config: Config) -> Result:
     """
     found = motion, used, _ = find(burst, config)
     result = averaged(burst, config, burst.frames, found)
-    if len(used) == 1:
-        motion = torch.eye(3)[None]
     if motion is not None:
         ratio = result.scene.shape[0] / burst.size[0]
         good = (burst.valid & ~burst.bad_pixels)[used]
-        frames, low, span = scaled(whole(burst.frames[used], good))
-        fine = np.stack([sharpened(enlarged(frame, ratio)) for frame in frames])
+        fine = np.stack([sharpened(enlarged(frame, ratio)) for frame in whole(burst.frames[used], good)])
         seen = np.stack([enlarged(each.astype(float), ratio) > 0.5 for each in good])
-        scene = pulled_back(fine, seen, motion_on(motion[used], ratio).numpy())
-        result.scene = (low + span * scene.numpy()).astype(np.float32)
+        result.scene = pulled_back(fine, seen, scaled(motion[used], ratio).numpy()).numpy().astype(np.float32)
     return result
 
 
 def sharpened(frame: Array) -> Array:
-    """An enlarged frame (h, w), from about zero to about one, with what enlarging has lost."""
-    picture = torch.from_numpy(frame.astype(np.float32))[None, None]
+    """An enlarged frame (h, w), in any unit, with what enlarging has lost."""
+    level = frame.mean(dtype=np.float64)
+    picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]
     with torch.no_grad():
-        return np.asarray(_trained()(picture)[0, 0].numpy())
+        return np.asarray(_trained()(picture)[0, 0].numpy() + level)
 
 
 class VDSR(nn.Module):
-    """Convolutions whose result is added to the picture, (B, 1, H, W); beyond its edges are zeros, as in the paper."""
+    """Convolutions whose result is added to the picture, (B, 1, H, W).
+
+    There are no biases, and the picture's mean is taken off first, so the network knows no units. Beyond the picture's
+    edges are zeros, as in the paper.
+    """
 
     def __init__(self, depth: int = 10, width: int = 32) -> None:
         super().__init__()
         widths = pairwise([1, *[width] * (depth - 1), 1])
-        layers = [nn.Conv2d(before, after, 3, padding=1) for before, after in widths]
+        layers = [nn.Conv2d(before, after, 3, padding=1, bias=False) for before, after in widths]
         for layer in layers:
             nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-            nn.init.zeros_(layer.bias)
         nn.init.zeros_(layers[-1].weight)  # at first it does nothing
         self.layers = nn.ModuleList(layers)
 
     def forward(self, picture: Tensor) -> Tensor:
         """Same shape as `picture`."""
         *layers, last = self.layers
-        x = picture
+        x = picture - picture.mean((1, 2, 3), keepdim=True)
         for layer in layers:
             x = F.relu(layer(x))
         out: Tensor = picture + last(x)
