@@ -1,6 +1,8 @@
 """What `deepir train` trains, and the network that takes off noise."""
 
+import importlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +19,6 @@ from deepir.errors import DataError
 from deepir.registry import components
 from deepir.training.pictures import PHOTOGRAPHS, Pictures
 from deepir.training.training import Training, train
-
-SHIPPED = weights.SHIPPED / "denoiser.safetensors"
 
 
 class Line(Training):
@@ -69,6 +69,18 @@ def test_nothing_is_learnt_from_pictures_that_are_kept_for_judging():
     assert pictures.FIRST >= 1000
 
 
+def test_no_rival_learns_from_what_rivals_are_judged_by(monkeypatch):
+    from deepir.training.pictures import JUDGES_OF_RIVALS
+
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
+    rivals = importlib.import_module("rivals")
+    assert set(JUDGES_OF_RIVALS) == set(PHOTOGRAPHS) & set(rivals.PICTURES)
+    everything, fewer = (Pictures(np.random.default_rng(0), without) for without in ((), JUDGES_OF_RIVALS))
+    assert (
+        len(everything.photographs) - len(fewer.photographs) == 2 * 3 * 3
+    )  # two of three colours in three sizes
+
+
 def test_crops_are_in_the_range_of_the_pictures_or_its_negative():
     crops = Pictures(np.random.default_rng(0)).crops(6, 32)
     assert crops.shape == (6, 1, 32, 32)
@@ -105,12 +117,14 @@ def test_weights_of_another_network_are_refused(tmp_path):
         weights.load(UNet((4, 6)), tmp_path / "nothing.safetensors")
 
 
-def test_the_shipped_weights_are_small_and_say_how_they_were_made():
-    assert SHIPPED.stat().st_size <= 2e6
-    with safe_open(SHIPPED, "pt") as file:
+@pytest.mark.parametrize("name", components("training"))
+def test_the_shipped_weights_are_small_and_say_how_they_were_made(name):
+    path = weights.SHIPPED / f"{name}.safetensors"
+    assert path.stat().st_size <= 2e6
+    with safe_open(path, "pt") as file:
         about = json.loads(file.metadata()["about"])
-    assert about["training"] == "denoiser"
-    assert about["iterations"] == components("training")["denoiser"].iterations
+    assert about["training"] == name
+    assert about["iterations"] == components("training")[name].iterations
     assert {"seed", "threads", "torch"} <= about.keys()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,17 +12,21 @@ from deepir.scenes import procedural
 
 #: Of scikit-image; all others are kept for tuning and judging.
 PHOTOGRAPHS = ("brick", "cell", "chelsea", "coffee", "hubble_deep_field", "retina")
+JUDGES_OF_RIVALS = ("chelsea", "coffee")  # benchmarks/rivals.py judges by them: no rival learns from them
 FIRST, SCENES = 1000, 160  # seeds of the drawn scenes; those below are for tuning and judging
 HEIGHTS = (160, 520)  # px of a drawn scene: coarse and fine ones
 SHRUNK = (1, 2, 3)  # times; a photograph is sharper when it is small
 
 
 class Pictures:
-    """Pictures in [0, 1], and crops of them: half are of photographs, half of scenes, each drawn when it is wanted."""
+    """Pictures in [0, 1], and crops of them: half are of photographs, half of scenes, each drawn when it is wanted.
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    `without` names photographs that are not to be learnt from.
+    """
+
+    def __init__(self, rng: np.random.Generator, without: Sequence[str] = ()) -> None:
         self.rng = rng
-        self.photographs = _photographs()
+        self.photographs = _photographs([name for name in PHOTOGRAPHS if name not in without])
         self.heights = rng.integers(*HEIGHTS, SCENES)
         self.drawn: dict[int, np.ndarray] = {}
 
@@ -47,13 +53,13 @@ class Pictures:
         return self.drawn[i]
 
 
-def _photographs() -> list[np.ndarray]:
+def _photographs(names: Sequence[str]) -> list[np.ndarray]:
     """Each colour of each photograph, in several sizes."""
     import skimage.data
     from skimage.transform import downscale_local_mean
 
     found = []
-    for name in PHOTOGRAPHS:
+    for name in names:
         whole = np.atleast_3d(getattr(skimage.data, name)()).astype(np.float32) / 255
         for colour in np.moveaxis(whole, -1, 0):
             found += [downscale_local_mean(colour, (times, times)).astype(np.float32) for times in SHRUNK]

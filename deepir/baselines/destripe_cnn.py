@@ -1,0 +1,48 @@
+"""A network that sees the stripes of one frame."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import torch
+
+from deepir import weights
+from deepir.baselines.average import Array, averaged, whole
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.denoisers.unet import UNet
+from deepir.registry import register
+from deepir.result import Result
+
+
+@register("method", "destripe_cnn")
+def destripe_cnn(burst: Burst, config: Config) -> Result:
+    """Take column stripes off each frame by a trained network, then register and average.
+
+    In the manner of Z. He, Y. Cao, Y. Dong, J. Yang, Y. Cao, C.-L. Tisse: Single-image-based nonuniformity correction
+    of uncooled long-wave infrared detectors: a deep-learning approach, Applied Optics 57 (2018): a network finds
+    the residual, and has learnt it from simulated columns. Theirs is another network, and has seen other pictures.
+    `deepir train destripe_cnn` makes the weights.
+    """
+    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels)
+    return averaged(burst, config, np.stack([destriped(frame) for frame in frames]))
+
+
+def destriped(frame: Array) -> Array:
+    """A frame (h, w), in any unit, without its stripes; the level stays."""
+    level = frame.mean(dtype=np.float64)
+    picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]
+    with torch.no_grad():
+        found = _trained().of_any_size(picture, 0.0)[0, 0].numpy()
+    return np.asarray(found - found.mean() + level)
+
+
+def network() -> UNet:
+    """A U-net that is not told how strong the stripes are."""
+    return UNet((24, 48, 96))
+
+
+@functools.cache
+def _trained() -> UNet:
+    return weights.load(network(), weights.SHIPPED / "destripe_cnn.safetensors")

@@ -1,0 +1,64 @@
+"""The learned destriper of columns. The pictures are none that it has learnt from."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skimage.transform import resize
+
+from deepir.baselines.destripe_cnn import destriped
+from deepir.metrics import scores
+from deepir.scenes import procedural
+from deepir.simulate.pictures import picture
+
+
+def scene(name="camera"):
+    return resize(picture(name), (96, 128), anti_aliasing=True)
+
+
+def striped(clean, gain=0.15, offset=0.02):
+    gains, offsets = np.random.default_rng(0).standard_normal((2, clean.shape[1]))
+    return clean * (1 + gain * gains) + offset * offsets
+
+
+@pytest.mark.parametrize("name", ["camera", "moon", "astronaut"])
+def test_columns_are_taken_out_of_a_fresh_photograph_by_five_decibels_at_least(name):
+    before, after = (
+        scores(each, scene(name))["psnr_aligned"]
+        for each in (striped(scene(name)), destriped(striped(scene(name))))
+    )
+    assert after > before + 5
+
+
+def test_columns_are_taken_out_of_a_fresh_drawing_by_five_decibels_at_least():
+    clean = procedural(1, (96, 128))
+    before, after = (
+        scores(each, clean)["psnr_aligned"] for each in (striped(clean), destriped(striped(clean)))
+    )
+    assert after > before + 5
+
+
+def test_stripes_on_a_flat_field_are_found_within_a_fifth():
+    stripes = striped(np.zeros((96, 128)))
+    assert (destriped(stripes) - stripes.mean())[:, 4:-4].std() < 0.2 * stripes.std()
+
+
+def test_rows_are_the_scenes():
+    # The same stripes turned: nothing says that they are the sensor's.
+    rows = striped(scene().T).T - scene()
+    left = destriped(scene() + rows) - destriped(scene())
+    assert np.corrcoef(left.ravel(), rows.ravel())[0, 1] > 0.95
+
+
+@settings(max_examples=5, deadline=None)
+@given(
+    gain=st.floats(1e-2, 1e4), level=st.floats(-10, 10), height=st.integers(9, 40), width=st.integers(9, 40)
+)
+def test_it_knows_no_units_and_any_size_will_do(gain, level, height, width):
+    frame = np.random.default_rng(height).random((height, width))
+    assert np.allclose(destriped(gain * (frame + level)) / gain - level, destriped(frame), atol=1e-4)
+
+
+def test_the_level_stays():
+    frame = 8000 + 1500 * striped(scene())
+    assert destriped(frame).mean() == pytest.approx(frame.mean(), rel=1e-6)
