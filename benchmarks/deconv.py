@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import platform
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import numpy as np
 import torch
 from nuc_regimes import picture
 from skimage.restoration import richardson_lucy, unsupervised_wiener, wiener
+from written import write
 
 import deepir
 from deepir.metrics import scores
@@ -45,15 +45,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    lines = [
-        f"<!-- written by benchmarks/deconv.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()} -->"
-    ]
-    for line in report(options):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    write(report(options), "benchmarks/deconv.py", options.output)
 
 
 def report(options: argparse.Namespace) -> Iterator[str]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import os
-import platform
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +20,7 @@ import numpy as np
 import torch
 from nuc_regimes import picture
 from scipy import ndimage
+from written import write
 
 import deepir
 from deepir.metrics import scores
@@ -61,15 +61,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    lines = [
-        f"<!-- written by benchmarks/flow.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()} -->"
-    ]
-    for line in itertools.chain(simulated(options), real(options)):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    write(itertools.chain(simulated(options), real(options)), "benchmarks/flow.py", options.output)
 
 
 def simulated(options: argparse.Namespace) -> Iterator[str]:

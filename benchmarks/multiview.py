@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import torch
 from scipy import ndimage
+from written import write
 
 import deepir
 from deepir.metrics import scores
@@ -55,15 +55,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    lines = [
-        f"<!-- written by benchmarks/multiview.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()} -->"
-    ]
-    for line in report(options.panels):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    write(report(options.panels), "benchmarks/multiview.py", options.output)
 
 
 def report(panels: Path | None) -> Iterator[str]:

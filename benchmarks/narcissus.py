@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-import platform
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from nuc_oracle import aligned, oracle
 from nuc_regimes import CLEAN, COUNTS, UNIT, picture
 from nuc_store import kept
 from sr import stretch
+from written import write
 
 import deepir
 from deepir.io import read_frames
@@ -53,15 +53,7 @@ def main() -> None:
         if "DEEPIR_DATA" in os.environ:
             vignetting(options.panels)
         return
-    lines = [
-        f"<!-- written by benchmarks/narcissus.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()} -->"
-    ]
-    for line in report(fresh=options.fresh):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    write(report(fresh=options.fresh), "benchmarks/narcissus.py", options.output)
 
 
 def report(*, fresh: bool) -> Iterator[str]:

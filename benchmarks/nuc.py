@@ -7,7 +7,6 @@ runs/bench-nuc, so that a second run costs deepir's own time only; `--warm` does
 from __future__ import annotations
 
 import argparse
-import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from nuc_regimes import REGIMES, SEEDS, Regime, picture
 from nuc_store import REGISTRATION, burst, code, kept
 from nuc_table import HEADER, Case, Row, summary
 from skimage.restoration import denoise_tv_chambolle
+from written import write
 
 import deepir
 from deepir.errors import DeepIRError
@@ -42,15 +42,8 @@ def main() -> None:
     if options.warm:
         warm(regimes, halves, options.seeds, fresh=options.fresh)
         return
-    lines = [
-        f"<!-- written by benchmarks/nuc.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"python {platform.python_version()}; seeds {[SEEDS[half][: options.seeds] for half in halves]} -->"
-    ]
-    for line in report(regimes, halves, options):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    script = f"benchmarks/nuc.py, seeds {[SEEDS[half][: options.seeds] for half in halves]}"
+    write(report(regimes, halves, options), script, options.output)
 
 
 def chosen(names: Sequence[str] | None) -> dict[str, Regime]:

@@ -19,6 +19,7 @@ import torch
 from nuc_oracle import aligned
 from nuc_regimes import REGIMES, SEEDS
 from nuc_store import burst
+from written import write
 
 import deepir
 from deepir.config import load, priors
@@ -43,17 +44,10 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="write the table to this file too")
     options = parser.parse_args()
     names = options.prior or [name for name in priors() if options.published or not published(name)]
-    lines = [
-        f"<!-- written by benchmarks/priors.py: deepir {deepir.__version__}, torch {torch.__version__}, "
-        f"{torch.get_num_threads()} threads; seeds {SEEDS['A'][: options.seeds]} -->"
-    ]
-    for line in chain(
-        report(names, SEEDS["A"][: options.seeds]), [""], fine_report(names, sr.SEEDS[: options.seeds])
-    ):
-        print(line, flush=True)
-        lines.append(line)
-    if options.output:
-        options.output.write_text("\n".join(lines) + "\n")
+    seeds = SEEDS["A"][: options.seeds]
+    script = f"benchmarks/priors.py, {torch.get_num_threads()} threads, seeds {seeds}"
+    lines = chain(report(names, seeds), [""], fine_report(names, sr.SEEDS[: options.seeds]))
+    write(lines, script, options.output)
 
 
 def published(name: str) -> bool:
