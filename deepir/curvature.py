@@ -45,6 +45,7 @@ FLOOR = 0.3
 class Curvature:
     """An approximate inverse Hessian for some parameters of a problem, the scene's pixels among them."""
 
+    @torch.no_grad()
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
     ) -> None:
@@ -71,6 +72,11 @@ class Curvature:
         spectrum = torch.fft.rfft2(scene)
         torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
         waves = torch.fft.irfft2(spectrum, s=scene.shape)
+        if not len(self.tensors["slow"]):
+            into[self.scene].copy_(waves.flatten())
+            for i in self.others:
+                into[i].zero_()
+            return found
         in_y, in_x, terms = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
         slow = torch.cat([(in_y @ scene @ in_x.T)[terms], *(given[i] for i in self.others)]).double()
         sizes = [len(terms[0]), *(self.sizes[i] for i in self.others)]
@@ -115,8 +121,8 @@ def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
     """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`."""
     if not modelled(problem):
         return None
-    scene = problem.values()["scene"]
-    found = _waves(problem, eliminated, scene, *_frequencies(scene.shape[-2:], scene.device))
+    scene, precision = problem.fields["scene"](), typical_noise(problem.precision) ** -2
+    found = _waves(problem, eliminated, scene, precision, *_frequencies(scene.shape[-2:], scene.device))
     return found.clamp(min=RIDGE * float(found.mean()))
 
 
@@ -135,26 +141,21 @@ def _tensors(
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
     """`waves` (H, W / 2 + 1), inverse curvatures; `slow`, that of polynomials and levels; `scales` of all others."""
-    values = problem.values()
-    motion = values[problem.slots["warp.motion"]].double()
     scene: Any = problem.fields["scene"]
-    unit = float(scene.scale) ** 2
+    value, unit = scene(), float(scene.scale) ** 2
     precision = typical_noise(problem.precision) ** -2
-    waves = unit * _waves(
-        problem, eliminated, values["scene"], *_frequencies(scene.shape[-2:], motion.device)
-    )
+    waves = unit * _waves(problem, eliminated, value, precision, *_frequencies(scene.shape[-2:], value.device))
     mean = float(waves.mean())
     waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
-    slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
+    slopes = float(squared_gradient(problem.operator.image(value)).mean()) / 2
     scales = []
     for field, parameter in zip(fields, parameters, strict=True):
         moves = isinstance(field, Motion | Flow)
         known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
-    inverse = _slow(problem, slow, others, eliminated)
-    if not (eliminated or any(isinstance(each, Terms) for each in others)):
-        inverse = torch.zeros_like(inverse)
+    told = eliminated or any(isinstance(each, Terms) for each in others)
+    inverse = _slow(problem, slow, others, eliminated) if told else torch.zeros(0, 0)
     return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
 
 
@@ -176,10 +177,11 @@ def _measured(problem: Problem, parameter: nn.Parameter) -> float:
     return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
-def _waves(problem: Problem, eliminated: Collection[str], scene: Tensor, y: Tensor, x: Tensor) -> Tensor:
+def _waves(
+    problem: Problem, eliminated: Collection[str], scene: Tensor, precision: float, y: Tensor, x: Tensor
+) -> Tensor:
     """Curvature along waves of frequencies y (ny, 1) and x (nx,), radians a px, (ny, nx), in units of the scene."""
-    motion = problem.values()[problem.slots["warp.motion"]].double()
-    precision = typical_noise(problem.precision) ** -2
+    motion = problem.fields[problem.slots["warp.motion"]]().double()
     told = torch.full((), float(len(motion)), device=motion.device)
     if eliminated:
         shared = _shared(problem, eliminated, precision, len(motion), scene.shape[-2:], y, x)
@@ -287,11 +289,13 @@ def _rest(problem: Problem, slow: Slow, field: Terms, variance: dict[tuple[int, 
 
 def _stiffness(problem: Problem, slow: Slow) -> Tensor:
     """What the scene's penalties make of its polynomials: a matrix."""
-    value = problem.values()["scene"]
+    value = problem.fields["scene"]()
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(value) for penalty in penalties]
     of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
-    maps = slow.scene.spread(torch.eye(len(slow.scene.white), dtype=torch.float64, device=value.device))
-    flat = [each.flatten(1) for each in (maps, maps.diff(dim=-1), maps.diff(dim=-2))]
-    values, right, down = (each @ each.T for each in flat)
-    return of_value * values + of_gradient * (right + down)
+    basis = slow.scene  # of products of functions of y and of x, whose sums are products, too
+    (y, down), (x, right) = (
+        [each @ each.T for each in (along[of], along[of].diff(dim=-1))]
+        for along, of in ((basis.in_y, basis.of_y), (basis.in_x, basis.of_x))
+    )
+    return of_value * y * x + of_gradient * (y * right + down * x)

@@ -61,14 +61,18 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     some, data, precision, held = thinned(prediction, problem.data, problem.precision, problem.held_out)
     counts = precision > 0
     residual, signal, held = (some - data)[counts].abs(), some[counts].clamp(min=0), held[counts]
-    bins = _bins(signal)
+    # By bin, the fitted samples and those held out: each group's lie side by side, which spares twenty masks.
+    group = (2 * _bins(signal) + held).to(torch.uint8).cpu().numpy()
+    order = torch.from_numpy(np.argsort(group, kind="stable")).to(residual.device)
+    sizes = np.bincount(group, minlength=2 * BINS).tolist()
+    residuals, signals = residual[order].split(sizes), signal[order].split(sizes)
     # Data that are rounded more coarsely than they are noisy may leave no residual at all.
     rounding = (torch.finfo(problem.data.dtype).eps * float(signal.max())) ** 2
     rows, seen = [], []
     for i in range(BINS):
-        fitted, new = residual[(bins == i) & ~held], residual[(bins == i) & held]
+        fitted, new = residuals[2 * i : 2 * i + 2]
         if len(new) >= 20:
-            rows.append((1.0, float(signal[bins == i].mean())))
+            rows.append((1.0, float(torch.cat(signals[2 * i : 2 * i + 2]).mean())))
             seen.append(float(MAD**2 * fitted.median() * new.median()) + rounding)
     if not rows:  # too few samples are held out to see any noise
         return

@@ -84,16 +84,22 @@ def start_scene_and_parts(problem: Problem) -> None:
     start_parts(problem)
     doubt_misfits(problem)
     for _ in range(TURNS):
-        start_scene(problem)
+        start_scene(problem, again=True)
         doubt_misfits(problem)
 
 
 @torch.no_grad()
-def start_scene(problem: Problem) -> None:
-    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
-    average, weight = problem.backproject(problem.values())
+def start_scene(problem: Problem, *, again: bool = False) -> None:
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
+
+    Or, `again`, as it was.
+    """
+    values = problem.values()
+    average, weight = problem.backproject(values)
     frames = len(problem.data) / len(average)  # that show a scene
-    problem.fields["scene"].init_from(filled(average, weight > SEEN * weight.max() / frames))
+    known = weight > SEEN * weight.max() / frames
+    scene = torch.where(known, average, values["scene"]) if again else filled(average, known)
+    problem.fields["scene"].init_from(scene)
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
