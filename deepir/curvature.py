@@ -66,12 +66,11 @@ class Curvature:
         """The approximate inverse Hessian times a flat gradient."""
         found = torch.empty_like(slope)
         given, into = slope.split(self.sizes), found.split(self.sizes)
-        for each, out, scale in zip(given, into, self.tensors["scales"], strict=True):
-            torch.mul(each, scale, out=out)
+        for i, scale in enumerate(self.tensors["scales"]):
+            if i != self.scene:
+                torch.mul(given[i], scale, out=into[i])
         scene = given[self.scene].reshape(self.basis.shape[-2:])
-        spectrum = torch.fft.rfft2(scene)
-        torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
-        waves = torch.fft.irfft2(spectrum, s=scene.shape)
+        waves = torch.fft.irfft2(torch.fft.rfft2(scene).mul_(self.tensors["waves"]), s=scene.shape)
         if not len(self.tensors["slow"]):
             into[self.scene].copy_(waves.flatten())
             for i in self.others:

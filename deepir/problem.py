@@ -105,7 +105,9 @@ class Problem(nn.Module):
         precision = self.fitted() if precision is None else precision
         terms = {"data": self._misfit(values, eliminated, precision)}
         for name, field in self.fields.items():
-            if (prior := field.penalty()) is not None:
+            with torch.set_grad_enabled(torch.is_grad_enabled() and name not in eliminated):
+                prior = field.penalty()
+            if prior is not None:
                 terms[name] = prior
             for kind, penalty in self.penalties[name].items() if name in self.penalties else ():
                 terms[f"{name}.{kind}"] = penalty(self.shown(name, values[name], penalty))
