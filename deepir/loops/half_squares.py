@@ -30,14 +30,19 @@ def of_sensor(first, last, flux, data, precision, gain, offset, level, u, v, sys
         for k in range(len(flux)):
             z, y, w, into = flux[k, i], data[k, i], precision[k, i], slope[k, i]
             less, total, along = level[k], 0.0, 0.0
-            for j in range(len(z)):
-                residual = g[j] * z[j] + o[j] + less - y[j]
-                weighted = w[j] * residual
-                into[j] = g[j] * weighted
-                total += residual * weighted
-                along += weighted
-            nats[k, i], drift[k, i] = total / 2, along
             if u > 0:
                 aa, ab = system[0, i], system[1, i]
                 for j in range(len(z)):
-                    into[j] += w[j] * ((u - u * u * aa[j]) * z[j] - u * v * ab[j])
+                    residual = g[j] * z[j] + o[j] + less - y[j]
+                    weighted = w[j] * residual
+                    into[j] = g[j] * weighted + w[j] * ((u - u * u * aa[j]) * z[j] - u * v * ab[j])
+                    total += residual * weighted
+                    along += weighted
+            else:
+                for j in range(len(z)):
+                    residual = g[j] * z[j] + o[j] + less - y[j]
+                    weighted = w[j] * residual
+                    into[j] = g[j] * weighted
+                    total += residual * weighted
+                    along += weighted
+            nats[k, i], drift[k, i] = total / 2, along
