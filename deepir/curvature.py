@@ -7,7 +7,8 @@ they share,
 
     w (n - |Σ_j exp(i k d_j)|² / (n + 1 / (w V))),
 
-less by the spline that the warp samples, and more by the penalties. Waves longer than the frame, which a Fourier
+less by the spline that the warp samples, and more by the penalties. Where samples are surer than the usual one, by light
+or by a known gain, the scene changes by as much less. Waves longer than the frame, which a Fourier
 transform does not have, and the levels of the frames, which look like slopes to a camera that moves, are taken together
 in a small dense system.
 """
@@ -40,6 +41,8 @@ RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
 #: to run to where a weak prior has its optimum: pattern in the scene.
 FLOOR = 0.3
+#: Information of all samples on a pixel of the scene, in that of usual ones, that is made use of.
+UNEVEN = (0.5, 30.0)
 
 
 class Curvature:
@@ -70,7 +73,9 @@ class Curvature:
             if i != self.scene:
                 torch.mul(given[i], scale, out=into[i])
         scene = given[self.scene].reshape(self.basis.shape[-2:])
-        waves = torch.fft.irfft2(torch.fft.rfft2(scene).mul_(self.tensors["waves"]), s=scene.shape)
+        even = self.tensors["even"]
+        spectrum = torch.fft.rfft2(scene * even).mul_(self.tensors["waves"])
+        waves = torch.fft.irfft2(spectrum, s=scene.shape).mul_(even)
         if not len(self.tensors["slow"]):
             into[self.scene].copy_(waves.flatten())
             for i in self.others:
@@ -139,7 +144,9 @@ def _tensors(
     others: Sequence[Drift | Terms],
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
-    """`waves` (H, W / 2 + 1), inverse curvatures; `slow`, that of polynomials and levels; `scales` of all others."""
+    """Inverse curvatures: `waves` (H, W / 2 + 1), with `even` (H, W) before and after; `slow`, of polynomials and levels;
+    `scales`, of all others.
+    """
     scene: Any = problem.fields["scene"]
     value, unit = scene(), float(scene.scale) ** 2
     precision = typical_noise(problem.precision) ** -2
@@ -155,7 +162,21 @@ def _tensors(
         scales.append(1 / known if known > 0 else 1 / mean)
     told = eliminated or any(isinstance(each, Terms) for each in others)
     inverse = _slow(problem, slow, others, eliminated) if told else torch.zeros(0, 0)
-    return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
+    return {
+        "waves": waves.reciprocal_().to(scene.values),
+        "even": _even(problem, precision),
+        "slow": inverse,
+        "scales": torch.tensor(scales),
+    }
+
+
+def _even(problem: Problem, precision: float) -> Tensor:
+    """Square root of what usual samples would say of each pixel of the scene, in what these say, (H, W)."""
+    warp: Any = problem.operator.named()[0][1]
+    motion, gain = (problem.fields[problem.slots[slot]]() for slot in ("warp.motion", "sensor.gain"))
+    canvas = problem.fields["scene"].shape
+    told = warp.adjoint(problem.precision * gain.square(), (1, 1, *canvas[-2:]), motion=motion)[0, 0]
+    return told.div_(precision * len(motion)).clamp_(*UNEVEN).rsqrt_()
 
 
 def _lags(problem: Problem, parameter: nn.Parameter) -> bool:
