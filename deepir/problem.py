@@ -55,7 +55,8 @@ class Problem(nn.Module):
     ) -> None:
         super().__init__()
         self.operator, self.fidelity = operator, fidelity or Gaussian()
-        self.known_noise = False  # whether the precision is given, not to be estimated
+        #: Variance of a sample's noise at no signal, for each unit of it, and at least; None: to be estimated.
+        self.noise: tuple[float, float, float] | None = None
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
         self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]

@@ -48,16 +48,36 @@ def update_strengths(problem: Problem) -> None:
 
 @torch.no_grad()
 def update_noise(problem: Problem, *, settled: bool = False) -> None:
-    """Set each sample's precision to 1 / (read² + signal / photons), as the residuals have it.
+    """Set each sample's precision to 1 / (read² + signal / photons): the noise that is given, or the measured one.
+
+    Samples that misfit count less; with `settled`, pixels that misfit throughout are given up.
+    """
+    prediction = problem.predict(problem.values())
+    noise = problem.noise or _measured_noise(problem, prediction)
+    if noise is None:
+        return
+    read, photon, least = noise
+    usable, misfit = problem.precision > 0, torch.empty_like(prediction)
+    # A frame at a time: what is needed on the way stays in the cache.
+    for k, (seen_k, data_k) in enumerate(zip(prediction, problem.data, strict=True)):
+        torch.sub(seen_k, data_k, out=misfit[k]).square_().mul_(usable[k])
+        seen_k.clamp_(min=0).mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
+        misfit[k].div_(seen_k)
+    if settled:
+        usable &= ~defective(misfit, usable)
+    for k, variance_k in enumerate(prediction):
+        doubt = crowded(misfit[k : k + 1], usable[k : k + 1])[0]
+        doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)
+        torch.div(usable[k], doubt, out=problem.precision[k])
+
+
+def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float, float] | None:
+    """Variance of the noise at no signal, for each unit of it, and at least; None if too few residuals tell.
 
     Residuals of fitted samples are too small, by the freedom that the fit has, and those of held-out samples too
     large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
-    the noise. It is taken in bins of the signal, from medians, which leave outliers out. Samples that misfit count
-    less; with `settled`, pixels that misfit throughout are given up.
+    the noise. It is taken in bins of the signal, from medians, which leave outliers out.
     """
-    if problem.known_noise:
-        return
-    prediction = problem.predict(problem.values())
     some, data, precision, held = thinned(prediction, problem.data, problem.precision, problem.held_out)
     counts = precision > 0
     residual, signal, held = (some - data)[counts].abs(), some[counts].clamp(min=0), held[counts]
@@ -74,26 +94,14 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         if len(new) >= 20:
             rows.append((1.0, float(torch.cat(signals[2 * i : 2 * i + 2]).mean())))
             seen.append(float(MAD**2 * fitted.median() * new.median()) + rounding)
-    if not rows:  # too few samples are held out to see any noise
-        return
+    if not rows:
+        return None
     design, variance = np.array(rows), np.array(seen)
     unit = design.max(0).clip(min=1e-30)
     relative = design / unit / variance[:, None]  # errors are in proportion to the variance
     share, _ = nnls(relative, np.ones(len(rows)))
     read, photon = share / unit
-    least = float(0.1 * variance.min())
-    usable, misfit = problem.precision > 0, torch.empty_like(prediction)
-    # A frame at a time: what is needed on the way stays in the cache.
-    for k, (seen_k, data_k) in enumerate(zip(prediction, problem.data, strict=True)):
-        torch.sub(seen_k, data_k, out=misfit[k]).square_().mul_(usable[k])
-        seen_k.clamp_(min=0).mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
-        misfit[k].div_(seen_k)
-    if settled:
-        usable &= ~defective(misfit, usable)
-    for k, variance_k in enumerate(prediction):
-        doubt = crowded(misfit[k : k + 1], usable[k : k + 1])[0]
-        doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)
-        torch.div(usable[k], doubt, out=problem.precision[k])
+    return float(read), float(photon), 0.1 * float(variance.min())
 
 
 def _bins(values: Tensor) -> Tensor:
@@ -158,7 +166,7 @@ def doubt_misfits(problem: Problem) -> None:
 
     They are badly registered, or what they show moves by itself.
     """
-    if problem.known_noise:
+    if problem.noise is not None:
         return
     counted = problem.precision / problem.precision.amax()
     rest = problem.data - problem.predict(problem.values())

@@ -64,7 +64,7 @@ class Generic(Definition):
 
 def start_precision(problem: Problem) -> None:
     """Set the precision of usable samples to 1 / variance of the noise that the frames show, if none is given."""
-    if problem.known_noise:
+    if problem.noise is not None:
         return
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
