@@ -142,7 +142,7 @@ def _tensors(
     others: Sequence[Drift | Terms],
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
-    """`waves` (H, W / 2 + 1), inverse curvatures; `scales` of all others; given `slow`, that of polynomials and levels."""
+    """`waves` (H, W / 2 + 1), inverse curvatures; `scales` of all others; `slow`, that of polynomials and levels."""
     scene: Any = problem.fields["scene"]
     value, unit = scene(), float(scene.scale) ** 2
     precision = typical_noise(problem.precision) ** -2
