@@ -13,8 +13,6 @@ from deepir.normal_equations import Pixels, PixelsOnCPU
 from deepir.penalties.penalty import squared_gradient
 from deepir.penalties.rounded import lengths
 from deepir.penalties.tv import TV
-from deepir.registration.motion import rotation
-from deepir.registration.pyramid import build_level, sample
 
 sizes = st.tuples(st.integers(1, 6), st.integers(1, 50))
 types = st.sampled_from([torch.float32, torch.float64])
@@ -124,31 +122,6 @@ def test_what_the_pixels_own_parts_add_to_the_slope(size, u, v):
     given = (*frames, *maps, level, torch.tensor([u, v], dtype=torch.float64), system)
     found, wanted = half_squares.weighted_sensor_on_cpu(*given), half_squares.weighted_sensor(*given)
     assert all(torch.allclose(*pair) for pair in zip(found, wanted, strict=True))
-
-
-@settings(deadline=None)
-@given(
-    side=st.integers(8, 40),
-    shift=st.tuples(st.floats(-9, 9), st.floats(-9, 9)),
-    angle=st.floats(-0.5, 0.5),
-    tilt=st.floats(-0.01, 0.01),
-    holes=st.booleans(),
-)
-def test_an_image_that_rises_evenly_does_so_where_registration_samples_it(side, shift, angle, tilt, holes):
-    weight = torch.ones(side, side + 3)
-    weight[:, : 2 if holes else 0] = 0
-    level = build_level(torch.zeros(1, *weight.shape), weight, 1)
-    motion = rotation(torch.tensor([angle]))
-    motion[0, :2, 2], motion[0, 2, 0] = torch.tensor(shift), tilt
-    y, x = torch.meshgrid(*(torch.arange(n) - (n - 1) / 2 for n in weight.shape), indexing="ij")
-    moved = motion[0] @ torch.stack((x, y, torch.ones_like(x))).double().flatten(1)
-    at = (moved[:2] / moved[2].clamp(min=1e-3)).reshape(2, *weight.shape)
-    values, known = sample((3 * x + y)[None].float(), motion, level)
-    inside = (at[0].abs() <= x.max()) & (at[1].abs() <= y.max())
-    assert torch.allclose(values[0].double(), known[0] * (3 * at[0] + at[1]), atol=1e-3)
-    assert not known[0][(at[0].abs() > x.max() + 1e-6) | (at[1].abs() > y.max() + 1e-6)].any()
-    if not holes:
-        assert known[0][inside & (at[0].abs() < x.max() - 1e-6) & (at[1].abs() < y.max() - 1e-6)].all()
 
 
 @settings(deadline=None)
