@@ -7,10 +7,10 @@ they share,
 
     w (n - |Σ_j exp(i k d_j)|² / (n + 1 / (w V))),
 
-less by the spline that the warp samples, and more by the penalties. Where samples are surer than the usual one, by light
-or by a known gain, the scene changes by as much less. Waves longer than the frame, which a Fourier
-transform does not have, and the levels of the frames, which look like slopes to a camera that moves, are taken together
-in a small dense system.
+less by the spline that the warp samples, and more by the penalties. Where samples are surer than the usual one, by
+photons or a known gain, the scene moves by as much less. Waves longer than the frame, which a Fourier transform does
+not have, and the levels of the frames, which look like slopes to a camera that moves, are taken together in a small
+dense system.
 """
 
 from __future__ import annotations
@@ -58,11 +58,13 @@ class Curvature:
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
         #: Those of levels and of stray flux, which a slow scene looks like.
         self.others = [i for i, f in enumerate(mine) if isinstance(f, Drift | Terms) and f.sigma > 0]
-        slow = Slow(problem, tuple(parameters[self.scene].shape))
-        self.basis = slow.scene
         others: Any = [mine[i] for i in self.others]
+        # With the pattern known, and no stray flux, what is slow is nothing special.
+        told = bool(eliminated) or any(isinstance(each, Terms) for each in others)
+        self.shape = tuple(parameters[self.scene].shape)
+        slow = Slow(problem, self.shape) if told else None
+        self.basis = slow.scene if slow else None
         self.tensors = _tensors(problem, mine, parameters, slow, others, eliminated)
-        self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
@@ -72,16 +74,17 @@ class Curvature:
         for i, scale in enumerate(self.tensors["scales"]):
             if i != self.scene:
                 torch.mul(given[i], scale, out=into[i])
-        scene = given[self.scene].reshape(self.basis.shape[-2:])
+        scene = given[self.scene].reshape(self.shape[-2:])
         even = self.tensors["even"]
         spectrum = torch.fft.rfft2(scene * even).mul_(self.tensors["waves"])
         waves = torch.fft.irfft2(spectrum, s=scene.shape).mul_(even)
-        if not len(self.tensors["slow"]):
+        if self.basis is None:
             into[self.scene].copy_(waves.flatten())
             for i in self.others:
                 into[i].zero_()
             return found
-        in_y, in_x, terms = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
+        in_y, in_x = (each.to(scene) for each in (self.basis.in_y, self.basis.in_x))
+        terms = (self.basis.of_y, self.basis.of_x)
         slow = torch.cat([(in_y @ scene @ in_x.T)[terms], *(given[i] for i in self.others)]).double()
         sizes = [len(terms[0]), *(self.sizes[i] for i in self.others)]
         slow, *others = (self.tensors["slow"].double() @ slow).split(sizes)
@@ -140,17 +143,17 @@ def _tensors(
     problem: Problem,
     fields: Sequence[nn.Module],
     parameters: Sequence[nn.Parameter],
-    slow: Slow,
+    slow: Slow | None,
     others: Sequence[Drift | Terms],
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
-    """Inverse curvatures: `waves` (H, W / 2 + 1), with `even` (H, W) before and after; `slow`, of polynomials and levels;
-    `scales`, of all others.
-    """
+    """Inverse curvatures: `waves` (H, W / 2 + 1), `even` (H, W) before and after; of all others; of what is slow."""
     scene: Any = problem.fields["scene"]
     value, unit = scene(), float(scene.scale) ** 2
     precision = typical_noise(problem.precision) ** -2
-    waves = unit * _waves(problem, eliminated, value, precision, *_frequencies(scene.shape[-2:], value.device))
+    waves = unit * _waves(
+        problem, eliminated, value, precision, *_frequencies(scene.shape[-2:], value.device)
+    )
     mean = float(waves.mean())
     waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     slopes = float(squared_gradient(problem.operator.image(value)).mean()) / 2
@@ -160,14 +163,9 @@ def _tensors(
         known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
-    told = eliminated or any(isinstance(each, Terms) for each in others)
-    inverse = _slow(problem, slow, others, eliminated) if told else torch.zeros(0, 0)
-    return {
-        "waves": waves.reciprocal_().to(scene.values),
-        "even": _even(problem, precision),
-        "slow": inverse,
-        "scales": torch.tensor(scales),
-    }
+    found = {"waves": waves.reciprocal_().to(scene.values), "even": _even(problem, precision)}
+    found["scales"] = torch.tensor(scales)
+    return found | ({"slow": _slow(problem, slow, others, eliminated)} if slow else {})
 
 
 def _even(problem: Problem, precision: float) -> Tensor:

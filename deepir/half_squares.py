@@ -117,6 +117,15 @@ def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     slope = torch.empty_like(frames[0])
     half, drift = frames[0].new_empty(2, *slope.shape[:2], dtype=torch.float64)
     spread(
-        of_sensor, slope.shape[1], *frames, *maps, level.flatten(), *variances.tolist(), system, slope, half, drift
+        of_sensor,
+        slope.shape[1],
+        *frames,
+        *maps,
+        level.flatten(),
+        *variances.tolist(),
+        system,
+        slope,
+        half,
+        drift,
     )
     return slope.reshape(flux.shape), drift.sum(1), half.sum()

@@ -22,8 +22,9 @@ def half_squares(first, last, prediction, data, precision, weighted, nats):
 def of_sensor(first, last, flux, data, precision, gain, offset, level, u, v, system, slope, nats, drift):
     """Rows [first, last) of frames (N, h, w) that a sensor made of `flux`, with gain and offset (h, w).
 
-    The `slope` in the flux, (N, h, w), the rows' parts of the sum, `nats` (N, h), and of its slope in the level, `drift`.
-    To the slope comes what the covariance of a pixel's own gain and offset, of prior variances u and v, makes of the flux.
+    The `slope` in the flux, (N, h, w), the rows' parts of the sum, `nats` (N, h), and of its slope in the level,
+    `drift`. To the slope comes what the covariance of a pixel's own gain and offset makes of the flux; u and v are
+    their prior variances, `system` (aa, ab) that of all others.
     """
     for i in range(first, last):
         g, o = gain[i], offset[i]

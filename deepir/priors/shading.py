@@ -50,7 +50,9 @@ class Shading(Part):
 
     @property
     def values(self) -> Tensor:
-        """The deviation from neutral, float64, (1, 1, h, w)."""
+        """The deviation from neutral, float64, (1, 1, h, w); without a strength, (1, 1, 1, 1)."""
+        if not self.sigma > 0:
+            return self.white.new_zeros(1, 1, 1, 1)
         return self.spread(self.sigma * self.white)[None, None]
 
     def in_rows(self, terms: Tensor) -> Tensor:

@@ -83,8 +83,8 @@ def start_scene_and_parts(problem: Problem) -> None:
     start_scene(problem)
     start_parts(problem)
     doubt_misfits(problem)
-    for _ in range(TURNS):
-        start_scene(problem, again=True)
+    for turn in range(TURNS):
+        start_scene(problem, again=turn > 0)  # not the first time: pixels have been given up
         doubt_misfits(problem)
 
 

@@ -103,13 +103,21 @@ def sample(image: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]
 
     Bilinear: it is right for a ramp, as cubic convolution in torch is not, and enough for what is band-passed.
     """
-    from deepir.loops import spread
-    from deepir.loops.bilinear import sample as at_moved
-
+    h, w = level.weight.shape
     place = level.place()
     index = torch.linalg.inv(place) @ motion @ place
-    shape = (len(motion), *level.weight.shape)
-    values, known = (torch.empty(shape) for _ in range(2))
-    images = image.reshape(-1, *shape[1:]).contiguous()
-    spread(at_moved, shape[1], images, index, level.weight, level.whole, values, known)
-    return values, known
+    unit = torch.tensor([[2 / w, 0, 1 / w - 1], [0, 2 / h, 1 / h - 1], [0, 0, 1]], dtype=torch.float64)
+    t = (unit @ index).float()[..., None, None]
+    x, y = torch.arange(w, dtype=torch.float32), torch.arange(h, dtype=torch.float32)[:, None]
+    px, py = (t[:, i, 0] * x + (t[:, i, 1] * y + t[:, i, 2]) for i in range(2))
+    if t[:, 2, :2].any():
+        depth = (t[:, 2, 0] * x + (t[:, 2, 1] * y + t[:, 2, 2])).clamp_min(1e-3)
+        px, py = px / depth, py / depth
+    grid = torch.stack((px, py), 1).permute(0, 2, 3, 1)
+    known = ((px.abs() <= 1 - 1 / w) & (py.abs() <= 1 - 1 / h)).float()
+    one = image.expand(len(motion), h, w)[:, None]
+    values = F.grid_sample(one, grid, mode="bilinear", align_corners=False)[:, 0]
+    if not level.whole:
+        weight = level.weight.expand_as(one)
+        known *= F.grid_sample(weight, grid, mode="nearest", align_corners=False)[:, 0]
+    return values * known, known
