@@ -170,11 +170,11 @@ def _tensors(
 
 def _even(problem: Problem, precision: float) -> Tensor:
     """Square root of what usual samples would say of each pixel of the scene, in what these say, (H, W)."""
-    warp: Any = problem.operator.named()[0][1]
-    motion, gain = (problem.fields[problem.slots[slot]]() for slot in ("warp.motion", "sensor.gain"))
-    canvas = problem.fields["scene"].shape
-    told = warp.adjoint(problem.precision * gain.square(), (1, 1, *canvas[-2:]), motion=motion)[0, 0]
-    return told.div_(precision * len(motion)).clamp_(*UNEVEN).rsqrt_()
+    slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
+    weighed = problem.precision * slots["sensor.gain"]  # once more by the adjoint
+    canvas = (1, 1, *problem.fields["scene"].shape[-2:])
+    told = problem.operator.adjoint(weighed, canvas, **slots)[0, 0]
+    return told.div_(precision * len(weighed)).clamp_(*UNEVEN).rsqrt_()
 
 
 def _lags(problem: Problem, parameter: nn.Parameter) -> bool:
