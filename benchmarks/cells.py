@@ -30,14 +30,22 @@ def worked(
 
     A cell is kept under its own words and `code`, which stands for all else that its figures depend on.
     """
-    wanted, began = list(dict.fromkeys(cells)), time.monotonic()
+    wanted = list(dict.fromkeys(cells))
     work = partial(_kept, kind, measure, code, fresh)
-    found = {}
+    if workers == 1:
+        torch.set_num_threads(1)
+        return _told(wanted, map(work, wanted))
     with ProcessPoolExecutor(workers, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
-        for cell, arrays in zip(wanted, pool.map(work, wanted), strict=True):
-            found[cell] = arrays
-            passed = f"{len(found)}/{len(wanted)}, {time.monotonic() - began:.0f} s"
-            print(f"{passed}: {' '.join(map(str, cell))}", file=sys.stderr, flush=True)
+        return _told(wanted, pool.map(work, wanted))
+
+
+def _told(cells: list[Cell], results: Iterable[Arrays]) -> dict[Cell, Arrays]:
+    """The results by cell; as each comes, a line says how far it is."""
+    found, began = {}, time.monotonic()
+    for cell, arrays in zip(cells, results, strict=True):
+        found[cell] = arrays
+        passed = f"{len(found)}/{len(cells)}, {time.monotonic() - began:.0f} s"
+        print(f"{passed}: {' '.join(map(str, cell))}", file=sys.stderr, flush=True)
     return found
 
 

@@ -103,8 +103,7 @@ def psnr(image: np.ndarray, truth: np.ndarray) -> float:
 
 def burst(n: int, least: float, degrees: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Frames (n, H, W) float32, and what frame 0 shows."""
-    grey = imread(Path(os.environ["DEEPIR_DATA"]) / "deepir_test" / "test1.png") / 255
-    grey = grey if grey.ndim == 2 else grey[..., 0]
+    grey = picture()
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[ROWS, COLUMNS].astype(float)
     centre = np.array([y.mean(), x.mean()])
@@ -119,6 +118,12 @@ def burst(n: int, least: float, degrees: float, seed: int) -> tuple[np.ndarray, 
         flux = gain * map_coordinates(grey, at, order=3, mode="reflect").clip(0)
         frames.append(rng.poisson(PHOTONS * flux) / PHOTONS)
     return np.array(frames, np.float32), grey[ROWS, COLUMNS]
+
+
+def picture() -> np.ndarray:
+    """The paper's, in [0, 1]."""
+    grey = imread(Path(os.environ["DEEPIR_DATA"]) / "deepir_test" / "test1.png") / 255
+    return grey if grey.ndim == 2 else grey[..., 0]
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import torch
 from nuc_oracle import aligned, oracle
 from nuc_regimes import picture
 from nuc_store import kept
-from skimage.io import imread
+from paper import picture as of_paper
 from written import write
 
 import deepir
@@ -105,8 +105,7 @@ def burst(
 
 def thermal() -> np.ndarray:
     """The 2021 paper's `test1.png` in [0, 1], cut so that the part in question is in its middle."""
-    grey = imread(Path(os.environ["DEEPIR_DATA"]) / "deepir_test" / "test1.png") / 255
-    grey = grey if grey.ndim == 2 else grey[..., 0]
+    grey = of_paper()
     sides = zip((ROWS, COLUMNS), grey.shape, strict=True)
     margins = (min(part.start, side - part.stop) for part, side in sides)
     parts = zip((ROWS, COLUMNS), margins, strict=True)
