@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -37,6 +36,7 @@ FINE_PICTURES = ("rocket", "procedural 40")  # not coffee: the denoiser `cnn` ha
 FINE_SHAPE, FINE_SHIFT = (40, 48), 6.0  # of its frames: small, for every prior is run
 FINE_SEEDS = (301, 302, 303)
 SHOWN = ("nuc", CHOSEN[0], 5)  # the burst of the picture, at the first seed
+PART, ERROR = np.s_[56:136, 72:184], 0.03  # what is shown of it, and the error that is black or white
 
 Burst = tuple[str, str, int, int]  # problem, regime or picture, frames or factor, seed
 
@@ -47,7 +47,7 @@ def main() -> None:
     parser.add_argument("--prior", action="append", help="only this one")
     parser.add_argument("--published", action="store_true", help="those with published settings too: hours")
     parser.add_argument("--workers", type=int, default=1, help="processes of one thread each")
-    parser.add_argument("--panels", type=Path, help="write a picture of a burst's scenes here")
+    parser.add_argument("--panels", type=Path, help="write a picture of a burst's errors here")
     parser.add_argument("--output", type=Path, help="write the tables to this file too")
     options = parser.parse_args()
     names = options.prior or [name for name in priors() if options.published or not published(name)]
@@ -161,15 +161,16 @@ def begins_at(config: Config) -> str:
 
 
 def show(path: Path, names: Sequence[str], found: dict[tuple[str, ...], Arrays], case: Burst) -> None:
-    """Write a picture of the scenes that all priors find of a burst."""
+    """Write a picture of how far the scenes that all priors find are from the truth, of a part of a burst."""
     sim = simulated(*case)
-    truth = sim.truth.scene
-    everything = partial(align, truth=truth, known=np.ones(truth.shape, bool))
+    truth, (y, x) = sim.truth.scene, PART
+    known = np.ones(truth.shape, bool)
     quality = {name: float(found[f"prior={name}", *case]["psnr"]) for name in names}
-    panels = [("truth", truth, 0.0, 1.0), ("one frame", everything(sim.frames[0].astype(float)), 0.0, 1.0)]
+    frame = align(sim.frames[0].astype(float), truth, known)
+    panels = [("truth", truth[y, x], 0.0, 1.0), ("one frame", frame[y, x], 0.0, 1.0)]
     for name in sorted(names, key=quality.__getitem__, reverse=True):
-        scene = everything(found[f"prior={name}", *case]["scene"].astype(float))
-        panels.append((f"{name}, {quality[name]:.1f} dB", scene, 0.0, 1.0))
+        error = align(found[f"prior={name}", *case]["scene"].astype(float), truth, known) - truth
+        panels.append((f"{name}, {quality[name]:.1f} dB", error[y, x], -ERROR, ERROR))
     write_panels(path, panels, rows=-(-len(panels) // 5))
 
 
