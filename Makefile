@@ -1,6 +1,7 @@
 .DEFAULT_GOAL := help
 PYTHON ?= python3
 BIN := .venv/bin
+WORKERS ?= 2
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -53,8 +54,14 @@ bench-narcissus: setup  ## quality against the oracle, and seconds: stray flux
 bench-deconv: setup  ## quality against scikit-image's, and the widths found: deconvolution
 	$(BIN)/python benchmarks/deconv.py
 
-bench-priors: setup  ## quality and time of every prior
-	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
+bench-priors: setup  ## quality and time of every prior, goes on where it was cut short
+	$(BIN)/python benchmarks/priors.py --workers $(WORKERS) --output docs/bench-priors.md --panels docs/images/priors.png
+
+bench-paper: setup  ## the 2021 formulation and every prior on its paper's protocol: an hour and more, goes on
+	$(BIN)/python benchmarks/paper.py --workers $(WORKERS) --output docs/bench-paper.md
+
+bench-switches: setup  ## what a network's switches gain in time, and cost in quality
+	$(BIN)/python benchmarks/switches.py --workers $(WORKERS)
 
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
@@ -62,4 +69,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-paper bench-switches bench-real clean

@@ -16,7 +16,7 @@ import torch
 from nuc_oracle import aligned, oracle
 from nuc_regimes import picture
 from nuc_store import kept
-from skimage.io import imread
+from paper import picture as of_paper
 from written import write
 
 import deepir
@@ -89,12 +89,15 @@ def cases(pictures: list[str] | None) -> Iterator[tuple[str, int, int, int]]:
         yield from (("thermal", 4, 16, seed) for seed in (0, 1, 2))
 
 
-def burst(name: str, factor: int, n: int, seed: int) -> tuple[Simulation, np.ndarray]:
-    """Frames of 64 x 80 px, columns of the gain U(.5, 1), 1,000 photons, shifts up to 10 px; and the picture."""
+def burst(
+    name: str, factor: int, n: int, seed: int, *, shape: tuple[int, int] = (64, 80), max_shift: float = 10.0
+) -> tuple[Simulation, np.ndarray]:
+    """Frames, of columns of the gain U(.5, 1) and 1,000 photons; and the picture."""
     settings = Settings(
-        n_frames=n, shape=(64, 80), factor=factor, motion="shift", gain_distribution="uniform", gain_column=0.5,
-        gain_pixel=0.0, offset_pixel=0.0, offset_column=0.0, offset_row=0.0, shading=0.0, photons=1000.0,
-        read_noise=0.002, dead_pixels=0.0, psf_sigma=0.0, scale=float(factor) if name == "thermal" else None,
+        n_frames=n, shape=shape, factor=factor, motion="shift", max_shift=max_shift, gain_distribution="uniform",
+        gain_column=0.5, gain_pixel=0.0, offset_pixel=0.0, offset_column=0.0, offset_row=0.0, shading=0.0,
+        photons=1000.0, read_noise=0.002, dead_pixels=0.0, psf_sigma=0.0,
+        scale=float(factor) if name == "thermal" else None,
     )  # fmt: skip
     scene = thermal() if name == "thermal" else picture(name)
     return simulate(scene, settings, seed=seed), scene
@@ -102,8 +105,7 @@ def burst(name: str, factor: int, n: int, seed: int) -> tuple[Simulation, np.nda
 
 def thermal() -> np.ndarray:
     """The 2021 paper's `test1.png` in [0, 1], cut so that the part in question is in its middle."""
-    grey = imread(Path(os.environ["DEEPIR_DATA"]) / "deepir_test" / "test1.png") / 255
-    grey = grey if grey.ndim == 2 else grey[..., 0]
+    grey = of_paper()
     sides = zip((ROWS, COLUMNS), grey.shape, strict=True)
     margins = (min(part.start, side - part.stop) for part, side in sides)
     parts = zip((ROWS, COLUMNS), margins, strict=True)

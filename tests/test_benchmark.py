@@ -130,3 +130,43 @@ def test_the_report_says_what_it_found():
         "1 of 2 bursts: REFUSED: no",
     ):
         assert words in text
+
+
+def test_what_is_finished_is_not_worked_on_again_until_the_code_changes():
+    from cells import worked
+
+    asked = []
+
+    def measure(name, seed):
+        asked.append((name, seed))
+        return {"psnr": np.array(10.0 * seed)}
+
+    cells = [("tv", 1), ("tv", 2), ("red", 2)]
+    for code, more in (("a", 3), ("a", 0), ("b", 3)):
+        asked.clear()
+        found = worked("test", cells, measure, code=code)
+        assert [float(found[cell]["psnr"]) for cell in cells] == [10.0, 20.0, 20.0]
+        assert len(asked) == more
+
+
+def test_the_papers_bursts_are_as_noisy_as_it_says(monkeypatch):
+    import paper
+
+    monkeypatch.setattr(paper, "picture", lambda: np.full((400, 400), 0.5))
+    frames, truth = paper.burst(40, 0.5, 6.0, 0)
+    assert frames.shape == (40, *truth.shape) == (40, 160, 192)
+    gain = frames.mean((0, 1)) / 0.5
+    assert 0.49 < gain.min() < 0.55 < 0.95 < gain.max() < 1.01
+    np.testing.assert_allclose(frames.var(0).mean(0), gain * 0.5 / 1000, rtol=0.2)
+
+
+def test_frame_0_of_the_papers_bursts_is_not_moved(monkeypatch):
+    import paper
+
+    rng = np.random.default_rng(0)
+    grey = 0.5 + 0.02 * rng.standard_normal((400, 400))
+    monkeypatch.setattr(paper, "picture", lambda: grey)
+    monkeypatch.setattr(paper, "PHOTONS", 1e7)
+    frames, truth = paper.burst(2, 1.0, 6.0, 0)
+    np.testing.assert_allclose(frames[0], truth, atol=2e-3)
+    assert abs(frames[1] - truth).max() > 0.02

@@ -12,6 +12,7 @@ from deepir.priors.dip import DIP
 from deepir.priors.grid import Grid
 from deepir.priors.network import Network
 from deepir.priors.siren import Sine, Siren
+from deepir.priors.skip import Padded, Skip
 from deepir.priors.wire import Gabor
 from deepir.registry import components
 
@@ -50,6 +51,31 @@ def test_the_skip_networks_input_is_weak_noise_on_a_canvas_that_it_can_halve():
     assert 0 <= field.noise.min() < field.noise.max() <= 0.1
     assert field.noise.mean() == pytest.approx(0.05, abs=1e-3)
     assert field().shape == SHAPE
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_a_padded_convolution_is_torchs_own(stride):
+    ours = Padded(3, 4, 3, stride, "reflect").double()
+    theirs = nn.Conv2d(3, 4, 3, stride, 1, padding_mode="reflect").double()
+    theirs.load_state_dict(ours.state_dict())
+    x = torch.rand(2, 3, 8, 6, dtype=torch.float64)
+    torch.testing.assert_close(ours(x), theirs(x))
+
+
+def test_in_bfloat16_nothing_of_the_skip_network_is_padded_or_doubled_in_float32(monkeypatch):
+    seen = []
+    for name in ("pad", "interpolate"):
+        whole = getattr(torch.nn.functional, name)
+        monkeypatch.setattr(
+            torch.nn.functional,
+            name,
+            lambda x, *a, whole=whole, **k: seen.append(x.dtype) or whole(x, *a, **k),
+        )
+    net = Skip(4, [8, 8])
+    with torch.autocast("cpu", torch.bfloat16):
+        net(torch.rand(1, 4, 16, 16)).sum().backward()
+    assert seen.count(torch.float32) == 1  # the input of the first
+    assert len(seen) == 8
 
 
 def test_perturbed_input_is_drawn_anew_for_each_gradient_and_never_for_a_result():
