@@ -30,7 +30,7 @@ REFERENCE = {
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
     "Simulator": ["simulate", "scenes", "metrics"],
-    "Files": ["io", "calibration"],
+    "Files": ["io", "calibration", "capture", "cameras"],
     "For plugins": ["registry", "testing"],
 }
 

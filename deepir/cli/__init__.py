@@ -14,6 +14,7 @@ from deepir.cli.analyze import analyze
 from deepir.cli.apply import apply
 from deepir.cli.batch import batch
 from deepir.cli.calibrate import calibrate
+from deepir.cli.capture import capture
 from deepir.cli.check import check
 from deepir.cli.compare import compare
 from deepir.cli.demo import demo
@@ -31,6 +32,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(demo)
+app.command()(capture)
 app.command()(simulate)
 app.command()(resume)
 app.command()(compare)
