@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -115,10 +116,20 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _merge(label: str, *parts: Mapping[str, Any], resolve: bool = False) -> dict[str, Any]:
     try:
-        merged = OmegaConf.merge(*(OmegaConf.create(dict(part)) for part in parts))
+        merged = OmegaConf.create(functools.reduce(_over, parts, {}))
         return OmegaConf.to_container(merged, resolve=resolve, throw_on_missing=resolve)  # type: ignore[return-value]
-    except OmegaConfBaseException as error:
+    except (OmegaConfBaseException, RecursionError) as error:
         raise ConfigError(f"{label}: {str(error).splitlines()[0]}") from None
+
+
+def _over(under: Any, over: Any, where: str = "") -> Any:
+    """What is `over`, and of mappings what is `under` beside it."""
+    if not isinstance(over, Mapping):
+        return over
+    if wrong := [key for key in over if not isinstance(key, str)]:
+        raise ConfigError(f"{where}{wrong[0]!r}: a key is text")
+    below = under if isinstance(under, Mapping) else {}
+    return {**below, **{key: _over(below.get(key), each, f"{where}{key}.") for key, each in over.items()}}
 
 
 def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) -> Config:

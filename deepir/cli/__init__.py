@@ -63,7 +63,7 @@ def _options(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status.
 
-    0: finished, or the iteration limit reached. 1: the solve failed, or something unforeseen. 2: the user can
+    0: finished. 1: the solve failed, or something unforeseen. 2: the user can
     mend it; nothing was written. 130, 143: interrupted, the state is saved.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
