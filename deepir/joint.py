@@ -160,8 +160,8 @@ def _given_noise(problem: Problem, config: Config) -> list[str]:
     if variance.max() > ROUNDED**2 / 10 or problem.data.max() <= 1 or (problem.data % 1).any():
         return []
     return [
-        f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts alone makes {ROUNDED}: "
-        "is the configuration meant for frames in [0, 1]?"
+        f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes {ROUNDED}: is "
+        "the configuration meant for frames in [0, 1]?"
     ]
 
 

@@ -27,7 +27,7 @@ class Axis:
 def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
     """Settings with one value, and an axis for each that lists several: `prior=tv,dip`.
 
-    A comma within brackets or quotes belongs to a value. Raises `ConfigError` for a value that is listed twice.
+    A comma within brackets or quotes belongs to a value. Raises `ConfigError` where all values are the same one.
     """
     fixed: list[str] = []
     axes: dict[str, Axis] = {}
@@ -38,8 +38,8 @@ def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
         if len(values) == 1:
             fixed.append(setting)
         else:
-            if twice := next((value for value in values if values.count(value) > 1), None):
-                raise ConfigError(f"{setting}: {twice} is listed twice")
+            if len(set(values)) == 1:
+                raise ConfigError(f"{setting}: nothing varies, {values[0]} is listed {len(values)} times")
             axes[key] = Axis(key, {value: [f"{key}={value}"] for value in values})
     return fixed, list(axes.values())
 
