@@ -14,7 +14,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parent.parent
 PROBLEMS = "Problems"
 SECTIONS = {
-    "Use": ["tutorial", "gallery", "cli", "configuration", "files", "priors", "ablations"],
+    "Use": ["tutorial", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
     PROBLEMS: ["super-resolution"],
     "Concepts": ["how-it-works", "how-it-estimates", "jitter", "sensor-physics", "conventions", "extending"],
     "Figures": ["results", "bench-*", "rivals", "performance", "reliability"],

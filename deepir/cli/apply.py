@@ -87,6 +87,7 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
 def _radiometry(data: Data) -> Radiometry | None:
     from deepir.io import readers
     from deepir.io.radiometry import chosen
+    from deepir.paths import expanded
 
-    found = readers.radiometry(Path(str(data.path)).expanduser()) if data.raw is None else None
+    found = readers.radiometry(expanded(str(data.path))) if data.raw is None else None
     return chosen(found, data.radiometry)

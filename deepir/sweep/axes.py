@@ -9,6 +9,7 @@ from glob import glob
 from pathlib import Path
 
 from deepir.errors import ConfigError, DataError
+from deepir.paths import expanded
 
 #: Axes over which medians are taken.
 REPEATS = ("seed", "data.simulate.seed")
@@ -74,7 +75,7 @@ def bursts(patterns: Sequence[str]) -> Axis:
     """
     found: dict[str, None] = {}
     for pattern in patterns:
-        at = str(Path(pattern).expanduser())
+        at = str(expanded(pattern))
         matches = [at] if Path(at).exists() else sorted(glob(at, recursive=True))  # noqa: PTH207 - keeps absolute ones
         if not matches:
             raise DataError(f"{pattern}: no such file, and no burst matches it")

@@ -13,6 +13,7 @@ from deepir.config import Config, dump, load, read
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.folder import Folder
 from deepir.io.frames import digest
+from deepir.paths import expanded
 from deepir.runner import prepare
 from deepir.stored import check_unchanged, hashes, pinned
 from deepir.sweep.axes import BURST, Axis, folder_name
@@ -83,7 +84,7 @@ def cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, 
 
 
 def _cell(values: Mapping[str, str], config: Config, path: Path, threads: int) -> Cell:
-    folder = Folder(path.expanduser().absolute())
+    folder = Folder(expanded(path).absolute())
     return Cell(
         values, pinned(config.model_copy(update={"threads": config.threads or threads}), folder), folder
     )
