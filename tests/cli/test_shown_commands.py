@@ -1,4 +1,4 @@
-"""The commands of the tutorial, the gallery and the page on priors, on smaller frames and with fewer iterations than on the pages."""
+"""The commands of the tutorial, the gallery and the page on priors, with smaller frames and fewer iterations."""
 
 import re
 import shlex
