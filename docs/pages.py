@@ -22,14 +22,25 @@ SECTIONS = {
 }
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
-    "Running": ["runner", "config", "schema", "burst", "result", "errors"],
-    "Solving": ["problem", "solve", "joint", "elimination", "strengths", "uncertainty", "evidence"],
+    "Running": ["runner", "config", "overrides", "schema", "burst", "result", "stored", "errors"],
+    "Solving": [
+        "build",
+        "problem",
+        "solve",
+        "optimisers",
+        "joint",
+        "elimination",
+        "strengths",
+        "uncertainty",
+        "evidence",
+    ],
     "Operators": ["operators"],
     "Fields": ["priors"],
     "Penalties": ["penalties", "denoisers", "fidelity"],
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
     "Simulator": ["simulate", "scenes", "metrics"],
+    "Sweeps": ["sweep", "analysis", "training"],
     "Files": ["io", "calibration", "capture", "cameras"],
     "For plugins": ["registry", "testing"],
 }
