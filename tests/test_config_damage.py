@@ -81,13 +81,13 @@ def modest():
 
 def take_or_refuse(burst, *arguments):
     """Load, and check as before a run; an error is for the user."""
-    begun, message = time.perf_counter(), ""
+    begun, message = time.process_time(), ""  # however busy the machine is
     try:
         check_components(load(*arguments), burst)
     except DeepIRError as error:
         message = str(error)
     assert "Traceback" not in message
-    assert time.perf_counter() - begun < LONGEST
+    assert time.process_time() - begun < LONGEST
 
 
 def places(tree, path=()):

@@ -109,6 +109,7 @@ def test_frames_lie_apart_in_time(fake, take, folder, simulation):
 
 def test_a_shutter_in_the_midst_is_told(fake, take, monkeypatch, simulation):
     monkeypatch.setattr(capturing, "FROZEN", 0.02)
+    monkeypatch.setattr(capturing, "PATIENCE", 60.0)
     a, b, c = simulation.frames
     fake.frames = [a, *[b] * 20, c]
     status, _, err = take("--frames", 3)
