@@ -7,9 +7,10 @@ they share,
 
     w (n - |Σ_j exp(i k d_j)|² / (n + 1 / (w V))),
 
-less by the spline that the warp samples, and more by the penalties. Waves longer than the frame, which a Fourier
-transform does not have, and the levels of the frames, which look like slopes to a camera that moves, are taken together
-in a small dense system.
+less by the spline that the warp samples, and more by the penalties. Where samples are surer than the usual one, by
+photons or a known gain, the scene moves by as much less. Waves longer than the frame, which a Fourier transform does
+not have, and the levels of the frames, which look like slopes to a camera that moves, are taken together in a small
+dense system.
 """
 
 from __future__ import annotations
@@ -40,11 +41,14 @@ RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
 #: to run to where a weak prior has its optimum: pattern in the scene.
 FLOOR = 0.3
+#: Information of all samples on a pixel of the scene, in that of usual ones, that is made use of.
+UNEVEN = (0.5, 30.0)
 
 
 class Curvature:
     """An approximate inverse Hessian for some parameters of a problem, the scene's pixels among them."""
 
+    @torch.no_grad()
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
     ) -> None:
@@ -54,24 +58,33 @@ class Curvature:
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
         #: Those of levels and of stray flux, which a slow scene looks like.
         self.others = [i for i, f in enumerate(mine) if isinstance(f, Drift | Terms) and f.sigma > 0]
-        slow = Slow(problem, tuple(parameters[self.scene].shape))
-        self.basis = slow.scene
         others: Any = [mine[i] for i in self.others]
+        # With the pattern known, and no stray flux, what is slow is nothing special.
+        told = bool(eliminated) or any(isinstance(each, Terms) for each in others)
+        self.shape = tuple(parameters[self.scene].shape)
+        slow = Slow(problem, self.shape) if told else None
+        self.basis = slow.scene if slow else None
         self.tensors = _tensors(problem, mine, parameters, slow, others, eliminated)
-        self.in_y, self.in_x = (each.to(problem.data) for each in (self.basis.in_y, self.basis.in_x))
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
         """The approximate inverse Hessian times a flat gradient."""
         found = torch.empty_like(slope)
         given, into = slope.split(self.sizes), found.split(self.sizes)
-        for each, out, scale in zip(given, into, self.tensors["scales"], strict=True):
-            torch.mul(each, scale, out=out)
-        scene = given[self.scene].reshape(self.basis.shape[-2:])
-        spectrum = torch.fft.rfft2(scene)
-        torch.view_as_real(spectrum).mul_(self.tensors["waves"][..., None])
-        waves = torch.fft.irfft2(spectrum, s=scene.shape)
-        in_y, in_x, terms = self.in_y.to(scene), self.in_x.to(scene), (self.basis.of_y, self.basis.of_x)
+        for i, scale in enumerate(self.tensors["scales"]):
+            if i != self.scene:
+                torch.mul(given[i], scale, out=into[i])
+        scene = given[self.scene].reshape(self.shape[-2:])
+        even = self.tensors["even"]
+        spectrum = torch.fft.rfft2(scene * even).mul_(self.tensors["waves"])
+        waves = torch.fft.irfft2(spectrum, s=scene.shape).mul_(even)
+        if self.basis is None:
+            into[self.scene].copy_(waves.flatten())
+            for i in self.others:
+                into[i].zero_()
+            return found
+        in_y, in_x = (each.to(scene) for each in (self.basis.in_y, self.basis.in_x))
+        terms = (self.basis.of_y, self.basis.of_x)
         slow = torch.cat([(in_y @ scene @ in_x.T)[terms], *(given[i] for i in self.others)]).double()
         sizes = [len(terms[0]), *(self.sizes[i] for i in self.others)]
         slow, *others = (self.tensors["slow"].double() @ slow).split(sizes)
@@ -115,8 +128,8 @@ def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
     """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`."""
     if not modelled(problem):
         return None
-    scene = problem.values()["scene"]
-    found = _waves(problem, eliminated, scene, *_frequencies(scene.shape[-2:], scene.device))
+    scene, precision = problem.fields["scene"](), typical_noise(problem.precision) ** -2
+    found = _waves(problem, eliminated, scene, precision, *_frequencies(scene.shape[-2:], scene.device))
     return found.clamp(min=RIDGE * float(found.mean()))
 
 
@@ -130,32 +143,38 @@ def _tensors(
     problem: Problem,
     fields: Sequence[nn.Module],
     parameters: Sequence[nn.Parameter],
-    slow: Slow,
+    slow: Slow | None,
     others: Sequence[Drift | Terms],
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
-    """`waves` (H, W / 2 + 1), inverse curvatures; `slow`, that of polynomials and levels; `scales` of all others."""
-    values = problem.values()
-    motion = values[problem.slots["warp.motion"]].double()
+    """Inverse curvatures: `waves` (H, W / 2 + 1), `even` (H, W) before and after; of all others; of what is slow."""
     scene: Any = problem.fields["scene"]
-    unit = float(scene.scale) ** 2
+    value, unit = scene(), float(scene.scale) ** 2
     precision = typical_noise(problem.precision) ** -2
     waves = unit * _waves(
-        problem, eliminated, values["scene"], *_frequencies(scene.shape[-2:], motion.device)
+        problem, eliminated, value, precision, *_frequencies(scene.shape[-2:], value.device)
     )
     mean = float(waves.mean())
     waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
-    slopes = float(squared_gradient(problem.operator.image(values["scene"])).mean()) / 2
+    slopes = float(squared_gradient(problem.operator.image(value)).mean()) / 2
     scales = []
     for field, parameter in zip(fields, parameters, strict=True):
         moves = isinstance(field, Motion | Flow)
         known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
-    inverse = _slow(problem, slow, others, eliminated)
-    if not (eliminated or any(isinstance(each, Terms) for each in others)):
-        inverse = torch.zeros_like(inverse)
-    return {"waves": waves.reciprocal_().to(scene.values), "slow": inverse, "scales": torch.tensor(scales)}
+    found = {"waves": waves.reciprocal_().to(scene.values), "even": _even(problem, precision)}
+    found["scales"] = torch.tensor(scales)
+    return found | ({"slow": _slow(problem, slow, others, eliminated)} if slow else {})
+
+
+def _even(problem: Problem, precision: float) -> Tensor:
+    """Square root of what usual samples would say of each pixel of the scene, in what these say, (H, W)."""
+    warp: Any = problem.operator.named()[0][1]
+    motion, gain = (problem.fields[problem.slots[slot]]() for slot in ("warp.motion", "sensor.gain"))
+    canvas = problem.fields["scene"].shape
+    told = warp.adjoint(problem.precision * gain.square(), (1, 1, *canvas[-2:]), motion=motion)[0, 0]
+    return told.div_(precision * len(motion)).clamp_(*UNEVEN).rsqrt_()
 
 
 def _lags(problem: Problem, parameter: nn.Parameter) -> bool:
@@ -176,10 +195,11 @@ def _measured(problem: Problem, parameter: nn.Parameter) -> float:
     return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
-def _waves(problem: Problem, eliminated: Collection[str], scene: Tensor, y: Tensor, x: Tensor) -> Tensor:
+def _waves(
+    problem: Problem, eliminated: Collection[str], scene: Tensor, precision: float, y: Tensor, x: Tensor
+) -> Tensor:
     """Curvature along waves of frequencies y (ny, 1) and x (nx,), radians a px, (ny, nx), in units of the scene."""
-    motion = problem.values()[problem.slots["warp.motion"]].double()
-    precision = typical_noise(problem.precision) ** -2
+    motion = problem.fields[problem.slots["warp.motion"]]().double()
     told = torch.full((), float(len(motion)), device=motion.device)
     if eliminated:
         shared = _shared(problem, eliminated, precision, len(motion), scene.shape[-2:], y, x)
@@ -287,11 +307,13 @@ def _rest(problem: Problem, slow: Slow, field: Terms, variance: dict[tuple[int, 
 
 def _stiffness(problem: Problem, slow: Slow) -> Tensor:
     """What the scene's penalties make of its polynomials: a matrix."""
-    value = problem.values()["scene"]
+    value = problem.fields["scene"]()
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(value) for penalty in penalties]
     of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
-    maps = slow.scene.spread(torch.eye(len(slow.scene.white), dtype=torch.float64, device=value.device))
-    flat = [each.flatten(1) for each in (maps, maps.diff(dim=-1), maps.diff(dim=-2))]
-    values, right, down = (each @ each.T for each in flat)
-    return of_value * values + of_gradient * (right + down)
+    basis = slow.scene  # of products of functions of y and of x, whose sums are products, too
+    (y, down), (x, right) = (
+        [each @ each.T for each in (along[of], along[of].diff(dim=-1))]
+        for along, of in ((basis.in_y, basis.of_y), (basis.in_x, basis.of_x))
+    )
+    return of_value * y * x + of_gradient * (y * right + down * x)

@@ -58,11 +58,11 @@ class Eliminated:
         white = torch.stack([part.white.detach().flatten() if part else nothing for part in parts])
         return pixels.information().flatten(1), pixels.sigma[:, None] * white
 
-    def freedom(self) -> tuple[Tensor, Tensor]:
+    def freedom(self) -> tuple[Tensor, Tensor, Tensor]:
         """What it adds to the objective that each pixel has parts of its own; see `deepir.half_squares`."""
         pixels = self.solved[PIXEL]
         assert isinstance(pixels, Pixels)
-        return pixels.nats, pixels.covariance()
+        return pixels.nats, pixels.sigma.square(), pixels.maps
 
     def variances(self) -> list[list[Tensor]]:
         """The posterior variance of what the white values of each part stand for: the gain's, the offset's.

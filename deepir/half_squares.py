@@ -19,7 +19,7 @@ def of_sensor(
     data: Tensor,
     precision: Tensor,
     sensor: tuple[Tensor, Tensor, Tensor],
-    freedom: tuple[Tensor, Tensor] | None = None,
+    freedom: tuple[Tensor, Tensor, Tensor] | None = None,
 ) -> Tensor:
     """The same of `gain * flux + offset + level`, with a gradient in flux and level.
 
@@ -28,12 +28,13 @@ def of_sensor(
         data: The frames.
         precision: 1 / variance of each sample.
         sensor: Gain (1, 1, h, w), offset (1, 1, h, w), level (N, 1, 1, 1).
-        freedom: What the pixels add that have gain and offset of their own, in nats, and the covariances
-            (2, h, w) of which it has its gradient in the flux, `precision * (of gain * flux + with offset)`.
+        freedom: What the pixels add that have gain and offset of their own, in nats; the prior variances of these,
+            (2,), and the maps (aa, ab) of the system with them eliminated, (2 or more, h, w). With its covariances
+            it has a gradient in the flux, `precision * (of gain * flux + with offset)`.
     """
     if freedom is None:
         zero = flux.new_zeros((), dtype=torch.float64)
-        freedom = (zero, zero.expand(2, *flux.shape[1:]))
+        freedom = (zero, zero.expand(2), zero.expand(2, 1, 1))
     nats: Tensor = _OfSensor.apply(flux, data, precision, *sensor, *freedom)
     return nats
 
@@ -59,9 +60,9 @@ class _OfSensor(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Tensor) -> Tensor:
-        *terms, nats, covariance = given
+        *terms, nats, variances, system = given
         compute = weighted_sensor_on_cpu if terms[0].device.type == "cpu" else weighted_sensor
-        slope, drift, half = compute(*terms, covariance)
+        slope, drift, half = compute(*terms, variances, system)
         ctx.save_for_backward(slope, drift.to(terms[-1]).reshape(terms[-1].shape))
         return half + nats
 
@@ -69,7 +70,7 @@ class _OfSensor(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         slope, drift = (_times(gradient, each) for each in ctx.saved_tensors)
-        return slope, None, None, None, None, drift, None, None
+        return slope, None, None, None, None, drift, None, None, None
 
 
 def _times(gradient: Tensor, slope: Tensor) -> Tensor:
@@ -99,9 +100,9 @@ def weighted_on_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
 
 def weighted_sensor(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Slope in the flux, slope in each frame's level (N), and `½ Σ w r²`."""
-    flux, data, precision, gain, offset, level, covariance = given
+    flux, data, precision, gain, offset, level, (u, v), system = given
     slope, half = weighted(torch.addcmul(offset, gain, flux) + level, data, precision)
-    free = torch.addcmul(covariance[1], covariance[0], flux.double()).to(flux)
+    free = ((u - u * u * system[0]) * flux - u * v * system[1]).to(flux)
     return gain * slope + precision * free, slope.sum((1, 2, 3), dtype=torch.float64), half
 
 
@@ -110,11 +111,21 @@ def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     from deepir.loops import spread
     from deepir.loops.half_squares import of_sensor
 
-    flux, data, precision, gain, offset, level, covariance = given
+    flux, data, precision, gain, offset, level, variances, system = given
+    frames = [each.contiguous().flatten(1, -2) for each in (flux, data, precision)]
     maps = (each.expand(1, *flux.shape[1:]).contiguous().flatten(0, -2) for each in (gain, offset))
-    frames = [each.contiguous().flatten(0, -2) for each in (flux, data, precision)]
     slope = torch.empty_like(frames[0])
-    half, drift = frames[0].new_empty(2, len(slope), dtype=torch.float64)
-    free = covariance.contiguous().flatten(1, -2)
-    spread(of_sensor, len(slope), *frames, *maps, free, level.flatten(), slope, half, drift)
-    return slope.reshape(flux.shape), drift.reshape(len(flux), -1).sum(1), half.sum()
+    half, drift = frames[0].new_empty(2, *slope.shape[:2], dtype=torch.float64)
+    spread(
+        of_sensor,
+        slope.shape[1],
+        *frames,
+        *maps,
+        level.flatten(),
+        *variances.tolist(),
+        system,
+        slope,
+        half,
+        drift,
+    )
+    return slope.reshape(flux.shape), drift.sum(1), half.sum()

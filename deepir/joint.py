@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from deepir.build import build
 from deepir.burst import Burst
@@ -41,6 +42,11 @@ LITTLE = 3.0
 ROUNDED = 0.29
 #: Cost of the unknown pattern, in dB, from which it is worth a message.
 COSTLY = 2.0
+#: Side of the windows, in px, whose mean stands for a sample's signal.
+AROUND = 5
+#: Least variance of a sample, in the usual one, where noise is given: an offset is no light, and low samples are not
+#: as sure as they look.
+LEAST = 0.3
 
 
 @register("method", "joint")
@@ -152,11 +158,15 @@ def _given_noise(problem: Problem, config: Config) -> list[str]:
     """Take the noise that the configuration gives, if it does; a message where whole counts cannot have so little."""
     if config.noise == "auto":
         return []
-    variance = config.noise.read**2 + problem.data.clamp(min=0) / (config.noise.photons or float("inf"))
+    read, photon = config.noise.read**2, 1 / (config.noise.photons or math.inf)
+    # Until there is a prediction, the mean of the neighbours: of single samples the low ones would seem the surest.
+    signal = avg_pool2d(problem.data, AROUND, stride=1, padding=AROUND // 2, count_include_pad=False)
+    variance = read + photon * signal.clamp_(min=0)
     if not variance.min() > 0:
         raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
-    problem.precision.copy_((problem.precision > 0) / variance)
-    problem.known_noise = True
+    least = LEAST * float(variance.median())
+    problem.precision.copy_((problem.precision > 0) / variance.clamp_(min=least))
+    problem.noise = read, photon, least
     if variance.max() > ROUNDED**2 / 10 or problem.data.max() <= 1 or (problem.data % 1).any():
         return []
     return [

@@ -128,11 +128,6 @@ class Pixels:
         p, q, r, s = 1 - u * aa, -u * ab, -v * ab, 1 - v * bb
         return torch.stack((aa * s - ab * r, ab * p - aa * q, bb * p - ab * q)) / (p * s - q * r)
 
-    def covariance(self) -> Tensor:
-        """Posterior variance of each pixel's own gain, and its covariance with the offset, (2, h, w)."""
-        u, v = self.sigma.square()
-        return torch.stack((u - u * u * self.maps[0], -u * v * self.maps[1]))
-
     def _system(self, x: Tensor) -> Tensor:
         return symmetric(self.maps[:3], x)
 

@@ -55,7 +55,8 @@ class Problem(nn.Module):
     ) -> None:
         super().__init__()
         self.operator, self.fidelity = operator, fidelity or Gaussian()
-        self.known_noise = False  # whether the precision is given, not to be estimated
+        #: Variance of a sample's noise at no signal, for each unit of it, and at least; None: to be estimated.
+        self.noise: tuple[float, float, float] | None = None
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
         self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]
@@ -105,7 +106,9 @@ class Problem(nn.Module):
         precision = self.fitted() if precision is None else precision
         terms = {"data": self._misfit(values, eliminated, precision)}
         for name, field in self.fields.items():
-            if (prior := field.penalty()) is not None:
+            with torch.set_grad_enabled(torch.is_grad_enabled() and name not in eliminated):
+                prior = field.penalty()
+            if prior is not None:
                 terms[name] = prior
             for kind, penalty in self.penalties[name].items() if name in self.penalties else ():
                 terms[f"{name}.{kind}"] = penalty(self.shown(name, values[name], penalty))

@@ -74,8 +74,9 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
-    data = bursts.load(config.data, frames=frames, needs=definition.frames, seed=config.seed)
-    check_components(config, data)
+    with threads.for_loops(config.threads):
+        data = bursts.load(config.data, frames=frames, needs=definition.frames, seed=config.seed)
+        check_components(config, data)
     return data
 
 

@@ -44,12 +44,10 @@ class Slow:
             Shading((1, 1, *size)).to(device) for size in (canvas[-2:], (height, width))
         )
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
-        motion = problem.values()[problem.slots["warp.motion"]].double()
+        motion = problem.fields[problem.slots["warp.motion"]]().double()
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
-        points = warp.points(warp.instants.through(motion))[
-            :, y0 : y0 + height : step_y, x0 : x0 + width : step_x
-        ]
-        points = points.flatten(1, 2)
+        some = slice(y0, y0 + height, step_y), slice(x0, x0 + width, step_x)
+        points = warp.points(warp.instants.through(motion), *some).flatten(1, 2)
         y, x = torch.meshgrid(
             torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
             torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,
@@ -59,7 +57,9 @@ class Slow:
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
         self.step, self.terms = (step_y, step_x), terms
         seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))
-        self.carried = torch.linalg.lstsq(terms.expand(len(seen), *terms.shape), seen).solution
+        together = seen.transpose(0, 1).flatten(1)  # one system for all frames
+        carried = torch.linalg.lstsq(terms, together).solution
+        self.carried = carried.unflatten(1, seen.shape[::2]).transpose(0, 1)
         weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
         area = height * width / weights.shape[1]
         self.information = area * terms.T @ (weights[..., None] * terms)
@@ -104,7 +104,7 @@ def late(problem: Problem, seen: Tensor) -> Tensor:
     """What a lag makes of (instants, ...) values for each frame, (N, ...); the same if there is none."""
     for name, stage in problem.operator.named():
         if isinstance(stage, Lag):
-            tau = problem.values()[problem.slots[f"{name}.tau"]].mean().to(seen)
+            tau = problem.fields[problem.slots[f"{name}.tau"]]().mean().to(seen)
             shown = stage(seen.flatten(1)[:, None, None], tau=tau.expand(1, 1, 1, 1))
             return shown.view(-1, *seen.shape[1:])
     return seen

@@ -39,19 +39,19 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
     if smooth and len(problem.data) < _enough(stray):  # then a drift is not told from it either
         smooth = drift = 0.0
-    step = problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5
+    step = problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5 if start else None
     for part in shadings:
         part.sigma.fill_(smooth)
     for field in drifts:
         field.sigma.fill_(drift)
-        if start:
+        if step is not None:
             field.step.copy_(step)
             field.init_from(evidence.levels(smooth, drift))
     for each in stray:
         if not each.given:
             known = bool(smooth) and bool(each.sigma > 0)
             each.sigma.fill_(float(each.coefficients.square().mean().sqrt()) if known else smooth)
-        if start:
+        if step is not None:
             each.step.copy_(step)
             each.init_from(evidence.slow_pattern(smooth, drift))
     if start and (smooth or drift):

@@ -13,6 +13,7 @@ from deepir.components import make
 from deepir.errors import ConfigError, nearest
 from deepir.geometry import Geometry, scaled
 from deepir.penalties.penalty import Penalty
+from deepir.priors.constant import Constant
 from deepir.priors.field import Field
 from deepir.priors.parts import Sum
 
@@ -123,6 +124,8 @@ def start_field(
 ) -> None:
     """Put a slot's field at its `init`: a number, an array's file, or the registered motion."""
     init = settings.get("init", "register" if field.model else None)
+    if isinstance(field, Constant) and init is not None:
+        raise ConfigError(f"{where}.init: what is known is given by {where}.value or {where}.path")
     try:
         _start(field, init, motion, geometry, where)
     except (RuntimeError, IndexError) as error:  # of another shape, or numbers that it cannot be

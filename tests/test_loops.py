@@ -114,6 +114,17 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
 
 
 @settings(deadline=None)
+@given(size=sizes, u=st.sampled_from([0.0, 0.3]), v=st.sampled_from([0.0, 2.0]))
+def test_what_the_pixels_own_parts_add_to_the_slope(size, u, v):
+    frames = [50 + torch.randn(3, 1, *size, dtype=torch.float64) for _ in range(3)]
+    maps = [torch.randn(1, 1, *size, dtype=torch.float64) for _ in range(2)]
+    level, system = torch.randn(3, 1, 1, 1, dtype=torch.float64), torch.rand(5, *size, dtype=torch.float64)
+    given = (*frames, *maps, level, torch.tensor([u, v], dtype=torch.float64), system)
+    found, wanted = half_squares.weighted_sensor_on_cpu(*given), half_squares.weighted_sensor(*given)
+    assert all(torch.allclose(*pair) for pair in zip(found, wanted, strict=True))
+
+
+@settings(deadline=None)
 @given(
     size=sizes,
     dtype=types,

@@ -19,21 +19,31 @@ def half_squares(first, last, prediction, data, precision, weighted, nats):
 
 
 @compiled
-def of_sensor(first, last, flux, data, precision, gain, offset, covariance, level, slope, nats, drift):
-    """Rows [first, last) of frames (rows, w) that a sensor made of `flux`, with gain and offset (rows of a frame, w).
+def of_sensor(first, last, flux, data, precision, gain, offset, level, u, v, system, slope, nats, drift):
+    """Rows [first, last) of frames (N, h, w) that a sensor made of `flux`, with gain and offset (h, w).
 
-    The `slope` in the flux, (rows, w), the rows' parts of the sum, `nats`, and of its slope in the level, `drift`.
-    To the slope comes what the `covariance` (2, h, w) makes of the flux.
+    The `slope` in the flux, (N, h, w), the rows' parts of the sum, `nats` (N, h), and of its slope in the level,
+    `drift`. To the slope comes what the covariance of a pixel's own gain and offset makes of the flux; u and v are
+    their prior variances, `system` (aa, ab) that of all others.
     """
-    height = len(gain)
     for i in range(first, last):
-        z, y, w, g, o = flux[i], data[i], precision[i], gain[i % height], offset[i % height]
-        of_gain, with_offset = covariance[0, i % height], covariance[1, i % height]
-        into, less, total, along = slope[i], level[i // height], 0.0, 0.0
-        for j in range(len(z)):
-            residual = g[j] * z[j] + o[j] + less - y[j]
-            weighted = w[j] * residual
-            into[j] = g[j] * weighted + w[j] * (of_gain[j] * z[j] + with_offset[j])
-            total += residual * weighted
-            along += weighted
-        nats[i], drift[i] = total / 2, along
+        g, o = gain[i], offset[i]
+        for k in range(len(flux)):
+            z, y, w, into = flux[k, i], data[k, i], precision[k, i], slope[k, i]
+            less, total, along = level[k], 0.0, 0.0
+            if u > 0:
+                aa, ab = system[0, i], system[1, i]
+                for j in range(len(z)):
+                    residual = g[j] * z[j] + o[j] + less - y[j]
+                    weighted = w[j] * residual
+                    into[j] = g[j] * weighted + w[j] * ((u - u * u * aa[j]) * z[j] - u * v * ab[j])
+                    total += residual * weighted
+                    along += weighted
+            else:
+                for j in range(len(z)):
+                    residual = g[j] * z[j] + o[j] + less - y[j]
+                    weighted = w[j] * residual
+                    into[j] = g[j] * weighted
+                    total += residual * weighted
+                    along += weighted
+            nats[k, i], drift[k, i] = total / 2, along

@@ -13,6 +13,7 @@ from deepir.registry import register
 #: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
 FAR, NEAR = 1e6, 1e-3
 EVERY_FRAME = Path()
+ALL = slice(None)
 
 
 @register("operator", "warp")
@@ -116,12 +117,12 @@ class Warp(Operator):
         """The scene at the canvas' pixel centres."""
         return image(x)
 
-    def points(self, motion: Tensor) -> Tensor:
-        """Where each pixel looks, (N, h, w, 2), in px from the canvas' centre."""
+    def points(self, motion: Tensor, rows: slice = ALL, columns: slice = ALL) -> Tensor:
+        """Where each pixel looks, (N, h, w, 2), in px from the canvas' centre; or some `rows` and `columns` of them."""
         motion = _finite(motion)
         if motion.ndim == 4:
-            return motion + self.place[:2, 2].to(motion)
-        return coords(self.place @ motion.double(), self.size)
+            return motion[:, rows, columns] + self.place[:2, 2].to(motion)
+        return coords(self.place @ motion.double(), self.size, rows, columns)
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
@@ -143,14 +144,14 @@ def _finite(motion: Tensor) -> Tensor:
     return motion.nan_to_num(nan=FAR).clamp(-FAR, FAR)
 
 
-def coords(motion: Tensor, size: tuple[int, int]) -> Tensor:
+def coords(motion: Tensor, size: tuple[int, int], rows: slice = ALL, columns: slice = ALL) -> Tensor:
     """The points `T_k p` of all pixel centres `p`, origin at the frame's centre; (N, 3, 3) -> (N, h, w, 2).
 
     In memory the planes of x and y follow each other: three times as fast as pairs, forth and back.
     """
     height, width = size
-    y = torch.arange(height, dtype=motion.dtype, device=motion.device) - (height - 1) / 2
-    x = torch.arange(width, dtype=motion.dtype, device=motion.device) - (width - 1) / 2
+    y = torch.arange(height, dtype=motion.dtype, device=motion.device)[rows] - (height - 1) / 2
+    x = torch.arange(width, dtype=motion.dtype, device=motion.device)[columns] - (width - 1) / 2
     t = motion[..., None, None]
     px, py, pz = (t[:, i, 0] * x + (t[:, i, 1] * y[:, None] + t[:, i, 2]) for i in range(3))
     nearness = pz.clamp(min=NEAR).reciprocal()

@@ -35,11 +35,11 @@ class LBFGS(Optimiser):
 
     def step(self, *, fresh: bool) -> None:
         """One quasi-Newton step. Without descent the memory is dropped; `done` if the gradient has none."""
-        if fresh or self.slope is None:
+        if fresh or self.slope is None:  # of what a search finds, value and slope are finite
             self.value, self.slope = self._at(self.x)
-        if not (math.isfinite(self.value) and self.slope.isfinite().all()):
-            self.value = math.nan
-            return
+            if not (math.isfinite(self.value) and self.slope.isfinite().all()):
+                self.value, self.slope = math.nan, None
+                return
         direction = self._direction(self.slope)
         descent = float(torch.dot(self.slope, direction))
         if not descent < 0:

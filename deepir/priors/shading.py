@@ -51,7 +51,9 @@ class Shading(Part):
 
     @property
     def values(self) -> Tensor:
-        """The deviation from neutral, float64, (1, 1, h, w)."""
+        """The deviation from neutral, float64, (1, 1, h, w); without a strength, (1, 1, 1, 1)."""
+        if not self.sigma > 0:
+            return self.white.new_zeros(1, 1, 1, 1)
         return self.spread(self.sigma * self.white)[None, None]
 
     def in_rows(self, terms: Tensor) -> Tensor:
@@ -81,11 +83,11 @@ class Shading(Part):
         along = []
         for at, polynomials, order in ((y, self.in_y, self.of_y), (x, self.in_x, self.of_x)):
             side = polynomials.shape[1]
-            powers = torch.linspace(-1, 1, side, dtype=at.dtype, device=at.device)[:, None] ** torch.arange(
-                len(polynomials), device=at.device
+            pixels = torch.linspace(-1, 1, side, dtype=at.dtype, device=at.device)
+            powers, place = (
+                torch.linalg.vander(each, N=len(polynomials)) for each in (pixels, 2 * at / (side - 1))
             )
             coefficients = torch.linalg.lstsq(powers, polynomials.T).solution
-            place = (2 * at / (side - 1))[..., None] ** torch.arange(len(polynomials), device=at.device)
             along.append((place @ coefficients)[..., order])
         return along[0] * along[1]
 

@@ -64,7 +64,7 @@ class Generic(Definition):
 
 def start_precision(problem: Problem) -> None:
     """Set the precision of usable samples to 1 / variance of the noise that the frames show, if none is given."""
-    if problem.known_noise:
+    if problem.noise is not None:
         return
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
@@ -83,17 +83,23 @@ def start_scene_and_parts(problem: Problem) -> None:
     start_scene(problem)
     start_parts(problem)
     doubt_misfits(problem)
-    for _ in range(TURNS):
-        start_scene(problem)
+    for turn in range(TURNS):
+        start_scene(problem, again=turn > 0)  # not the first time: pixels have been given up
         doubt_misfits(problem)
 
 
 @torch.no_grad()
-def start_scene(problem: Problem) -> None:
-    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
-    average, weight = problem.backproject(problem.values())
+def start_scene(problem: Problem, *, again: bool = False) -> None:
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
+
+    Or, `again`, as it was.
+    """
+    values = problem.values()
+    average, weight = problem.backproject(values)
     frames = len(problem.data) / len(average)  # that show a scene
-    problem.fields["scene"].init_from(filled(average, weight > SEEN * weight.max() / frames))
+    known = weight > SEEN * weight.max() / frames
+    scene = torch.where(known, average, values["scene"]) if again else filled(average, known)
+    problem.fields["scene"].init_from(scene)
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:

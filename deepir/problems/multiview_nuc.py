@@ -48,7 +48,7 @@ class MultiviewNUC(Definition):
         edges, pattern = find_pattern(frames, usable, gain, offset)
         misfit = edges.misfit(pattern)
         usable = usable & ~((misfit > DEFECTIVE) & lonely(misfit))
-        if problem.known_noise:
+        if problem.noise is not None:
             problem.precision.mul_(usable[:, None])
         else:
             noise = flat_noise(_corrected(problem), usable)

@@ -48,17 +48,17 @@ class NUC(Definition):
     def plan(self, problem: Problem) -> list[Stage]:
         """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
 
-        Where the curvature is modelled they need fewer iterations.
+        Where the curvature is modelled the first ones need fewer iterations, and the last can be had to its end.
         """
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        short, last = (8, 20) if modelled(problem) else (25, 35)
+        short, long, last = (8, 60, 20) if modelled(problem) else (25, 30, 35)
         return [
             Stage("sensor 1", (Step(still), *eliminate), short),
             Stage("sensor 2", (Step(still), *eliminate), short, prepare=update),
-            Stage("sensor 3", (Step(free), *eliminate), 30, prepare=update),
+            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update),
             Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
         ]
 

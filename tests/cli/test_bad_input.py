@@ -138,6 +138,10 @@ SETTINGS = {
     "physics.sensor.gain=true": ["physics.sensor.gain = True", "'type'"],
     "physics.sensor.gain.fixed=maybe": ["physics.sensor.gain.fixed = 'maybe'"],
     "physics.sensor.gain.init=[1]": ["physics.sensor.gain.init = [1]"],
+    "physics.sensor.gain={type: constant, init: gain.npy}": [
+        "physics.sensor.gain.init",
+        "physics.sensor.gain.path",
+    ],
     "physics.sensor.gain={type: constant, path: no.npy}": ["physics.sensor.gain: ", "no.npy: no such file"],
     # stages
     "physics.senser.gain=1": ["physics.senser: not a stage", "did you mean 'sensor'", "before"],

@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 
 import deepir
+from deepir.metrics import scores
 from deepir.operators.warp import NOISE_GAIN
 from deepir.penalties.tv import TV
 from deepir.scenes import procedural
@@ -29,3 +30,34 @@ def test_a_plain_scene_bears_a_stronger_prior_than_a_rich_one(blur, least, most)
     result = deepir.run("nuc", frames=sim.frames, threads=1)
     by_noise = TV().natural(NOISE_GAIN * result.metrics["noise_sigma"] / 5**0.5)
     assert least < result.metrics["strengths"]["scene.tv.weight"] / by_noise < most
+
+
+DARK = procedural(6, (260, 300)) ** 3  # photons are few, and noise little, in half of it
+
+
+def test_a_gain_that_is_known_is_no_worse_than_one_that_is_found(tmp_path):
+    camera = Settings(
+        n_frames=5, shape=(96, 120), photons=1000.0, gain_column=0.3, shading=0.0, dead_pixels=0.0
+    )
+    sim = simulate(DARK, camera, seed=15)
+    np.save(tmp_path / "gain.npy", sim.truth.gain)
+    known = {"type": "constant", "path": str(tmp_path / "gain.npy")}
+    found, told = (
+        deepir.run("nuc", frames=sim.frames, threads=1, **more)
+        for more in ({}, {"physics": {"sensor": {"gain": known}}})
+    )
+    found, told = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, told))
+    assert told > found - 0.2
+
+
+def test_noise_that_is_given_as_it_was_made_does_next_to_as_well_as_that_which_is_measured():
+    camera = Settings(
+        n_frames=3, shape=(96, 120), photons=1000.0, read_noise=0.002, shading=0.0, dead_pixels=0.0
+    )
+    sim = simulate(DARK, camera, seed=16)
+    found, told = (
+        deepir.run("nuc", frames=sim.frames, threads=1, **more)
+        for more in ({}, {"noise": {"read": 0.002, "photons": 1000.0}})
+    )
+    found, told = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, told))
+    assert told > found - 1
