@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 from deepir import overrides
 from deepir.components import explain
 from deepir.errors import ConfigError, nearest
+from deepir.paths import expanded, is_file
 from deepir.schema import Config, Data
 from deepir.yaml import parse
 
@@ -65,12 +67,12 @@ def dump(config: Config) -> str:
 
 def find(name: str | Path) -> Path:
     """The file of a configuration, given its path or its shipped name."""
-    path = Path(name).expanduser()
-    if str(name) in shipped_names() and not path.is_file():
+    path = expanded(name)
+    if str(name) in shipped_names() and not is_file(path):
         return SHIPPED / f"{name}.yaml"
-    if path.suffix in (".yaml", ".yml") and path.is_file():
+    if path.suffix in (".yaml", ".yml") and is_file(path):
         return path
-    if path.exists():
+    if os.path.exists(path):  # noqa: PTH110 - however long
         use = f"resume {name}" if (path / "config.yaml").is_file() else f"run nuc data.path={name}"
         raise ConfigError(f"{name}: not a configuration (a .yaml file); did you mean `deepir {use}`?")
     here = [str(each) for each in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
@@ -115,10 +117,20 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _merge(label: str, *parts: Mapping[str, Any], resolve: bool = False) -> dict[str, Any]:
     try:
-        merged = OmegaConf.merge(*(OmegaConf.create(dict(part)) for part in parts))
+        merged = OmegaConf.create(functools.reduce(_over, parts, {}))
         return OmegaConf.to_container(merged, resolve=resolve, throw_on_missing=resolve)  # type: ignore[return-value]
-    except OmegaConfBaseException as error:
+    except (OmegaConfBaseException, RecursionError) as error:
         raise ConfigError(f"{label}: {str(error).splitlines()[0]}") from None
+
+
+def _over(under: Any, over: Any, where: str = "") -> Any:
+    """What is `over`, and of mappings what is `under` beside it."""
+    if not isinstance(over, Mapping):
+        return over
+    if wrong := [key for key in over if not isinstance(key, str)]:
+        raise ConfigError(f"{where}{wrong[0]!r}: a key is text")
+    below = under if isinstance(under, Mapping) else {}
+    return {**below, **{key: _over(below.get(key), each, f"{where}{key}.") for key, each in over.items()}}
 
 
 def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) -> Config:
@@ -135,11 +147,11 @@ def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) ->
 
 def _preset(name: str) -> dict[str, Any]:
     """What `prior: name` stands for: a shipped preset, one's own .yaml file, or a field without penalties."""
-    own = Path(name).expanduser()
+    own = expanded(name)
     if name in priors():
         return _read(SHIPPED / "prior" / f"{name}.yaml")
     if own.suffix in (".yaml", ".yml"):
-        if not own.is_file():
+        if not is_file(own):
             raise ConfigError(
                 f"prior: {name}: no such file; give a .yaml file or a name: {', '.join(priors())}"
             )

@@ -38,6 +38,8 @@ from deepir.uncertainty import pattern_cost, uncertainty
 STILL = 0.5
 #: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
 LITTLE = 3.0
+#: Standard deviation that rounding to whole numbers makes.
+ROUNDED = 0.29
 #: Cost of the unknown pattern, in dB, from which it is worth a message.
 COSTLY = 2.0
 #: Side of the windows, in px, whose mean stands for a sample's signal.
@@ -66,7 +68,7 @@ def joint(
     kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken])
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
-    _given_noise(problem, config)
+    messages += _given_noise(problem, config)
     given = problem.precision.amax((0, 1)) > 0
     definition.initialise(problem, config.seed)
     _demand_strengths(problem)
@@ -152,9 +154,10 @@ def _along_a_line(at: Tensor) -> list[str]:
     ]
 
 
-def _given_noise(problem: Problem, config: Config) -> None:
+def _given_noise(problem: Problem, config: Config) -> list[str]:
+    """Take the noise that the configuration gives, if it does; a message where whole counts cannot have so little."""
     if config.noise == "auto":
-        return
+        return []
     read, photon = config.noise.read**2, 1 / (config.noise.photons or math.inf)
     # Until there is a prediction, the mean of the neighbours: of single samples the low ones would seem the surest.
     signal = avg_pool2d(problem.data, AROUND, stride=1, padding=AROUND // 2, count_include_pad=False)
@@ -164,6 +167,12 @@ def _given_noise(problem: Problem, config: Config) -> None:
     least = LEAST * float(variance.median())
     problem.precision.copy_((problem.precision > 0) / variance.clamp_(min=least))
     problem.noise = read, photon, least
+    if variance.max() > ROUNDED**2 / 10 or problem.data.max() <= 1 or (problem.data % 1).any():
+        return []
+    return [
+        f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes {ROUNDED}: is "
+        "the configuration meant for frames in [0, 1]?"
+    ]
 
 
 def _demand_strengths(problem: Problem) -> None:

@@ -27,6 +27,7 @@ HOMES = {
     "problem": ["deepir.problems"],
     "method": ["deepir.joint", "deepir.baselines"],
     "training": ["deepir.training"],
+    "camera": ["deepir.cameras"],
 }
 _components: dict[str, dict[str, Any]] = {kind: {} for kind in HOMES}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import resource
 import sys
@@ -117,6 +118,7 @@ def execute(
         "radiometry": None if data.radiometry is None else asdict(data.radiometry),
         "input_sha256": data.sha256,
         "versions": versions(),
+        "machine": machine(),
     }
     return result
 
@@ -130,6 +132,16 @@ def peak_memory() -> float:
 def versions() -> dict[str, str]:
     """What a result depends on beside the data and the configuration."""
     return {"deepir": deepir.__version__, "torch": torch.__version__, "python": platform.python_version()}
+
+
+def machine() -> str:
+    """What this computer is: its processor and how many cores there are."""
+    try:
+        about = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        about = []
+    named = (line.partition(":")[2].strip() for line in about if line.startswith("model name"))
+    return f"{next(named, platform.processor() or platform.machine())}, {os.cpu_count()} cores"
 
 
 def _compared(result: Result, data: bursts.Burst) -> dict[str, float]:

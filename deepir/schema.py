@@ -77,7 +77,7 @@ class Fit(_Strict):
     method: Literal["lbfgs", "adam"] = "adam"
     lr: float = Field(1e-2, gt=0)
     iterations: int = Field(300, ge=0)  # of each round
-    rounds: int = Field(1, ge=1)  # at whose begin penalties learn from the scene what they need
+    rounds: int = Field(1, ge=1, le=1000)  # at whose begin penalties learn from the scene what they need
     average: float = Field(0.0, ge=0, lt=1)
 
 

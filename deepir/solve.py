@@ -170,7 +170,7 @@ def _run(
         save()
         if all(o.done for o, _ in optimisers):
             return "converged"
-    return "iteration limit reached"
+    return "stopped as planned"
 
 
 def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: _Position) -> None:

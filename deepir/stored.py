@@ -19,6 +19,7 @@ from deepir.burst import Burst
 from deepir.config import Config, Data, dump, read
 from deepir.errors import ConfigError, DataError, SolverError
 from deepir.folder import FILES, Folder
+from deepir.paths import expanded
 from deepir.report.progress import Lines
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, prepare, versions
@@ -42,7 +43,7 @@ def run_into(
         DeepIRError: Configuration, data or folder are wrong; nothing is written, a former run stays.
         SolverError: The solve failed; its state is in the folder.
     """
-    folder = Folder(path.expanduser().absolute())
+    folder = Folder(expanded(path).absolute())
     folder.check_free(overwrite=overwrite)
     config = pinned(config, folder)
     _check_inputs(config, folder)
@@ -65,7 +66,7 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
     Raises:
         ConfigError: There is no run, it lacks a plugin, or its input has changed.
     """
-    folder = Folder(path.expanduser().absolute())
+    folder = Folder(expanded(path).absolute())
     if not folder.path.is_dir() or folder.state() == "new":
         raise ConfigError(f"{path}: no run in this folder{_known_runs(path.parent)}")
     if folder.state() == "finished":
@@ -135,7 +136,7 @@ def pinned(config: Config, folder: Folder) -> Config:
     """The configuration with all that a later process might see differently: paths, threads."""
 
     def absolute(path: str | None) -> str | None:
-        return None if path is None else os.path.abspath(Path(path).expanduser())  # noqa: PTH100 - keeps globs
+        return None if path is None else os.path.abspath(expanded(path))  # noqa: PTH100 - keeps globs
 
     def inside(value: Any) -> Any:
         if not isinstance(value, Mapping):

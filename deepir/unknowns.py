@@ -80,7 +80,7 @@ def _fitting(
     field: Field = make("field", kind, options, where, **context)
     try:
         found = tuple(field().shape)
-    except RuntimeError:  # it cannot even be expanded to the shape
+    except (RuntimeError, IndexError):  # it cannot even be expanded to the shape
         found = None
     if found is None or not fits(found):
         made = f", not {found}" if found else ""
@@ -126,6 +126,13 @@ def start_field(
     init = settings.get("init", "register" if field.model else None)
     if isinstance(field, Constant) and init is not None:
         raise ConfigError(f"{where}.init: what is known is given by {where}.value or {where}.path")
+    try:
+        _start(field, init, motion, geometry, where)
+    except (RuntimeError, IndexError) as error:  # of another shape, or numbers that it cannot be
+        raise ConfigError(f"{where}.init = {init!r}: the field cannot start there") from error
+
+
+def _start(field: Field, init: Any, motion: Tensor | None, geometry: Geometry, where: str) -> None:
     if init == "register":
         if motion is not None:
             field.init_from(scaled(motion, geometry.ratio))

@@ -13,6 +13,8 @@ NUMBER = re.compile(
 )
 TRUTH = re.compile(r"(true|True|TRUE|false|False|FALSE)$")
 CHANGED = ("int", "float", "bool", "timestamp")
+#: Far more than a configuration needs, and little enough for what comes after; aliases count as what they stand for.
+LONGEST, MOST, DEEPEST = 100_000, 10_000, 30  # characters, values, levels
 
 
 class _Loader(yaml.SafeLoader):
@@ -26,10 +28,17 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.MarkedYAMLError(problem="a key is text", problem_mark=key.start_mark)
             if key.value in seen and key.value != "<<":
                 raise yaml.MarkedYAMLError(problem=f"key '{key.value}' twice", problem_mark=key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        super().flatten_mapping(node)
+        if len(node.value) > MOST:
+            raise yaml.MarkedYAMLError(problem=f"more than {MOST:,} values", problem_mark=node.start_mark)
 
 
 _Loader.add_implicit_resolver("tag:yaml.org,2002:int", INTEGER, list("-+0123456789"))
@@ -43,11 +52,34 @@ def parse(text: str) -> Any:
     >>> parse("{frames: 2:5, weight: 1e-3, jitter: no}")
     {'frames': '2:5', 'weight': 0.001, 'jitter': 'no'}
     """
+    if len(text) > LONGEST:
+        raise ValueError(f"{len(text):,} characters; at most {LONGEST:,} are read")
     try:
-        return yaml.load(text, Loader=_Loader)
+        value = yaml.load(text, Loader=_Loader)
+    except RecursionError:
+        raise ValueError(f"nested deeper than {DEEPEST} levels") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
         raise ValueError(f"{place}{error.problem or error.context}") from None
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(" ".join(str(error).split())) from None
+    _check_extent(value)
+    return value
+
+
+def _check_extent(value: Any) -> None:
+    """Raise `ValueError` for what is too much, too deep, or holds itself."""
+    level, count = [value], 0
+    for _ in range(DEEPEST):
+        inner: list[Any] = []
+        for each in level:
+            inner += (
+                [*each, *each.values()] if isinstance(each, dict) else each if isinstance(each, list) else ()
+            )
+            if count + len(inner) > MOST:
+                raise ValueError(f"more than {MOST:,} values")
+        count, level = count + len(inner), inner
+        if not level:
+            return
+    raise ValueError(f"nested deeper than {DEEPEST} levels")

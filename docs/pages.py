@@ -14,7 +14,7 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).parent.parent
 PROBLEMS = "Problems"
 SECTIONS = {
-    "Use": ["tutorial", "gallery", "cli", "configuration", "files", "priors", "ablations"],
+    "Use": ["tutorial", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
     PROBLEMS: ["super-resolution"],
     "Concepts": ["how-it-works", "how-it-estimates", "jitter", "sensor-physics", "conventions", "extending"],
     "Figures": ["results", "bench-*", "rivals", "performance", "reliability"],
@@ -22,15 +22,26 @@ SECTIONS = {
 }
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
-    "Running": ["runner", "config", "schema", "burst", "result", "errors"],
-    "Solving": ["problem", "solve", "joint", "elimination", "strengths", "uncertainty", "evidence"],
+    "Running": ["runner", "config", "overrides", "schema", "burst", "result", "stored", "errors"],
+    "Solving": [
+        "build",
+        "problem",
+        "solve",
+        "optimisers",
+        "joint",
+        "elimination",
+        "strengths",
+        "uncertainty",
+        "evidence",
+    ],
     "Operators": ["operators"],
     "Fields": ["priors"],
     "Penalties": ["penalties", "denoisers", "fidelity"],
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
     "Simulator": ["simulate", "scenes", "metrics"],
-    "Files": ["io", "calibration"],
+    "Sweeps": ["sweep", "analysis", "training"],
+    "Files": ["io", "calibration", "capture", "cameras"],
     "For plugins": ["registry", "testing"],
 }
 

@@ -45,6 +45,7 @@ def test_each_kind_has_its_components():
         "problem": {"deconv", "generic", "nuc", "sr"},
         "method": {"average", "bicubic", "joint"},
         "training": {"denoiser"},
+        "camera": {"boson", "v4l2"},
     }
     assert HOMES.keys() == wanted.keys()
     for kind, names in wanted.items():

@@ -201,3 +201,18 @@ def test_a_known_motion_is_taken_as_it_is(frames, motion, tmp_path):
 def test_a_known_value_that_makes_no_sense_is_an_error(frames, setting, says):
     with pytest.raises(ConfigError, match=says):
         deepir.run("nuc", setting, frames=frames, **QUICK)
+
+
+def test_noise_that_whole_counts_cannot_have_is_told(burst):
+    told = [
+        [
+            each
+            for each in deepir.run("nuc", *more, frames=burst.frames).messages
+            if "frames in [0, 1]" in each
+        ]
+        for more in (
+            ["noise.read=0.001", "solver.max_iterations=1"],
+            ["noise.read=5", "solver.max_iterations=1"],
+        )
+    ]
+    assert [len(each) for each in told] == [1, 0]

@@ -164,7 +164,7 @@ def test_a_step_is_taken_every_so_many_iterations(small_nuc):
 
 
 def test_it_stops_at_the_limit_or_at_rest_and_says_which(small_nuc):
-    assert solve(small_nuc(), plan(iterations=3)).reason == "iteration limit reached"
+    assert solve(small_nuc(), plan(iterations=3)).reason == "stopped as planned"
     rested = solve(small_nuc(), plan(iterations=500, tolerance=1e-2))
     assert rested.reason == "converged"
     assert 10 < rested.iterations < 200

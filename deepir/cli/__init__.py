@@ -14,6 +14,7 @@ from deepir.cli.analyze import analyze
 from deepir.cli.apply import apply
 from deepir.cli.batch import batch
 from deepir.cli.calibrate import calibrate
+from deepir.cli.capture import capture
 from deepir.cli.check import check
 from deepir.cli.compare import compare
 from deepir.cli.demo import demo
@@ -31,6 +32,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(demo)
+app.command()(capture)
 app.command()(simulate)
 app.command()(resume)
 app.command()(compare)
@@ -61,7 +63,7 @@ def _options(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status.
 
-    0: finished, or the iteration limit reached. 1: the solve failed, or something unforeseen. 2: the user can
+    0: finished. 1: the solve failed, or something unforeseen. 2: the user can
     mend it; nothing was written. 130, 143: interrupted, the state is saved.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)

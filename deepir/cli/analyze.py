@@ -32,9 +32,10 @@ def analyze(
     """
     from deepir.analysis.verdict import words
     from deepir.errors import ConfigError
+    from deepir.paths import expanded
     from deepir.report.analysis import write_analysis
 
-    path = Path(what).expanduser()
+    path = expanded(what)
     in_run = (path / "result.npz").is_file()
     verdict: Verdict | None = None
     doubt: Array | None = None

@@ -56,6 +56,7 @@ def apply(
 def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     """Write all frames; what was done, in a line."""
     import itertools
+    from concurrent.futures import Future, ThreadPoolExecutor
 
     from deepir.io import stream_frames
     from deepir.io.radiometry import unit
@@ -66,10 +67,19 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     first = next(frames)
     dtype = output_type(first.dtype, rounded=rounded)
     begun, count = time.perf_counter(), 0
-    with writer(target, dtype, unit(_radiometry(data)), shown.palette, shown.tones) as write:
+    written: Future[None] | None = None
+    with (
+        writer(target, dtype, unit(_radiometry(data)), shown.palette, shown.tones) as write,
+        ThreadPoolExecutor(1) as behind,  # a frame is written while the next is corrected
+    ):
         for frame in itertools.chain([first], frames):
-            write(maps.correct(frame))
+            corrected = maps.correct(frame)
+            if written is not None:
+                written.result()
+            written = behind.submit(write, corrected)
             count += 1
+        if written is not None:
+            written.result()
     speed = count / (time.perf_counter() - begun)
     return f"{target}: {count} frame(s) of {' x '.join(map(str, first.shape))} px, {speed:.0f} frames/s"
 
@@ -77,6 +87,7 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
 def _radiometry(data: Data) -> Radiometry | None:
     from deepir.io import readers
     from deepir.io.radiometry import chosen
+    from deepir.paths import expanded
 
-    found = readers.radiometry(Path(str(data.path)).expanduser()) if data.raw is None else None
+    found = readers.radiometry(expanded(str(data.path))) if data.raw is None else None
     return chosen(found, data.radiometry)

@@ -34,11 +34,17 @@ def check(
             raise ConfigError(
                 f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}"
             )
-        for line in _burst(load("nuc", [f"data.path={what}", *(settings or ())]).data):
+        lines = _burst(load("nuc", [f"data.path={what}", *(settings or ())]).data)
+        for line in lines:
             typer.echo(line)
-        typer.echo(
-            f"to correct it: {shlex.join(['deepir', 'run', 'nuc', f'data.path={what}', *(settings or ())])}"
-        )
+        if lines[1].startswith("  1 frame"):
+            typer.echo(
+                f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
+                f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
+            )
+        else:
+            command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
+            typer.echo(f"to correct it: {shlex.join(command)}")
     else:
         _configuration(what, settings or [])
 

@@ -15,7 +15,17 @@ def list_components(plugin: Plugins = None) -> None:
 
     groups = {
         f"{kind}s".replace("ys", "ies"): {name: summary(each) for name, each in components(kind).items()}
-        for kind in ("method", "operator", "field", "penalty", "denoiser", "fidelity", "problem", "training")
+        for kind in (
+            "method",
+            "operator",
+            "field",
+            "penalty",
+            "denoiser",
+            "fidelity",
+            "problem",
+            "training",
+            "camera",
+        )
     }
     groups["priors (prior=NAME; a field or a .yaml file too)"] = {
         name: headline(SHIPPED / "prior" / f"{name}.yaml") for name in priors()

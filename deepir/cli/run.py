@@ -35,8 +35,10 @@ def run(
 
 def output_folder(config: Config, name: str) -> Path:
     """`output.dir`, or runs/NAME of the configuration's name."""
+    from deepir.paths import expanded
+
     if config.output.dir is not None:
-        return Path(config.output.dir).expanduser()
+        return expanded(config.output.dir)
     return Path("runs") / (Path(name).stem if Path(name).is_file() else name)
 
 

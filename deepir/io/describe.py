@@ -65,12 +65,15 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
 def _noise_and_motion(frames: Array) -> list[str]:
     if len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK:
         return ["too few or too small frames to see temporal noise and motion"]
-    lines = [f"temporal noise about {temporal_noise(frames):.3g} (standard deviation of a sample)"]
+    noise = f"{temporal_noise(frames):.3g} (standard deviation of a sample"
     shift, evidence = apparent_motion(frames)
     if shift > STILL and evidence > SURE:
-        return [*lines, f"motion: yes, roughly {shift:.1f} px between frames, or more"]
+        return [
+            f"temporal noise at most {noise}; texture that moves counts in, a run tells them apart)",
+            f"motion: yes, roughly {shift:.1f} px between frames, or more",
+        ]
     return [
-        *lines,
+        f"temporal noise about {noise})",
         "motion: none to be seen; without motion the fixed pattern cannot be told from the scene",
     ]
 
@@ -78,8 +81,9 @@ def _noise_and_motion(frames: Array) -> list[str]:
 def temporal_noise(frames: Array) -> float:
     """Temporal noise of one sample, from differences of consecutive frames `(N, h, w)`; NaN if there is none.
 
-    Differences cancel the fixed pattern, and the diagonal detail of 2 x 2 blocks most of what motion leaves;
-    the median ignores the rest (Donoho and Johnstone, "Ideal spatial adaptation by wavelet shrinkage", 1994).
+    Differences cancel the fixed pattern, and the diagonal detail of 2 x 2 blocks most of what motion leaves, though not
+    fine texture: with motion it is an upper bound. The median ignores the rest (Donoho and Johnstone, "Ideal spatial
+    adaptation by wavelet shrinkage", 1994).
     """
     with np.errstate(invalid="ignore"):
         d = np.diff(frames, axis=0)[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2]

@@ -16,6 +16,7 @@ from deepir.io import raw as headerless
 from deepir.io import readers
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array, folder
+from deepir.paths import expanded
 from deepir.schema import Raw
 
 Select = str | int | Sequence[int] | None
@@ -46,7 +47,7 @@ def read_frames(
     n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. `raw` is the layout of a file without a
     header. Raises `DataError` for whatever cannot be read or is no burst of numbers.
     """
-    file = Path(path).expanduser()
+    file = expanded(path)
     stored = stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
     frames = to_float32(select_frames(stored, select, source))
@@ -61,7 +62,7 @@ def stream_frames(
 
     What is given, and what is raised, is as for `read_frames`.
     """
-    file = Path(path).expanduser()
+    file = expanded(path)
     pieces = readers.stream(file, key) if raw is None else headerless.stream(file, raw)
     for piece in pieces:
         yield from stack(piece, str(file))
@@ -69,7 +70,7 @@ def stream_frames(
 
 def digest(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a burst's file, or of the digests of its pictures in order; `DataError` if it cannot be read."""
-    file = Path(path).expanduser()
+    file = expanded(path)
     with readers.guarded(file):
         return _sha256(file)
 

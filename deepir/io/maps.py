@@ -13,6 +13,7 @@ from deepir.io import readers
 from deepir.io.checks import Mask
 from deepir.io.frames import stack, to_float32
 from deepir.io.readers import npz
+from deepir.paths import expanded
 
 Shape = tuple[int, int]
 
@@ -22,7 +23,7 @@ def read_mask(path: str | os.PathLike[str], shape: Shape) -> Mask:
 
     Raises `DataError` where its shape is not `shape`, or nothing is left to work with.
     """
-    file = Path(path).expanduser()
+    file = expanded(path)
     array = readers.read(file)
     if array.dtype.kind == "b":
         array = array.astype(np.uint8)
@@ -43,7 +44,7 @@ def read_truth(
     Anything else is a picture of the scene. A scene is `(Q h, Q w)`, Q a whole number, or `(N, Q h, Q w)` where each
     frame has its own. Raises `DataError` where there is no scene, or it does not fit `shape`.
     """
-    file = Path(path).expanduser()
+    file = expanded(path)
     arrays = {"scene": readers.read(file)} if readers.find(file) is not npz else _arrays(file)
     if "scene" not in arrays:
         raise DataError(f"{file}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")

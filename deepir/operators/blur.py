@@ -10,6 +10,8 @@ from torch import Tensor
 from deepir.operators.base import Operator, Shape
 from deepir.registry import register
 
+MOST = 100  # px: the radius
+
 
 @register("operator", "blur")
 class Blur(Operator):
@@ -21,8 +23,8 @@ class Blur(Operator):
 
     def __init__(self, *, radius: int = 3) -> None:
         super().__init__()
-        if radius < 0:
-            raise ValueError(f"radius must be at least 0, not {radius}")
+        if not 0 <= radius <= MOST:
+            raise ValueError(f"radius must be 0 to {MOST} px, not {radius}")
         self.radius = radius
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:

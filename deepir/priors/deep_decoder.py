@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.priors.field import Shape
+from deepir.priors.field import Shape, counted
 from deepir.priors.network import Network
 from deepir.registry import register
 
@@ -38,8 +38,9 @@ class DeepDecoder(Network):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        if width < 1 or blocks < 2:
-            raise ValueError("width must be at least 1, and blocks 2")
+        counted(width=(width, 1024), blocks=(blocks, 10))
+        if blocks < 2:
+            raise ValueError("blocks must be at least 2")
         unit = 2 ** (blocks - 1)
         small = [-(-side // unit) for side in shape[-2:]]
         self.register_buffer("noise", 0.1 * torch.rand(shape[0], width, *small))

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.priors.field import Shape
+from deepir.priors.field import Shape, counted
 from deepir.priors.network import Network
 from deepir.priors.skip import Skip
 from deepir.registry import register
@@ -56,8 +56,7 @@ class DIP(Network):
         bf16: bool = False,
     ) -> None:
         super().__init__(shape, neutral, residual=picture, bf16=bf16)
-        if min(width, scales, skip, inputs) < 1:
-            raise ValueError("width, scales, skip and inputs must be at least 1")
+        counted(width=(width, 512), scales=(scales, 8), skip=(skip, 128), inputs=(inputs, 128))
         self.perturb, self.sigmoid = perturb, sigmoid
         unit = 2**scales
         # Reflection wants two px at the coarsest scale.

@@ -51,3 +51,13 @@ class Field(nn.Module):
     def example(cls) -> Field:
         """A small instance: the test-suite collects it from the registry."""
         return cls((1, 1, 6, 7))
+
+
+def counted(**counts: tuple[int, int]) -> None:
+    """Raise `ValueError` for a number, given with the most that is allowed, that is not 1 to that.
+
+    >>> counted(width=(64, 1024))
+    """
+    for name, (value, most) in counts.items():
+        if not 1 <= value <= most:
+            raise ValueError(f"{name} must be 1 to {most}, not {value}")

@@ -16,6 +16,7 @@ from deepir.registry import register
 
 #: Nats that a step of one px costs for each px of its length. Where the scene has no texture nothing else holds it.
 WEIGHT = 1.0
+FARTHEST = 1000.0  # px
 ROUNDING = 0.05  # px between control points below which a difference costs its square
 
 
@@ -52,8 +53,8 @@ class Flow(Field):
         weight: float = WEIGHT,
     ) -> None:
         super().__init__((shape[0], *size, 2), neutral)
-        if not 2 <= spacing < math.inf:
-            raise ValueError(f"spacing must be a number of at least 2 px, not {spacing}")
+        if not 2 <= spacing <= FARTHEST:
+            raise ValueError(f"spacing must be 2 to {FARTHEST:g} px, not {spacing}")
         if not 0 <= weight < math.inf:
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
         self.size, self.ratio, self.spacing = (size[0], size[1]), ratio, spacing

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.priors.coordinates import Coordinates
-from deepir.priors.field import Shape
+from deepir.priors.field import Shape, counted
 from deepir.registry import register
 
 
@@ -54,8 +54,9 @@ class Fourier(Coordinates):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        if min(count, width, depth) < 1 or not 0 < bandwidth < float("inf"):
-            raise ValueError("count, width and depth must be at least 1, and bandwidth a positive number")
+        counted(count=(count, 4096), width=(width, 1024), depth=(depth, 32))
+        if not 0 < bandwidth < float("inf"):
+            raise ValueError(f"bandwidth must be a positive number, not {bandwidth}")
         layers: list[nn.Module] = [Waves(count, bandwidth)]
         for i in range(depth):
             layers += [nn.Linear(2 * count if i == 0 else width, width), nn.ReLU()]

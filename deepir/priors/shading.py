@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepir.priors.field import Shape
+from deepir.priors.field import Shape, counted
 from deepir.priors.parts import Part
 from deepir.registry import register
 
@@ -34,6 +34,7 @@ class Shading(Part):
         self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None, degree: int = 4
     ) -> None:
         super().__init__(shape, neutral, sigma=sigma)
+        counted(degree=(degree, 20))
         orders = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 0]
         for k, axis in enumerate("yx"):
             side = shape[k - 2]

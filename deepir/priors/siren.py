@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.priors.coordinates import Coordinates
-from deepir.priors.field import Shape
+from deepir.priors.field import Shape, counted
 from deepir.registry import register
 
 
@@ -47,8 +47,9 @@ class Siren(Coordinates):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        if min(width, depth) < 1 or not 0 < omega < float("inf"):
-            raise ValueError("width and depth must be at least 1, and omega a positive number")
+        counted(width=(width, 1024), depth=(depth, 32))
+        if not 0 < omega < float("inf"):
+            raise ValueError(f"omega must be a positive number, not {omega}")
         layers: list[nn.Module] = [Sine(2 if i == 0 else width, width, omega) for i in range(depth)]
         self.net = nn.Sequential(*layers, nn.Linear(width, shape[0]))
         with torch.no_grad():

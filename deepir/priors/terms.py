@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from deepir.priors.field import Shape
+from deepir.priors.field import Shape, counted
 from deepir.priors.strength import Held
 from deepir.registry import register
 
@@ -70,8 +70,7 @@ class DCT(Terms):
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, order: int = 20, sigma: float | None = None
     ) -> None:
-        if order < 1:
-            raise ValueError(f"order must be at least 1, not {order}")
+        counted(order=(order, 1000))
         height, width = shape[-2:]
         longer = max(height, width)
         y, x = torch.meshgrid(
@@ -140,8 +139,7 @@ class Radial(Terms):
         centre: tuple[float, float] = (0.0, 0.0),
         sigma: float | None = None,
     ) -> None:
-        if order < 1:
-            raise ValueError(f"order must be at least 1, not {order}")
+        counted(order=(order, 1000))
         y, x = (torch.arange(side) - (side - 1) / 2 - at for side, at in zip(shape[-2:], centre, strict=True))
         radius = torch.hypot(y[:, None], x)
         count = int(radius.max()) + 2

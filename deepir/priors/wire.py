@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.priors.coordinates import Coordinates
-from deepir.priors.field import Shape
+from deepir.priors.field import Shape, counted
 from deepir.registry import register
 
 
@@ -64,8 +64,9 @@ class Wire(Coordinates):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        if min(width, depth) < 1 or not (0 < omega < float("inf") and 0 <= sharpness < float("inf")):
-            raise ValueError("width and depth must be at least 1, omega positive and sharpness not negative")
+        counted(width=(width, 1024), depth=(depth, 32))
+        if not (0 < omega < float("inf") and 0 <= sharpness < float("inf")):
+            raise ValueError("omega must be positive and sharpness not negative")
         first = Gabor(2, width, omega, sharpness, real=True)
         inner = [Gabor(width, width, omega, sharpness) for _ in range(depth)]
         last = nn.Linear(2 * width, shape[0])  # the real part of a complex one

@@ -29,6 +29,7 @@ KINDS = {
     "problem": ("Problems", "How a problem is started and solved: `problem`."),
     "method": ("Methods", "What runs: `method`. [rivals.md](rivals.md) has their sources."),
     "training": ("Trainings", "What `deepir train NAME` trains."),
+    "camera": ("Cameras", "Drivers for `deepir capture --camera NAME`; [files.md](files.md#a-live-camera)."),
 }
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError, nearest
+from deepir.paths import expanded
 from deepir.scenes import procedural, sky
 
 #: Draw a scene of any size from a seed: `procedural:3`.
@@ -39,7 +40,7 @@ def picture(name: str) -> Scene | list[Scene]:
         return partial(DRAWN[kind], int(seed))
     if name in SHIPPED and not Path(name).exists():
         return _stretched(_shipped(name), name)
-    if not (Path(name).suffix or Path(name).expanduser().exists()):
+    if not (Path(name).suffix or expanded(name).exists()):
         raise DataError(
             f"scene: no picture is called '{name}'; {nearest(name, SHIPPED)}, procedural:SEED, sky:SEED or a file"
         )

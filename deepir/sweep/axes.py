@@ -9,6 +9,7 @@ from glob import glob
 from pathlib import Path
 
 from deepir.errors import ConfigError, DataError
+from deepir.paths import expanded
 
 #: Axes over which medians are taken.
 REPEATS = ("seed", "data.simulate.seed")
@@ -27,7 +28,7 @@ class Axis:
 def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
     """Settings with one value, and an axis for each that lists several: `prior=tv,dip`.
 
-    A comma within brackets or quotes belongs to a value.
+    A comma within brackets or quotes belongs to a value. Raises `ConfigError` where all values are the same one.
     """
     fixed: list[str] = []
     axes: dict[str, Axis] = {}
@@ -38,6 +39,8 @@ def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
         if len(values) == 1:
             fixed.append(setting)
         else:
+            if len(set(values)) == 1:
+                raise ConfigError(f"{setting}: nothing varies, {values[0]} is listed {len(values)} times")
             axes[key] = Axis(key, {value: [f"{key}={value}"] for value in values})
     return fixed, list(axes.values())
 
@@ -72,7 +75,7 @@ def bursts(patterns: Sequence[str]) -> Axis:
     """
     found: dict[str, None] = {}
     for pattern in patterns:
-        at = str(Path(pattern).expanduser())
+        at = str(expanded(pattern))
         matches = [at] if Path(at).exists() else sorted(glob(at, recursive=True))  # noqa: PTH207 - keeps absolute ones
         if not matches:
             raise DataError(f"{pattern}: no such file, and no burst matches it")

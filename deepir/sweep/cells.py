@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from deepir.config import Config, dump, load, read
-from deepir.errors import ConfigError, DataError
+from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.folder import Folder
 from deepir.io.frames import digest
+from deepir.paths import expanded
 from deepir.runner import prepare
 from deepir.stored import check_unchanged, hashes, pinned
 from deepir.sweep.axes import BURST, Axis, folder_name
@@ -83,7 +84,7 @@ def cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, 
 
 
 def _cell(values: Mapping[str, str], config: Config, path: Path, threads: int) -> Cell:
-    folder = Folder(path.expanduser().absolute())
+    folder = Folder(expanded(path).absolute())
     return Cell(
         values, pinned(config.model_copy(update={"threads": config.threads or threads}), folder), folder
     )
@@ -105,7 +106,7 @@ def check(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
     if one like it is `finished`.
 
     Raises:
-        DeepIRError: What is wrong, and with which cell.
+        DeepIRError: What is wrong, and with which cell, unless it is wrong with others too.
     """
     checked = {_kind(cell) for cell in finished}
     unread: dict[tuple[str, ...], DataError] = {}
@@ -113,19 +114,28 @@ def check(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
         kind = _kind(cell)
         if kind in checked:
             continue
-        try:
-            prepare(cell.config)
-        except ConfigError as error:
-            raise ConfigError(f"{cell.name}: {error}") from None
-        except DataError as error:
-            unread[kind] = DataError(f"{cell.name}: {error}")
-            if BURST not in cell.values:
-                raise unread[kind] from None
-        else:
+        error = _wrong(cell)
+        if error is None:
             checked.add(kind)
             unread.pop(kind, None)
+            continue
+        other = next((each for each in reversed(found) if _kind(each) != kind), None)
+        common = other is not None and str(_wrong(other)) == str(error)
+        named = error if common else type(error)(f"{cell.name}: {error}")
+        if not (isinstance(named, DataError) and BURST in cell.values):
+            raise named
+        unread[kind] = named
     if unread:
         raise next(iter(unread.values()))
+
+
+def _wrong(cell: Cell) -> DeepIRError | None:
+    """What is wrong with a cell, if anything."""
+    try:
+        prepare(cell.config)
+    except DeepIRError as error:
+        return error
+    return None
 
 
 def _kind(cell: Cell) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from deepir.config import load
 from deepir.errors import ConfigError
+from deepir.paths import expanded
 from deepir.sweep import cluster, table
 from deepir.sweep.axes import Axis
 from deepir.sweep.cells import Cell, cells, check, check_inputs
@@ -87,7 +88,7 @@ def prepare(
     if not axes:
         raise ConfigError("nothing varies: list values with commas, for example prior=tv,dip seed=0,1,2")
     first = load(name, [*settings, *(each for axis in axes for each in next(iter(axis.choices.values())))])
-    base = Path(first.output.dir or folder).expanduser().absolute()
+    base = expanded(first.output.dir or folder).absolute()
     cores = cluster.cores()
     count = workers or min(
         math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1))

@@ -92,14 +92,18 @@ def figures(cell: Cell) -> str:
 
 
 def markdown(found: Sequence[Row], title: str) -> str:
-    """The table as a page, with what failed."""
+    """The table as a page, with the machines that ran it and what failed."""
     heads, body = lines(found)
     table = [heads, ["---"] * len(heads), *([cell.replace("|", "\\|") for cell in line] for line in body)]
     text = "".join(f"| {' | '.join(line)} |\n" for line in table)
     repeated = any(len(group.rows) > 1 for group in grouped(found))
     note = "Medians over seeds, with the least and the greatest.\n\n" if repeated else ""
+    ran = sorted({row.metrics["machine"] for row in found if "machine" in row.metrics})
+    where = "".join(f"\nOn {each}.\n" for each in ran)
     failed = "".join(f"- `{row.name}`: {row.error}\n" for row in found if row.error)
-    return f"{HEADER}# Results\n\n`{title}`\n\n{note}{text}" + (f"\nFailed:\n\n{failed}" if failed else "")
+    return f"{HEADER}# Results\n\n`{title}`\n\n{note}{text}{where}" + (
+        f"\nFailed:\n\n{failed}" if failed else ""
+    )
 
 
 def write_csv(path: Path, found: Sequence[Row]) -> None:

@@ -159,6 +159,11 @@ REFUSED = {
     "compare nuc data.path=burst.npz": ["nothing varies", "prior=tv,dip"],
     "compare nuc data.path=burst.npz prior=tv,tvv": ["did you mean 'tv'"],
     "compare nuc data.path=burst.npz data.frames=3,9": ["data.frames=9", "does not fit its 3 frames"],
+    "compare nuc data.path=burst.npz prior=tv,tv": ["prior=tv,tv: nothing varies"],
+    "compare nuc data.path=burst.npz prior=tv,red data.crop=[0,999,0,9]": ["error: data.crop: "],
+    "compare nuc data.path=burst.npz prior=tv,red fidelity=l3": [
+        "error: fidelity: no fidelity is called 'l3'"
+    ],
     "compare nuc data.path=burst.npz output.dir=a,b": ["output.dir", "one folder"],
     "compare nuc seed=0,1": ["data.path is missing"],
     "compare nuc --seed 0,1": ["No such option: --seed", "seed=..."],

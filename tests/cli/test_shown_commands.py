@@ -1,4 +1,4 @@
-"""The commands of the tutorial and the gallery, on smaller frames and with fewer iterations than on the pages."""
+"""The commands of the tutorial, the gallery and the page on priors, with smaller frames and fewer iterations."""
 
 import re
 import shlex
@@ -11,6 +11,7 @@ from deepir.config import SHIPPED
 
 TUTORIAL = ROOT / "docs/tutorial.md"
 GALLERY = ROOT / "docs/gallery.md"
+WHICH_PRIOR = ROOT / "docs/which-prior.md"
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), re.MULTILINE | re.DOTALL))
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
@@ -76,3 +77,10 @@ def test_the_gallery_runs(name, capfd, working_folder):
 def test_the_gallerys_pictures_are_small(name):
     assert f"(images/gallery/{name}.png)" in SECTIONS[name]
     assert (ROOT / f"docs/images/gallery/{name}.png").stat().st_size < 60_000
+
+
+def test_the_priors_that_are_shown_run(capfd, working_folder):
+    ((_, text),) = shown(WHICH_PRIOR)
+    for line in commands(text):
+        command(line, capfd)
+    assert {path.name for path in (working_folder / "runs").iterdir()} == {"tv", "red", "tgv", "dip"}

@@ -252,7 +252,7 @@ def test_downsample_refuses_sides_that_do_not_divide():
 
 
 def test_blur_has_a_radius_and_takes_several_channels():
-    with pytest.raises(ValueError, match="at least 0"):
+    with pytest.raises(ValueError, match="radius must be 0 to 100 px"):
         Blur(radius=-1)
     x, psf = torch.rand(2, 3, 6, 7, dtype=torch.float64), torch.rand(1, 1, 3, 3, dtype=torch.float64)
     assert np.allclose(Blur(radius=1)(x, psf=psf), blur(x.numpy(), {"psf": psf.numpy()}))

@@ -67,7 +67,7 @@ def test_a_step_costs_its_height_times_its_length_whatever_the_spacing():
 
 
 def test_spacings_and_weights_that_make_no_sense_are_refused():
-    with pytest.raises(ValueError, match="at least 2 px"):
+    with pytest.raises(ValueError, match="spacing must be 2 to 1000 px"):
         make(spacing=1)
     with pytest.raises(ValueError, match="at least 0"):
         make(weight=-1)

@@ -26,6 +26,11 @@ def test_a_key_with_several_values_is_an_axis_and_one_with_one_is_a_setting():
     assert axes[1].choices["1"] == ["seed=1"]
 
 
+def test_one_value_given_twice_varies_nothing():
+    with pytest.raises(ConfigError, match="prior=tv,tv: nothing varies, tv is listed 2 times"):
+        listed(["prior=tv,tv"])
+
+
 def test_of_a_key_given_twice_the_last_counts():
     fixed, axes = listed(["seed=0,1", "prior=tv,pixels", "seed=2"])
     assert fixed == ["seed=2"]

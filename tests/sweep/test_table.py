@@ -39,6 +39,11 @@ def test_what_failed_is_counted_and_explained(rows):
     assert "Failed:\n\n- `tv30`: it | did not work\n" in markdown(rows, "deepir compare")
 
 
+def test_the_machines_are_named_once():
+    rows = [Row(name, {"prior": name}, {"seconds": 2.0, "machine": "a fast one, 4 cores"}) for name in "ab"]
+    assert markdown(rows, "deepir compare").endswith("\nOn a fast one, 4 cores.\n")
+
+
 def test_without_truth_the_held_out_error_is_shown():
     rows = [Row("a", {"prior": "tv"}, {"held_out_rmse": 4.0, "seconds": 2.0})]
     assert lines(rows) == (["prior", "finished", "held-out error", "seconds"], [["tv", "1/1", "4", "2"]])

@@ -12,7 +12,7 @@ function words() {
   const lines = good ? ["Nothing to object to in this burst."] : data.messages;
   find("#verdict").append(
     make("ul", { class: good ? "good" : "warned" }, ...lines.map((text) => make("li", { text }))),
-    make("p", { class: "hint", text: `The solver ended: ${data.stop_reason}.` }),
+    make("p", { class: "hint", text: `The solver ${data.stop_reason}.` }),
   );
   find("#config").textContent = data.config;
   find("#metrics").textContent = JSON.stringify(data.metrics, null, 2);

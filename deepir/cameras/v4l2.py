@@ -1,0 +1,83 @@
+"""Any camera that Linux knows as /dev/videoN and that gives 16-bit grey (Y16): PureThermal, Boson, and others."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import Any
+
+from deepir.cameras.camera import Array, Camera
+from deepir.errors import DataError
+from deepir.io.extras import needed
+from deepir.registry import register
+
+RAW = "gray16le"
+NONBLOCK = "+4"  # FFmpeg has no name for it: a read does not wait, so that Ctrl-C and silence end one
+OPENING = 10.0  # s until the first frame must have come
+
+
+@register("camera", "v4l2")
+class V4L2(Camera):
+    """Any camera that Linux knows as /dev/videoN and that gives 16-bit grey (Y16), by PyAV.
+
+    device: its file. mode: width and height in px, where the camera has several.
+    """
+
+    correction = (
+        "Video4Linux cannot switch the camera's own correction off: do it in the camera's software, or let its shutter "
+        "close right before"
+    )
+
+    def __init__(self, *, device: str = "/dev/video0", mode: list[int] | None = None) -> None:
+        self.device, self.av = device, needed("av", "camera", device)
+        if mode is not None and len(mode) != 2:
+            raise ValueError(f"mode is a width and a height, not {mode}")
+        options = {"pixel_format": RAW, "fflags": NONBLOCK}
+        if mode is not None:
+            options["video_size"] = "x".join(map(str, mode))
+        try:
+            self.container = self.av.open(device, format="v4l2", options=options, timeout=(OPENING, None))
+        except (OSError, self.av.FFmpegError) as error:
+            raise DataError(f"{device}: {_reason(error)}{_others(device)}") from None
+        self.track = self.container.streams.video[0]
+        if self.track.format.name != RAW:
+            self.close()
+            raise DataError(
+                f"{device}: gives {self.track.format.name} and no raw 16-bit frames (Y16): a webcam?{_others(device)}"
+            )
+
+    def read(self) -> Array | None:
+        """The newest frame, those before it are dropped."""
+        newest: Array | None = None
+        while True:
+            try:
+                frames = next(self.container.demux(self.track)).decode()
+            except BlockingIOError:
+                return newest
+            except (OSError, StopIteration, self.av.FFmpegError) as error:
+                raise DataError(f"{self.device}: the camera is gone ({error})") from None
+            if not frames:
+                return newest
+            newest = frames[-1].to_ndarray()
+
+    def close(self) -> None:
+        """Close the device."""
+        self.container.close()
+
+
+def _reason(error: Any) -> str:
+    """What a user can do about it."""
+    known = {
+        errno.ENOENT: "no such camera",
+        errno.EACCES: "no permission to open it: sudo usermod -aG video $USER, and log in again",
+        errno.EBUSY: "another program uses it",
+        errno.EINVAL: "it does not give raw 16-bit frames (Y16) of this size",
+        errno.ENOTTY: "not a camera",
+    }
+    return known.get(getattr(error, "errno", 0), f"cannot be opened: {error}")
+
+
+def _others(device: str) -> str:
+    """The cameras that there are beside this one."""
+    there = sorted(str(each) for each in Path("/dev").glob("video*") if str(each) != device)
+    return f"; there {'is' if len(there) == 1 else 'are'} {', '.join(there)} (device=...)" if there else ""

@@ -1,0 +1,102 @@
+"""A burst from a live camera, frame by frame, and how far the camera has moved so far."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepir.cameras.camera import Array, Camera
+from deepir.errors import DataError
+
+SIDE = 160  # px: frames are registered at a size of at most this
+FAR = 3.0  # px along an axis that the camera should have moved by at least
+FROZEN = 0.4  # s without a new picture that mean a shutter; cameras for export send nine pictures a second
+PATIENCE = 5.0  # s after which no picture will come any more
+PAUSE = 0.005  # s between two looks at the camera
+
+
+@dataclass(frozen=True)
+class Captured:
+    """A burst (N, h, w) as the camera gave it, when each frame came (s after the first), and how long the picture stood
+    still in between, at most (s)."""
+
+    frames: Array
+    times: Array
+    stood: float
+
+
+def capture(camera: Camera, count: int, every: float, tell: Callable[[Sequence[Array]], None]) -> Captured:
+    """Take `count` frames, `every` seconds or more apart; pictures that are the same as the last are passed over.
+
+    `tell` is called with the frames so far after each. Raises `DataError` where no new picture comes for 5 s, or their
+    size changes.
+    """
+    frames: list[Array] = []
+    times: list[float] = []
+    last: Array | None = None
+    waiting: float | None = None  # since when nothing new came
+    stood = 0.0
+    while len(frames) < count:
+        frame, now = camera.read(), time.monotonic()
+        if frame is None or (last is not None and np.array_equal(frame, last)):
+            waiting = now if waiting is None else waiting
+            if now - waiting > PATIENCE:
+                raise DataError(_silence(last))
+            time.sleep(PAUSE)
+            continue
+        if frame.ndim != 2 or (last is not None and frame.shape != last.shape):
+            raise DataError(f"the camera gives frames of shape {frame.shape}; one size (h, w) is needed")
+        if frames and waiting is not None:
+            stood = max(stood, now - waiting)
+        last, waiting = frame, None
+        if not times or now - times[-1] >= every:
+            frames.append(frame.copy())
+            times.append(now)
+            tell(frames)
+    return Captured(np.stack(frames), np.array(times) - times[0], stood)
+
+
+def _silence(last: Array | None) -> str:
+    if last is None:
+        return f"the camera has sent nothing for {PATIENCE:.0f} s: unplug it and plug it in again, and try once more"
+    return (
+        f"the camera's picture has not changed for {PATIENCE:.0f} s, not even by noise: its shutter is closed, it is "
+        "frozen, or something reduces its noise to nothing"
+    )
+
+
+def reach(frames: Sequence[Array]) -> tuple[float, float] | None:
+    """How far frames (h, w) lie apart along x and along y, px; None if the last shows another place.
+
+    Registered as a run does it, the pattern left out, but by shifts only, and on small frames.
+    """
+    import torch
+
+    from deepir.registration import register
+
+    stack = torch.from_numpy(np.stack(frames).astype(np.float32))
+    factor = -(-max(stack.shape[1:]) // SIDE)
+    found = register(torch.nn.functional.avg_pool2d(stack, factor), model="shift")
+    if not found.used[-1]:
+        return None
+    at = factor * found.motion[found.used][:, :2, 2]
+    x, y = (at.amax(0) - at.amin(0)).tolist()
+    return x, y
+
+
+def advice(span: tuple[float, float] | None) -> str:
+    """What the person with the camera should do next."""
+    if span is None:
+        return "this frame shows another place: move less at a time"
+    x, y = span
+    so_far = f"{x:.0f} px along x and {y:.0f} px along y so far"
+    if x < FAR and y < FAR:
+        return f"{so_far}: move the camera, in a small circle"
+    if x < FAR:
+        return f"{so_far}: move it sideways too"
+    if y < FAR:
+        return f"{so_far}: move it up and down too"
+    return f"{so_far}: well done, on in a circle"
