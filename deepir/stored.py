@@ -21,7 +21,7 @@ from deepir.errors import ConfigError, DataError, SolverError
 from deepir.folder import FILES, Folder
 from deepir.report.progress import Lines
 from deepir.result import Result
-from deepir.runner import Callbacks, execute, prepare, versions
+from deepir.runner import Callbacks, execute, machine, prepare, versions
 from deepir.solve import Progress
 
 log = logging.getLogger("deepir")
@@ -47,8 +47,9 @@ def run_into(
     config = pinned(config, folder)
     _check_inputs(config, folder)
     data = prepare(config, frames)
-    record = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
-    made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
+    record = {"versions": versions(), "machine": machine(), "plugins": list(plugins)}
+    record |= {"inputs": hashes(config.data, data.sha256), "started": time.time(), "seconds": 0.0}
+    made = folder.begin(dump(config), record)
     work = _Work(folder, config, data, callbacks)
     try:
         with folder.logging():
