@@ -10,7 +10,6 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from record_protocols import Group, Protocol, protocols

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,8 @@ class Recorded:
 
     file: str
     settings: tuple[str, ...] = ()
+    key: str = ""  # of the array of frames, where there are several
+    shutter: str = ""  # of frames of the closed shutter; pixels of no counts are then blind
     range = 1.0
 
     def missing(self) -> str:
@@ -63,8 +65,16 @@ class Recorded:
         return lacking(self.file)
 
     def written(self, stem: Path) -> list[str]:
-        """The settings of a run."""
-        return [f"data.path={Path(DATA) / self.file}", *self.settings]
+        """Write the shutter and the blind pixels; the settings of a run."""
+        path = Path(DATA) / self.file
+        found = [f"data.path={path}", *self.settings, *([f"data.key={self.key}"] if self.key else [])]
+        if not self.shutter:
+            return found
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        frames, closed = (deepir.read_frames(path, key=key).frames for key in (self.key, self.shutter))
+        np.save(f"{stem}_shutter.npy", closed)
+        np.save(f"{stem}_bad.npy", (frames == 0).any(0))
+        return [*found, f"data.mask={stem}_bad.npy"]
 
 
 def lacking(file: str) -> str:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from deconv import best, kernel
 from nuc_oracle import best_scene
 
 from deepir.burst import Burst
@@ -20,6 +22,12 @@ from deepir.registry import register
 from deepir.result import Result, neutral
 from deepir.simulate import Settings, Simulation, Truth
 
+#: Methods by name, and what deconv.py calls them.
+PEERS = {
+    "richardson_lucy": "Richardson-Lucy",
+    "wiener": "Wiener",
+    "unsupervised_wiener": "unsupervised Wiener",
+}
 DONE = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
 
 
@@ -37,6 +45,21 @@ def oracle(burst: Burst, config: Config) -> Result:
     result = plain(burst, best_scene(sim, variance[:n]))
     result.gain, result.offset = sim.truth.gain, sim.truth.offset
     return result
+
+
+def peer(name: str) -> Callable[..., Result]:
+    """A method of scikit-image's for one frame behind a Gaussian blur of `sigma` px."""
+
+    def method(burst: Burst, config: Config, *, sigma: float) -> Result:
+        psf = kernel("gaussian", sigma=sigma)
+        return plain(burst, best(PEERS[name], burst.frames[0], burst.truth["scene"], psf).astype(np.float32))
+
+    method.__doc__ = f"scikit-image's {PEERS[name]}, with the setting that is best on the truth."
+    return method
+
+
+for each in PEERS:
+    register("method", each)(peer(each))
 
 
 def plain(burst: Burst, scene: np.ndarray) -> Result:

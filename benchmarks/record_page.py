@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import record_plots
+import record_real
+from record_panels import write_methods
 from record_protocols import Protocol
-from record_tables import Found, margins, table, with_gaps
+from record_tables import FRAMES, Found, margins, table, with_gaps
 
 from deepir.sweep.axes import BURST
 from deepir.sweep.cells import Cell
@@ -21,23 +23,30 @@ INTRODUCTION = """\
 
 All methods on the same bursts, each run a cell of `deepir compare`. {what}
 
-PSNR and SSIM are taken after one gain and level (the [gauge](conventions.md#gauge)), never after warping a result onto
-the truth. `gap` is to `oracle`: total variation that is given the true sensor, motion and noise, and the weight that is
-best on the truth. Radiometric: root mean square error after one level, the gain as it is, in mK or in % of the scene's
-range. Columns and pixels: what is left of a fixed pattern, as neighbours differ by it. Roughness: what neighbours differ
-by to the level. Motion: how far the corners of a frame are off. Gain and offset: root mean squares over good
-pixels. Seconds are of one thread, and MB the most that the process held. Figures are medians over bursts; PSNR with
-its quartiles.
+PSNR and SSIM are taken after one gain and level (the [gauge](conventions.md#gauge)), never after warping a result
+onto the truth. Gap: to `oracle`, total variation that is given the true sensor, motion and noise, and the weight that
+is best on the truth. Radiometric: root mean square error after one level, the gain as it is, in mK or in % of the
+scene's range. Columns and pixels: what is left of a fixed pattern, from what neighbours differ by. Roughness: what
+neighbours differ by, to the level. Motion: how far the corners of a frame are off. Gain, offset and stray flux: root
+mean squares over good pixels. Seconds are of one thread, and MB the most that the process held. Figures are medians
+over bursts; PSNR has its quartiles.
 
-`joint` is deepir's default, `joint NAME` deepir with that prior; the others are [rivals](rivals.md). `flat_field` is told
-more than they are, sixteen frames each of a cold and a hot black body, and no rival's figure below. Every method has deepir's
-registration and the mask of bad pixels."""
+`joint` is deepir's default, `joint NAME` deepir with that prior; the others are [rivals](rivals.md), and every one has
+deepir's registration and the mask of bad pixels. Told more than the burst, and so no rival's figure: `oracle`,
+`flat_field` (sixteen frames each of a cold and a hot black body), and in deconvolution scikit-image's methods (the
+setting that is best on the truth).
+
+Each picture is seen with a seed of its own, both in the burst's name, and nobody tunes on them. Results and bursts lie in
+`runs/bench`, beside each its configuration, versions, machine and the digests of its input."""
 REASON = "Why the margin is what it is, and where it is less than 3 dB: [rivals.md](rivals.md#how-far-ahead)."
 PICTURES = (
     ("Quality against frames", "benchmarks_frames.png", record_plots.against_frames),
     ("Quality against seconds", "benchmarks_seconds.png", record_plots.against_seconds),
     ("Gap to the oracle", "benchmarks_gap.png", record_plots.gaps),
 )
+
+#: Pictures of docs/rivals.md: protocol, burst and number of frames.
+PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "procedural60-404", "16"))
 
 
 def write_page(
@@ -56,10 +65,12 @@ def write_page(
     for title, name, draw in PICTURES:
         if draw(images / name, everything):
             lines += ["", f"## {title}", "", f"![{title}](images/{name})"]
+    for name, key, burst, n in PANELS:
+        write_methods(images / name, cells[key], burst, n)
     for each in everything.values():
         lines += ["", f"## ({each.protocol.key}) {each.protocol.title}"]
         for n in each.numbers():
-            lines += ["", f"### ({each.protocol.key}) {_frames(n)}", "", *table(each, n)]
+            lines += ["", f"### {_title(each, n)}", "", *table(each, n)]
         lines += _missing(each)
     lines += ["", "## What was run, and on what", "", *_record(everything, cells)]
     path.write_text("\n".join(lines) + "\n")
@@ -68,11 +79,19 @@ def write_page(
 def found(protocol: Protocol, cells: Sequence[Cell], errors: Mapping[str, str]) -> Found:
     """A protocol's cells as rows, with their gaps to the oracle."""
     of_cells = {cell.name: errors.get(f"{protocol.key}/{cell.name}", "") for cell in cells}
-    return Found(protocol, with_gaps(rows(cells, of_cells)))
+    every = rows(cells, of_cells)
+    for cell, row in zip(cells, every, strict=True):
+        if cell.values[BURST] == "a65" and isinstance(row.metrics, dict) and row.metrics:
+            row.metrics.update(record_real.measured(cell.folder.path))
+    return Found(protocol, with_gaps(every))
 
 
-def _frames(n: str) -> str:
-    return "all frames" if not n.isdecimal() else f"{n} frame{'s' * (n != '1')}"
+def _title(each: Found, n: str) -> str:
+    """The burst, where there is only one, and the number of frames."""
+    bursts = list(dict.fromkeys(row.values[BURST] for row in each.rows if row.values[FRAMES] == n))
+    count = n if n.isdecimal() else str(n.count(",") + 1)
+    alone = f"{bursts[0]}, " if len(bursts) == 1 else ""
+    return f"({each.protocol.key}) {alone}{count} frame{'s' * (count != '1')}"
 
 
 def _what(everything: Mapping[str, Found], *, full: bool) -> str:

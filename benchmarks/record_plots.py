@@ -7,10 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from record_protocols import DEFAULT, TOLD
+from record_protocols import ALL, DEFAULT, NETWORKS, PRIORS, TOLD
 from record_tables import QUALITY, Found
 
 MOST = 9  # curves in a picture: the best
+COLOURS = (
+    "tab:blue",
+    "tab:green",
+    "tab:orange",
+    "tab:purple",
+    "tab:brown",
+    "tab:cyan",
+    "0.4",
+    "tab:olive",
+    "k",
+)
+MARKERS = "osD^vP*"
 
 
 def against_frames(path: Path, everything: Mapping[str, Found]) -> bool:
@@ -21,7 +33,7 @@ def against_frames(path: Path, everything: Mapping[str, Found]) -> bool:
     figure, places = _figure(len(chosen))
     for axes, (key, found) in zip(places, chosen.items(), strict=True):
         numbers = _finished(found)
-        for method in _best(found, numbers):
+        for method in _best(found, numbers, MOST):
             at = [n for n in numbers if found.values(method, n, QUALITY)]
             spreads = np.array([np.percentile(found.values(method, n, QUALITY), [25, 50, 75]) for n in at]).T
             bars = [spreads[1] - spreads[0], spreads[2] - spreads[1]]
@@ -34,18 +46,22 @@ def against_frames(path: Path, everything: Mapping[str, Found]) -> bool:
 
 def against_seconds(path: Path, everything: Mapping[str, Found], n: str = "5") -> bool:
     """Medians of all methods with `n` frames by their seconds."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     chosen = {key: each for key, each in everything.items() if n in _finished(each)}
     if not chosen:
         return False
     figure, places = _figure(len(chosen))
     for axes, (key, found) in zip(places, chosen.items(), strict=True):
-        for method in found.methods(n):
+        for method in _best(found, [n]):
             x, y = (found.median(method, n, metric) for metric in ("seconds", QUALITY))
-            if method != "one_frame" and np.isfinite(y):
-                axes.errorbar(max(x, 0.05), y, **_style(method))
-                axes.annotate(method, (max(x, 0.05), y), (4, 3), textcoords="offset points", fontsize=7)
+            if method != "one_frame":
+                axes.errorbar(max(x, 0.05), y, label=method, **_style(method))
         axes.set(title=f"({key}), {n} frames", xlabel="seconds, one thread", ylabel="PSNR, dB", xscale="log")
-    return _save(figure, places, path, legend=False)
+        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_major_formatter("{x:g}")
+    return _save(figure, places, path)
 
 
 def gaps(path: Path, everything: Mapping[str, Found], n: str = "5") -> bool:
@@ -70,20 +86,26 @@ def _finished(found: Found) -> list[str]:
     return sorted(numbers, key=int)
 
 
-def _best(found: Found, numbers: Sequence[str]) -> list[str]:
-    """The methods to draw: the default, the oracle, and of the others the best at the number of frames in the middle."""
+def _best(found: Found, numbers: Sequence[str], most: int | None = None) -> list[str]:
+    """The methods to draw: the best, all or `most` of them, with the number of frames in the middle."""
     middle = numbers[len(numbers) // 2]
-    order = sorted(
-        found.methods(middle), key=lambda m: -np.nan_to_num(found.median(m, middle, QUALITY), nan=-1.0)
-    )
-    return [m for m in order if found.values(m, middle, QUALITY)][:MOST]
+    known = [m for m in found.methods(middle) if found.values(m, middle, QUALITY)]
+    return sorted(known, key=lambda m: -found.median(m, middle, QUALITY))[:most]
 
 
 def _style(method: str) -> dict[str, Any]:
-    told = method in TOLD
-    style: dict[str, Any] = {"marker": "s" if told else "o", "markersize": 4, "linewidth": 1, "capsize": 2}
-    style |= {"linestyle": "--"} if told else {}
-    return style | ({"color": "tab:red", "linewidth": 2} if method == DEFAULT else {})
+    """The default stands out; what is told more than the burst is dashed; the same method looks the same everywhere."""
+    if method == DEFAULT:
+        return {"color": "tab:red", "marker": "o", "markersize": 6, "linewidth": 2, "capsize": 2, "zorder": 9}
+    known = [*ALL, *PRIORS, *NETWORKS]
+    place = known.index(method) if method in known else len(known)
+    style = {"color": COLOURS[place % len(COLOURS)], "marker": MARKERS[place % len(MARKERS)]}
+    return style | {
+        "markersize": 4,
+        "linewidth": 1,
+        "capsize": 2,
+        "linestyle": "--" if method in TOLD else "-",
+    }
 
 
 def _figure(count: int) -> tuple[Any, list[Any]]:
@@ -99,6 +121,6 @@ def _save(figure: Any, places: Sequence[Any], path: Path, *, legend: bool = True
     for axes in places:
         axes.grid(alpha=0.3)
         if legend:
-            axes.legend(fontsize=7)
+            axes.legend(fontsize=6)
     figure.savefig(path, dpi=100, metadata={"Software": None})
     return True

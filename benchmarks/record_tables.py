@@ -65,10 +65,11 @@ class Found:
         """Of the scenes, in the data's units."""
         return next((each.range for each in self.protocol.bursts.values()), 1.0)
 
-    def best_rival(self, n: str) -> str | None:
-        """The method of the best median that is neither deepir's nor told more than the burst."""
-        rivals = [each for each in self.methods(n) if DEFAULT not in each and each not in TOLD]
-        known = {each: value for each in rivals if np.isfinite(value := self.median(each, n, QUALITY))}
+    def best(self, n: str, *, rivals: bool) -> str | None:
+        """The method of the best median: of the rivals that are told no more than the burst, or of deepir's priors."""
+        ours = [each for each in self.methods(n) if each.startswith(DEFAULT)]
+        among = [each for each in self.methods(n) if each not in (*ours, *TOLD)] if rivals else ours
+        known = {each: value for each in among if np.isfinite(value := self.median(each, n, QUALITY))}
         return max(known, key=known.__getitem__) if known else None
 
 
@@ -126,17 +127,18 @@ def spread(values: Sequence[float]) -> str:
 
 
 def margins(everything: Mapping[str, Found]) -> Iterator[str]:
-    """Lines of markdown: the default's median less that of the best rival that is not calibrated."""
-    yield "| protocol | frames | deepir's default, dB | best rival | its PSNR, dB | margin, dB | gap to the oracle, dB |"
-    yield "|---" * 7 + "|"
+    """Lines of markdown: the default's median less that of the best rival that is told no more than the burst."""
+    yield "| protocol | frames | deepir, dB | best rival | its dB | margin, dB | best prior | its dB | gap of deepir, dB |"
+    yield "|---" * 9 + "|"
     for key, found in everything.items():
-        for n in found.numbers() if found.protocol.margin else ():
-            rival = found.best_rival(n)
-            own = found.median(DEFAULT, n, QUALITY)
+        for n in found.numbers():
+            own, rival = found.median(DEFAULT, n, QUALITY), found.best(n, rivals=True)
             if rival is None or not np.isfinite(own):
                 continue
             other, gap = found.median(rival, n, QUALITY), found.median(DEFAULT, n, "gap")
+            prior = found.best(n, rivals=False)
+            ours = f"{prior} | {found.median(prior, n, QUALITY):.1f}" if prior else " | "
+            gaps = f"{gap:.1f}" if np.isfinite(gap) else ""
             yield (
-                f"| ({key}) | {n} | {own:.1f} | {rival} | {other:.1f} | **{own - other:+.1f}** | "
-                f"{f'{gap:.1f}' if np.isfinite(gap) else ''} |"
+                f"| ({key}) | {n} | {own:.1f} | {rival} | {other:.1f} | **{own - other:+.1f}** | {ours} | {gaps} |"
             )

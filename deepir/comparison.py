@@ -35,8 +35,8 @@ def compared(result: Result, burst: Burst) -> dict[str, float | None]:
     maps = {"gain": result.gain, "offset": result.offset, "stray": result.extra.get("stray")}
     for name, array in maps.items():
         if array is not None and name in truth and truth[name].shape == array.shape:
-            error = (array - truth[name])[~result.bad_pixels]
-            found[f"{name}_rmse"] = float(np.sqrt(np.mean(error.astype(float) ** 2)))
+            off = (array - truth[name])[~result.bad_pixels]
+            found[f"{name}_rmse"] = float(np.sqrt(np.mean(off.astype(float) ** 2)))
     if "motion" in truth and truth["motion"].shape == result.motion.shape:
         ratio = result.scene.shape[-1] / burst.size[1]
         motion = scaled(torch.from_numpy(result.motion), 1 / ratio).numpy()

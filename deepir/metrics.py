@@ -15,7 +15,7 @@ def scores(scene: Array, truth: Array) -> dict[str, float]:
 
     Where each frame has a scene, (N, H, W), the gauge is one for all, and SSIM the mean. The peak is the truth's range.
     `radiometric_rmse` is the error in the data's units after one level, which no burst shows; the gain stays as it is.
-    `residual_columns` and `residual_pixels` are what is left of a fixed pattern, see `pattern`, after one gain and level.
+    `residual_columns` and `residual_pixels` are what is left of a fixed pattern then, see `pattern`.
     Truth that is not finite is left out, and filled with the scene for SSIM.
     """
     known = np.isfinite(truth)

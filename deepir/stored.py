@@ -47,9 +47,9 @@ def run_into(
     config = pinned(config, folder)
     _check_inputs(config, folder)
     data = prepare(config, frames)
-    record = {"versions": versions(), "machine": machine(), "plugins": list(plugins)}
-    record |= {"inputs": hashes(config.data, data.sha256), "started": time.time(), "seconds": 0.0}
-    made = folder.begin(dump(config), record)
+    inputs = hashes(config.data, data.sha256)
+    record = {"versions": versions(), "machine": machine(), "plugins": list(plugins), "inputs": inputs}
+    made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
     work = _Work(folder, config, data, callbacks)
     try:
         with folder.logging():
