@@ -36,8 +36,8 @@ deepir's registration and the mask of bad pixels. Told more than the burst, and 
 `flat_field` (sixteen frames each of a cold and a hot black body), and in deconvolution scikit-image's methods (the
 setting that is best on the truth).
 
-Each picture is seen with a seed of its own, both in the burst's name, and nobody tunes on them. Results and bursts lie in
-`runs/bench`, beside each its configuration, versions, machine and the digests of its input."""
+Each picture is seen with a seed of its own, both in the burst's name, and nobody tunes on them. Results and bursts lie
+in `runs/bench`, beside each its configuration, versions, machine and the digests of its input."""
 REASON = "Why the margin is what it is, and where it is less than 3 dB: [rivals.md](rivals.md#how-far-ahead)."
 PICTURES = (
     ("Quality against frames", "benchmarks_frames.png", record_plots.against_frames),
@@ -46,7 +46,7 @@ PICTURES = (
 )
 
 #: Pictures of docs/rivals.md: protocol, burst and number of frames.
-PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "procedural60-404", "16"))
+PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "procedural60-444", "16"))
 
 
 def write_page(
@@ -110,8 +110,10 @@ def _missing(each: Found) -> Iterator[str]:
     reasons = Counter(burst.missing() for burst in each.protocol.bursts.values())
     reasons.pop("", None)
     lost = Counter((row.values["method"], row.error or "not run yet") for row in each.rows if not row.metrics)
-    if reasons or lost:
+    if reasons or lost or each.protocol.missing:
         yield ""
+    for left_out in each.protocol.missing:
+        yield f"- Left out: {left_out}."
     for reason, count in reasons.items():
         yield f"- {count} of {len(each.protocol.bursts)} bursts are left out: {reason}."
     for (method, reason), count in sorted(lost.items()):

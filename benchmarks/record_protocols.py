@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from nuc_regimes import CLEAN, COUNTS, NO_OFFSET, UNIT
 from real import CROP, HELD_OUT
 from record_bursts import Recorded, Simulated
+from record_deepinv import MISSING
 from record_methods import PEERS
 
 Burst = Simulated | Recorded
@@ -34,6 +35,7 @@ class Protocol:
     title: str
     bursts: Mapping[str, Burst]
     groups: tuple[Group, ...]
+    missing: tuple[str, ...] = ()  # what is left out, and why
 
 
 def methods(*names: str, more: tuple[str, ...] = ()) -> Methods:
@@ -57,13 +59,13 @@ def looks(
 
 DEFAULT = "joint"
 #: Told more than the burst: never a rival's figure.
-TOLD = ("oracle", "flat_field", *PEERS)
+TOLD = ("oracle", "flat_field", *PEERS, "deepinv_tv")
 STRONG = methods(DEFAULT, "hardie_droege2007", "irlms", "mire", "average", "one_frame")
 WEAK = methods(
     "constant_statistics", "destripe_cnn", "galms", "guided_1d", "hardie2000", "multiview_tv", "multiview_tv_recursive",
 )  # fmt: skip
 TELLING: Methods = {
-    "flat_field": ("method={type: flat_field, cold: STEM_cold.npy, hot: STEM_hot.npy}",),
+    "flat_field": ('method={type: flat_field, cold: "STEM_cold.npy", hot: "STEM_hot.npy"}',),
     **methods("oracle"),
 }
 ALL = {**STRONG, **WEAK, **TELLING}
@@ -71,6 +73,9 @@ PRIORS = methods("joint red", "joint tgv", "joint hessian")
 NETWORKS = methods(
     "joint dip", "joint dip_residual", "joint deep_decoder", "joint grid", "joint siren", "joint fourier", "joint wire",
 )  # fmt: skip
+
+DEEPINV = ("deepinv_tv", "deepinv_dip")
+WITHOUT_DEEPINV = (f"deepinv's total variation and deep image prior: {MISSING}",) if MISSING else ()
 
 # Nobody tunes on these pictures with these seeds.
 PICTURES = {"coffee": 401, "rocket": 402, "chelsea": 403, "procedural 60": 404}
@@ -127,12 +132,14 @@ def small_sensor() -> Protocol:
     bursts = looks(H30T, MICROBOLOMETER, KELVIN)
     first = tuple(bursts)[:1]
     return Protocol(
-        "b, small",
+        "b-small",
         "The same camera with 192 x 160 px: also for priors that take more than a minute at 640 x 512",
         bursts,
         (
             Group({**STRONG, **TELLING, **PRIORS}, (5,), first),
-            Group({**ALL, **PRIORS}, NUMBERS, tuple(bursts), full=True),
+            Group(WEAK, (5,), first, full=True),
+            Group({**ALL, **PRIORS}, (5,), tuple(bursts)[1:], full=True),
+            Group({**ALL, **PRIORS}, (3, 10), tuple(bursts), full=True),
             Group(NETWORKS, NUMBERS, first, full=True),
         ),
     )
@@ -141,7 +148,8 @@ def small_sensor() -> Protocol:
 def finer(factor: int) -> Protocol:
     """Super-resolution."""
     camera = {"counts": True, "dead_pixels": 0.0, "factor": factor, "shape": (64, 80), "n_frames": 16}
-    bursts = looks(PICTURES, camera, (f"physics.downsample.factor={factor}",))
+    pictures = {"coffee": 441, "rocket": 442, "stereo_motorcycle": 443, "procedural 60": 444}
+    bursts = looks(pictures, camera, (f"physics.downsample.factor={factor}",))
     rivals = {**methods(DEFAULT, "bicubic", "shift_and_add", "vdsr"), **STRONG, **methods("oracle")}
     del rivals["one_frame"]
     everything = tuple(bursts)
@@ -207,28 +215,55 @@ def sharper() -> Protocol:
         kernel = f"physics.blur.psf={{type: gaussian, sigma: {sigma:g}, fixed: true}}"
         radius = "physics.blur.radius=10"
         ours = methods(DEFAULT, *PRIORS, more=(kernel, radius)) | {"joint blind": ("method=joint", radius)}
-        told = {name: (f"method={{type: {name}, sigma: {sigma:g}}}",) for name in PEERS}
-        whole = {**ours, **told, **methods("one_frame")}
+        peers = [*PEERS, *([] if MISSING else DEEPINV)]
+        theirs = {name: (f"method={{type: {name}, sigma: {sigma:g}}}",) for name in peers}
+        whole = {**ours, **theirs, **methods("one_frame")}
         groups.append(Group(whole, (1,), tuple(these), "deconv", full=sigma != 1.5))
     return Protocol(
         "deconvolution",
         "One frame of 96 x 128 px behind a Gaussian blur of 1.5 px (all: 1, 1.5 and 2) that is known",
         bursts,
         tuple(groups),
+        WITHOUT_DEEPINV,
+    )
+
+
+def quieter() -> Protocol:
+    """Denoising of one frame."""
+    still = (
+        dict.fromkeys(("gain_pixel", "gain_column", "shading", "dead_pixels", "psf_sigma"), 0.0) | NO_OFFSET
+    )
+    camera = still | {"n_frames": 1, "shape": (96, 128), "read_noise": 0.05}
+    bursts = looks({"coffee": 451, "rocket": 452, "coins": 453, "procedural 60": 454}, camera)
+    known = (
+        "problem=generic",
+        "physics.sensor.gain=1.0",
+        "physics.sensor.offset=0.0",
+        "physics.sensor.level=0.0",
+    )
+    peers = methods("one_frame", *([] if MISSING else DEEPINV))
+    return Protocol(
+        "denoising",
+        "One frame of 96 x 128 px, noise of 5 % of the range, no pattern",
+        bursts,
+        (Group({**methods(DEFAULT, *PRIORS, more=known), **peers}, (1,), tuple(bursts)),),
+        WITHOUT_DEEPINV,
     )
 
 
 def real() -> Protocol:
     """Real bursts, of which no truth is known."""
     bursts: dict[str, Burst] = {
-        "a65": Recorded("a65/a65_frames_000-009.npz", (f"data.crop={CROP}", "physics.warp.motion.type=affine")),
+        "a65": Recorded(
+            "a65/a65_frames_000-009.npz", (f"data.crop={CROP}", "physics.warp.motion.type=affine")
+        ),
         "lepton": Recorded("lepton/lepton_tlinear_82x120x160.npz", ("data.radiometry.scale=0.01",)),
         "seek": Recorded("seek/seek_face.mat", key="raw", shutter="cal"),
     }
     kept = str([k for k in range(10) if k != HELD_OUT])
     alone = {
         **methods("one_frame", "mire", "guided_1d", "destripe_cnn", more=("problem=generic",)),
-        "flat_field": ("method={type: flat_field, shutter: STEM_shutter.npy}", "problem=generic"),
+        "flat_field": ('method={type: flat_field, shutter: "STEM_shutter.npy"}', "problem=generic"),
     }
     return Protocol(
         "real",
@@ -245,4 +280,4 @@ def real() -> Protocol:
 
 def protocols() -> list[Protocol]:
     """All of them, in the page's order."""
-    return [paper(), sensor(), small_sensor(), finer(2), finer(4), narcissus(), sharper(), real()]
+    return [paper(), sensor(), small_sensor(), finer(2), finer(4), narcissus(), sharper(), quieter(), real()]

@@ -128,8 +128,19 @@ def spread(values: Sequence[float]) -> str:
 
 def margins(everything: Mapping[str, Found]) -> Iterator[str]:
     """Lines of markdown: the default's median less that of the best rival that is told no more than the burst."""
-    yield "| protocol | frames | deepir, dB | best rival | its dB | margin, dB | best prior | its dB | gap of deepir, dB |"
-    yield "|---" * 9 + "|"
+    heads = [
+        "protocol",
+        "frames",
+        "deepir, dB",
+        "best rival",
+        "its dB",
+        "margin, dB",
+        "best prior",
+        "its dB",
+        "gap, dB",
+    ]
+    yield f"| {' | '.join(heads)} |"
+    yield "|---" * len(heads) + "|"
     for key, found in everything.items():
         for n in found.numbers():
             own, rival = found.median(DEFAULT, n, QUALITY), found.best(n, rivals=True)

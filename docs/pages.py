@@ -17,7 +17,7 @@ SECTIONS = {
     "Use": ["tutorial", "gallery", "cli", "configuration", "files", "priors", "ablations"],
     PROBLEMS: ["super-resolution"],
     "Concepts": ["how-it-works", "how-it-estimates", "jitter", "sensor-physics", "conventions", "extending"],
-    "Figures": ["results", "bench-*", "rivals", "performance", "reliability"],
+    "Figures": ["results", "benchmarks", "bench-*", "rivals", "performance", "reliability"],
     "Reference": ["components", "reference/*", "CHANGELOG"],
 }
 #: Pages of the reference: the modules of each, in order.
@@ -29,7 +29,7 @@ REFERENCE = {
     "Penalties": ["penalties", "denoisers", "fidelity"],
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
-    "Simulator": ["simulate", "scenes", "metrics"],
+    "Simulator": ["simulate", "scenes", "metrics", "comparison"],
     "Files": ["io", "calibration"],
     "For plugins": ["registry", "testing"],
 }
