@@ -64,10 +64,11 @@ STRONG = methods(DEFAULT, "hardie_droege2007", "irlms", "mire", "average", "one_
 WEAK = methods(
     "constant_statistics", "destripe_cnn", "galms", "guided_1d", "hardie2000", "multiview_tv", "multiview_tv_recursive",
 )  # fmt: skip
-TELLING: Methods = {
-    "flat_field": ('method={type: flat_field, cold: "STEM_cold.npy", hot: "STEM_hot.npy"}',),
-    **methods("oracle"),
+CALIBRATED: Methods = {
+    "flat_field": ('method={type: flat_field, cold: "STEM_cold.npy", hot: "STEM_hot.npy"}',)
 }
+ORACLE = methods("oracle")
+TELLING = {**CALIBRATED, **ORACLE}
 ALL = {**STRONG, **WEAK, **TELLING}
 PRIORS = methods("joint red", "joint tgv", "joint hessian")
 NETWORKS = methods(
@@ -121,7 +122,9 @@ def sensor() -> Protocol:
         "14-bit microbolometer of 640 x 512 px (NETD 50 mK) before thermal pictures of a DJI H30T",
         bursts,
         (
-            Group({**STRONG, **TELLING}, NUMBERS, tuple(bursts)),
+            Group({**STRONG, **CALIBRATED}, NUMBERS, tuple(bursts)),
+            Group(ORACLE, (5,), tuple(bursts)),
+            Group(ORACLE, (3, 10), tuple(bursts), full=True),
             Group(WEAK, NUMBERS, tuple(bursts), full=True),
         ),
     )
@@ -153,12 +156,15 @@ def finer(factor: int) -> Protocol:
     rivals = {**methods(DEFAULT, "bicubic", "shift_and_add", "vdsr"), **STRONG, **methods("oracle")}
     del rivals["one_frame"]
     everything = tuple(bursts)
+    first = everything if factor == 2 else everything[:2]
+    rest = everything[len(first) :]
     return Protocol(
         f"sr{factor}",
         f"Super-resolution by {factor}: 14-bit counts, 64 x 80 px",
         bursts,
         (
-            Group(rivals, (16,), everything, "sr"),
+            Group(rivals, (16,), first, "sr"),
+            *([Group(rivals, (16,), rest, "sr", full=True)] if rest else []),
             Group(rivals, (4, 8), everything, "sr", full=True),
             Group(methods("joint pnp", "joint red", "joint tgv"), (16,), everything, "sr", full=True),
             Group(WEAK, (16,), everything, "sr", full=True),
@@ -178,7 +184,7 @@ def narcissus() -> Protocol:
                 seed = pictures[picture]
                 bursts[f"{name}-{shape}-{strength:g}-{seed}"] = Simulated(picture, seed, look)
     first, more = tuple(bursts)[:4], tuple(bursts)[4:]
-    ours = methods(DEFAULT, "joint red", "joint tgv")
+    ours, other = methods(DEFAULT, "joint red"), methods("joint tgv", "joint hessian")
     rivals = methods("hardie_droege2007", "irlms", "average") | TELLING | {"joint as nuc": ("method=joint",)}
     return Protocol(
         "narcissus",
@@ -189,6 +195,7 @@ def narcissus() -> Protocol:
             Group(rivals, (5,), first),
             Group(ours, (5,), more, "narcissus", full=True),
             Group(rivals, (5,), more, full=True),
+            Group(other, (5,), tuple(bursts), "narcissus", full=True),
         ),
     )
 
