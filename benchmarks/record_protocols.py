@@ -248,7 +248,7 @@ def quieter() -> Protocol:
         "physics.sensor.offset=0.0",
         "physics.sensor.level=0.0",
     )
-    peers = methods("one_frame", *([] if MISSING else DEEPINV))
+    peers = methods("one_frame", *([] if MISSING else DEEPINV), more=known[:1])
     return Protocol(
         "denoising",
         "One frame of 96 x 128 px, noise of 5 % of the range, no pattern",
