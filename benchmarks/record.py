@@ -12,7 +12,8 @@ import sys
 import time
 from pathlib import Path
 
-from record_protocols import Group, Protocol, protocols
+from record_protocol import Group, Protocol
+from record_protocols import protocols
 
 import deepir
 from deepir.cli.signals import Interrupted, Interruptible
@@ -25,7 +26,7 @@ from deepir.sweep.sweep import Sweep, prepare
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "runs" / "bench"
 PAGE = ROOT / "docs" / "benchmarks.md"
-PLUGIN = "record_methods"
+PLUGINS = ("record_methods", "record_deepinv")
 
 
 def main() -> int:
@@ -37,7 +38,8 @@ def main() -> int:
     )
     parser.add_argument("--page", action="store_true", help="run nothing: write the page of what is there")
     options = parser.parse_args()
-    load_plugin(PLUGIN)
+    for each in PLUGINS:
+        load_plugin(each)
     chosen = [each for each in protocols() if not options.protocol or each.key in options.protocol]
     found = {each.key: sweeps(each, full=options.full) for each in chosen}
     status = 0
@@ -94,7 +96,7 @@ def run(sweep: Sweep) -> int:
 
     try:
         with Interruptible():
-            sweep.run(say, None, (PLUGIN,))
+            sweep.run(say, None, PLUGINS)
     except Interrupted as error:
         print("interrupted; the same command goes on with what is missing", file=sys.stderr)
         return error.status

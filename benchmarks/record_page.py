@@ -10,7 +10,7 @@ from typing import Any
 import record_plots
 import record_real
 from record_panels import write_methods
-from record_protocols import Protocol
+from record_protocol import Protocol
 from record_tables import FRAMES, Found, margins, table, with_gaps
 
 from deepir.sweep.axes import BURST
@@ -32,9 +32,9 @@ mean squares over good pixels. Seconds are of one thread, and MB the most that t
 over bursts; PSNR has its quartiles.
 
 `joint` is deepir's default, `joint NAME` deepir with that prior; the others are [rivals](rivals.md), and every one has
-deepir's registration and the mask of bad pixels. Told more than the burst, and so no rival's figure: `oracle`,
-`flat_field` (sixteen frames each of a cold and a hot black body), and in deconvolution scikit-image's methods (the
-setting that is best on the truth).
+deepir's registration and the mask of bad pixels. Told more than the burst, and so no rival's figure, are `oracle` and
+`flat_field` (sixteen frames each of a cold and a hot black body). In deconvolution the rivals have the setting that is
+best on the truth.
 
 Each picture is seen with a seed of its own, both in the burst's name, and nobody tunes on them. Results and bursts lie
 in `runs/bench`, beside each its configuration, versions, machine and the digests of its input."""
@@ -46,7 +46,7 @@ PICTURES = (
 )
 
 #: Pictures of docs/rivals.md: protocol, burst and number of frames.
-PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "procedural60-444", "16"))
+PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "rocket-442", "16"))
 
 
 def write_page(

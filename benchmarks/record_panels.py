@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from record_protocols import DEFAULT
+from record_protocol import DEFAULT
 from record_tables import FRAMES, QUALITY
 
 from deepir.metrics import align

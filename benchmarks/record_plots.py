@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from record_protocols import ALL, DEFAULT, NETWORKS, PRIORS, TOLD
+from record_protocol import ALL, DEFAULT, NETWORKS, PRIORS, TOLD
 from record_tables import QUALITY, Found
 
 MOST = 9  # curves in a picture: the best
@@ -112,9 +112,13 @@ def _figure(count: int) -> tuple[Any, list[Any]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5.5 * count, 4.2), layout="constrained", facecolor="white")
+    rows, columns = -(-count // 2), min(count, 2)
+    figure = Figure(figsize=(5.5 * columns, 4.2 * rows), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
-    return figure, list(figure.subplots(1, count, squeeze=False)[0])
+    places = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axes in places[count:]:
+        axes.set_axis_off()
+    return figure, places[:count]
 
 
 def _save(figure: Any, places: Sequence[Any], path: Path, *, legend: bool = True) -> bool:

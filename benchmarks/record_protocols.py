@@ -1,82 +1,27 @@
-"""What the benchmark of record runs: protocols, their bursts, and the methods on each."""
+"""The protocols of the benchmark of record."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 from nuc_regimes import CLEAN, COUNTS, NO_OFFSET, UNIT
 from real import CROP, HELD_OUT
 from record_bursts import Recorded, Simulated
-from record_deepinv import MISSING
-from record_methods import PEERS
-
-Burst = Simulated | Recorded
-#: What a method is called, and its settings.
-Methods = Mapping[str, tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class Group:
-    """All combinations of methods, numbers of frames and bursts."""
-
-    methods: Methods
-    frames: tuple[int | str, ...]
-    bursts: tuple[str, ...]
-    config: str = "nuc"
-    full: bool = False  # in the full run only
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """Bursts of one kind, and what is run on them."""
-
-    key: str
-    title: str
-    bursts: Mapping[str, Burst]
-    groups: tuple[Group, ...]
-    missing: tuple[str, ...] = ()  # what is left out, and why
-
-
-def methods(*names: str, more: tuple[str, ...] = ()) -> Methods:
-    """Registered methods by their own names; `joint PRIOR` is deepir with that prior."""
-    found = {}
-    for name in names:
-        method, _, prior = name.partition(" ")
-        found[name] = (f"method={method}", *([f"prior={prior}"] if prior else []), *more)
-    return found
-
-
-def looks(
-    pictures: Mapping[str, int], camera: Mapping[str, object], settings: tuple[str, ...] = ()
-) -> dict[str, Burst]:
-    """A burst of each picture, with its seed."""
-    return {
-        f"{name.replace(' ', '')}-{seed}": Simulated(name, seed, camera, settings)
-        for name, seed in pictures.items()
-    }
-
-
-DEFAULT = "joint"
-#: Told more than the burst: never a rival's figure.
-TOLD = ("oracle", "flat_field", *PEERS, "deepinv_tv")
-STRONG = methods(DEFAULT, "hardie_droege2007", "irlms", "mire", "average", "one_frame")
-WEAK = methods(
-    "constant_statistics", "destripe_cnn", "galms", "guided_1d", "hardie2000", "multiview_tv", "multiview_tv_recursive",
+from record_protocol import (
+    ALL,
+    CALIBRATED,
+    DEFAULT,
+    NETWORKS,
+    ORACLE,
+    PRIORS,
+    STRONG,
+    TELLING,
+    WEAK,
+    Burst,
+    Group,
+    Protocol,
+    looks,
+    methods,
 )  # fmt: skip
-CALIBRATED: Methods = {
-    "flat_field": ('method={type: flat_field, cold: "STEM_cold.npy", hot: "STEM_hot.npy"}',)
-}
-ORACLE = methods("oracle")
-TELLING = {**CALIBRATED, **ORACLE}
-ALL = {**STRONG, **WEAK, **TELLING}
-PRIORS = methods("joint red", "joint tgv", "joint hessian")
-NETWORKS = methods(
-    "joint dip", "joint dip_residual", "joint deep_decoder", "joint grid", "joint siren", "joint fourier", "joint wire",
-)  # fmt: skip
-
-DEEPINV = ("deepinv_tv", "deepinv_dip")
-WITHOUT_DEEPINV = (f"deepinv's total variation and deep image prior: {MISSING}",) if MISSING else ()
+from record_single import quieter, sharper
 
 # Nobody tunes on these pictures with these seeds.
 PICTURES = {"coffee": 401, "rocket": 402, "chelsea": 403, "procedural 60": 404}
@@ -197,64 +142,6 @@ def narcissus() -> Protocol:
             Group(rivals, (5,), more, full=True),
             Group(other, (5,), tuple(bursts), "narcissus", full=True),
         ),
-    )
-
-
-def sharper() -> Protocol:
-    """Deconvolution of one frame."""
-    still = dict.fromkeys(("gain_pixel", "gain_column", "shading", "dead_pixels"), 0.0) | NO_OFFSET
-    pictures = {"coffee": 431, "rocket": 432, "coins": 433, "procedural 60": 434}
-    bursts: dict[str, Burst] = {}
-    groups: list[Group] = []
-    for sigma in (1.5, 1.0, 2.0):
-        camera = still | {
-            "n_frames": 1,
-            "shape": (96, 128),
-            "sharp": True,
-            "read_noise": 0.006,
-            "psf_sigma": sigma,
-        }
-        these = {
-            f"{name}-{sigma:g}": Simulated(look.picture, look.seed, look.camera)
-            for name, look in looks(pictures, camera).items()
-        }
-        bursts |= these
-        kernel = f"physics.blur.psf={{type: gaussian, sigma: {sigma:g}, fixed: true}}"
-        radius = "physics.blur.radius=10"
-        ours = methods(DEFAULT, *PRIORS, more=(kernel, radius)) | {"joint blind": ("method=joint", radius)}
-        peers = [*PEERS, *([] if MISSING else DEEPINV)]
-        theirs = {name: (f"method={{type: {name}, sigma: {sigma:g}}}",) for name in peers}
-        whole = {**ours, **theirs, **methods("one_frame")}
-        groups.append(Group(whole, (1,), tuple(these), "deconv", full=sigma != 1.5))
-    return Protocol(
-        "deconvolution",
-        "One frame of 96 x 128 px behind a Gaussian blur of 1.5 px (all: 1, 1.5 and 2) that is known",
-        bursts,
-        tuple(groups),
-        WITHOUT_DEEPINV,
-    )
-
-
-def quieter() -> Protocol:
-    """Denoising of one frame."""
-    still = (
-        dict.fromkeys(("gain_pixel", "gain_column", "shading", "dead_pixels", "psf_sigma"), 0.0) | NO_OFFSET
-    )
-    camera = still | {"n_frames": 1, "shape": (96, 128), "read_noise": 0.05}
-    bursts = looks({"coffee": 451, "rocket": 452, "coins": 453, "procedural 60": 454}, camera)
-    known = (
-        "problem=generic",
-        "physics.sensor.gain=1.0",
-        "physics.sensor.offset=0.0",
-        "physics.sensor.level=0.0",
-    )
-    peers = methods("one_frame", *([] if MISSING else DEEPINV), more=known[:1])
-    return Protocol(
-        "denoising",
-        "One frame of 96 x 128 px, noise of 5 % of the range, no pattern",
-        bursts,
-        (Group({**methods(DEFAULT, *PRIORS, more=known), **peers}, (1,), tuple(bursts)),),
-        WITHOUT_DEEPINV,
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from record_protocols import DEFAULT, TOLD, Protocol
+from record_protocol import DEFAULT, TOLD, Protocol
 
 from deepir.sweep.axes import BURST
 from deepir.sweep.table import Row
@@ -68,7 +68,9 @@ class Found:
     def best(self, n: str, *, rivals: bool) -> str | None:
         """The method of the best median: of the rivals that are told no more than the burst, or of deepir's priors."""
         ours = [each for each in self.methods(n) if each.startswith(DEFAULT)]
-        among = [each for each in self.methods(n) if each not in (*ours, *TOLD)] if rivals else ours
+        among = (
+            [each for each in self.methods(n) if each not in (*ours, *TOLD, "one_frame")] if rivals else ours
+        )
         known = {each: value for each in among if np.isfinite(value := self.median(each, n, QUALITY))}
         return max(known, key=known.__getitem__) if known else None
 

@@ -85,7 +85,8 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
         if record.get("versions", versions()) != versions():
             log.warning("started with %s, resumed with %s", record["versions"], versions())
         fresh = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
-        folder.write_record(fresh | record | {"started": time.time(), "seconds": before})
+        begun = {"machine": machine(), "started": time.time(), "seconds": before}
+        folder.write_record(fresh | record | begun)
         return _Work(folder, config, data, callbacks, before).run()
 
 
