@@ -46,7 +46,7 @@ PICTURES = (
 )
 
 #: Pictures of docs/rivals.md: protocol, burst and number of frames.
-PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "rocket-442", "16"))
+PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "coffee-441", "16"))
 
 
 def write_page(
