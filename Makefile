@@ -30,14 +30,17 @@ lint: setup  ## ruff and mypy
 docs: setup  ## the documentation as a site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+bench: setup  ## the benchmark of record, a part of it: all methods, a quarter of an hour on two cores
+	$(BIN)/python benchmarks/record.py
+
+bench-full: setup  ## the benchmark of record, all of it: hours; goes on where it was interrupted
+	$(BIN)/python benchmarks/record.py --full
+
 bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
 	$(BIN)/python benchmarks/nuc.py --output docs/bench-nuc.md
 
 bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
 	$(BIN)/python benchmarks/sr.py
-
-bench-rivals: setup  ## the default against every rival
-	$(BIN)/python benchmarks/rivals.py --output docs/bench-rivals.md
 
 bench-lag: setup  ## the time constant, and quality against ignoring it: thermal lag
 	$(BIN)/python benchmarks/lag.py
@@ -69,4 +72,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-paper bench-switches bench-real clean
+.PHONY: help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-paper bench-switches bench-real clean

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,17 @@ KINDS: dict[str, tuple[dict[str, float], str, float]] = {
     "motion_blur": ({"motion_blur": 5.0, "motion_blur_angle": 30.0}, "length", 5.0),
 }
 RADIUS, MARGIN = 10, 24  # px of the kernels, and of the rivals' mirrored edges
+
+LIFT = 0.05  # Richardson and Lucy's is for positive data
+#: What a rival makes of a picture about [0, 1] and a point-spread function, with one setting after the other.
+TRIED: dict[str, Callable[[np.ndarray, np.ndarray], Iterator[np.ndarray]]] = {
+    "Richardson-Lucy": lambda y, psf: (
+        richardson_lucy(y + LIFT, psf, num_iter=n, clip=False) - LIFT
+        for n in (5, 10, 15, 20, 30, 40, 60, 80, 120, 200)
+    ),
+    "Wiener": lambda y, psf: (wiener(y, psf, balance, clip=False) for balance in np.logspace(-5, 1, 25)),
+    "unsupervised Wiener": lambda y, psf: iter([unsupervised_wiener(y, psf, clip=False, rng=0)[0]]),
+}
 
 
 def main() -> None:
@@ -165,23 +176,17 @@ def kernel(kind: str, **options: float) -> np.ndarray:
 
 def tuned(sim: Simulation, psf: np.ndarray) -> dict[str, np.ndarray]:
     """Each of the rivals with the setting that is best on the truth."""
-    y = sim.frames[0].astype(float)
+    return {name: best(name, sim.frames[0], sim.truth.scene, psf) for name in TRIED}
+
+
+def best(name: str, frame: np.ndarray, truth: np.ndarray, psf: np.ndarray) -> np.ndarray:
+    """What a rival makes of a frame (h, w), with the setting that is best on the truth."""
+    y = frame.astype(float)
     low, span = y.min(), np.ptp(y)
     padded = np.pad((y - low) / span, MARGIN, mode="symmetric")
-    lifted = padded + 0.05  # Richardson and Lucy's is for positive data
-    tried = {
-        "Richardson-Lucy": [
-            richardson_lucy(lifted, psf, num_iter=n, clip=False) - 0.05
-            for n in (5, 10, 15, 20, 30, 40, 60, 80, 120, 200)
-        ],
-        "Wiener": [wiener(padded, psf, balance, clip=False) for balance in np.logspace(-5, 1, 25)],
-        "unsupervised Wiener": [unsupervised_wiener(padded, psf, clip=False, rng=0)[0]],
-    }
     inside = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    return {
-        name: max((span * each[inside] + low for each in images), key=lambda image: psnr(image, sim))
-        for name, images in tried.items()
-    }
+    images = (span * each[inside] + low for each in TRIED[name](padded, psf))
+    return max(images, key=lambda image: scores(image, truth)["psnr"])
 
 
 def psnr(scene: np.ndarray, sim: Simulation) -> float:

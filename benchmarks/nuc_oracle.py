@@ -39,6 +39,11 @@ def config(settings: Settings) -> Config:
 
 def oracle(sim: Simulation, picture: np.ndarray) -> float:
     """Best PSNR in dB, after one gain and level."""
+    return aligned(best_scene(sim, noise_variance(sim, picture)), sim)
+
+
+def best_scene(sim: Simulation, variance: np.ndarray) -> np.ndarray:
+    """The scene (Q h, Q w) of the best PSNR, given the variance of each sample's noise (N, h, w)."""
     truth, used = sim.truth, ~sim.truth.failed
     frames = sim.frames[used].astype(np.float32)
     valid = ~truth.moving[used]
@@ -48,21 +53,24 @@ def oracle(sim: Simulation, picture: np.ndarray) -> float:
     known |= {"tau": truth.tau} if sim.settings.tau else {}
     for name, value in known.items():
         problem.fields[name].values.copy_(torch.from_numpy(value))
-    variance = torch.from_numpy(noise_variance(sim, picture)[used].astype(np.float32))
-    problem.precision.copy_((problem.precision > 0) / variance[:, None])
+    problem.precision.copy_(
+        (problem.precision > 0) / torch.from_numpy(variance[used].astype(np.float32))[:, None]
+    )
     start_scene(problem)
     penalty = problem.penalties["scene"]["tv"]
     noise = problem.operator.noise_gain * float(problem.precision.sum(0).median().rsqrt())
     natural = 1 / (STEP * noise)
-    y0, y1, x0, x1 = geometry.window
+    scenes: dict[float, np.ndarray] = {}  # by their PSNR
 
     def quality(power: float) -> float:
         penalty.weight.fill_(2**power * natural)
         plan = [Stage("oracle", (Step(("scene",)),), ITERATIONS, tolerance=TOLERANCE)]
         image = problem.operator.image(solve(problem, plan).values["scene"])
-        return aligned(image[0, 0, y0:y1, x0:x1].numpy(), sim)
+        scene = geometry.crop(image).numpy()
+        scenes[found := aligned(scene, sim)] = scene
+        return found
 
-    return climb(quality)
+    return scenes[climb(quality)]
 
 
 def climb(quality: Callable[[float], float], reach: int = 5) -> float:

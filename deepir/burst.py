@@ -16,6 +16,8 @@ from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
 
 Array = np.ndarray[Any, Any]
+#: Of a truth, what it has for each frame.
+BY_FRAME = ("motion", "level")
 
 
 @dataclass(frozen=True)
@@ -23,8 +25,8 @@ class Burst:
     """Frames (N, h, w) float32, what may be used of them, and where they are from.
 
     `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
-    masked ones among them. `truth` holds the scene (h, w), or (N, h, w) if each frame has its own, if it is known, and
-    `radiometry` makes kelvin of counts.
+    masked ones among them. `truth` holds what is known of the scene (h, w), or (N, h, w) if each frame has its own, of
+    gain, offset, motion ... by name, and `radiometry` makes kelvin of counts.
     """
 
     frames: Array
@@ -67,10 +69,15 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
     if data.frames is not None and len(scene := truth.get("scene", stack)) > len(stack) and scene.ndim == 3:
         truth["scene"] = select_frames(scene, data.frames, "data.truth")
+    if data.frames is not None:
+        by_frame = {name: truth[name] for name in BY_FRAME if len(truth.get(name, stack)) > len(stack)}
+        truth |= {name: select_frames(array, data.frames, "data.truth") for name, array in by_frame.items()}
     if data.crop is not None:
         size = mask.shape
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
-        truth = {k: _cropped(v, data.crop, size) for k, v in truth.items()}
+        truth = {
+            k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"
+        }  # about another centre
     bad, valid = validate(stack, source, needs=needs)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")

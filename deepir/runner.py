@@ -8,6 +8,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,12 @@ import deepir
 from deepir import burst as bursts
 from deepir import memory, threads
 from deepir.build import build
+from deepir.comparison import compared
 from deepir.config import Config, load
 from deepir.errors import ConfigError
 from deepir.joint import plan
 from deepir.method import chosen
-from deepir.metrics import scores
+from deepir.metrics import roughness
 from deepir.order import demand_order
 from deepir.registry import lookup
 from deepir.result import Result
@@ -105,7 +107,8 @@ def execute(
     seconds = time.perf_counter() - start
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
-    result.metrics = measured | unknown | result.metrics | _compared(result, data)
+    quality = {"roughness": roughness(result.scene)} | compared(result, data)
+    result.metrics = measured | unknown | result.metrics | quality
     if data.radiometry is not None:
         result.radiometry = data.radiometry
         result.extra["scene_kelvin"] = data.radiometry.kelvin(result.scene)
@@ -129,31 +132,18 @@ def peak_memory() -> float:
     return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)
 
 
+def machine() -> str:
+    """What seconds depend on: the processor, and how many cores it has."""
+    names = [platform.processor() or platform.machine()]
+    with suppress(OSError, UnicodeDecodeError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        names += [line.partition(":")[2].strip() for line in lines if line.startswith("model name")][:1]
+    return f"{names[-1]}, {os.cpu_count()} cores"
+
+
 def versions() -> dict[str, str]:
     """What a result depends on beside the data and the configuration."""
     return {"deepir": deepir.__version__, "torch": torch.__version__, "python": platform.python_version()}
-
-
-def machine() -> str:
-    """What this computer is: its processor and how many cores there are."""
-    try:
-        about = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        about = []
-    named = (line.partition(":")[2].strip() for line in about if line.startswith("model name"))
-    return f"{next(named, platform.processor() or platform.machine())}, {os.cpu_count()} cores"
-
-
-def _compared(result: Result, data: bursts.Burst) -> dict[str, float]:
-    truth = data.truth.get("scene")
-    if truth is None:
-        return {}
-    if truth.shape != result.scene.shape:
-        result.messages.append(
-            f"data.truth: the scene is {truth.shape}, the result {result.scene.shape}: not compared"
-        )
-        return {}
-    return {name: float(value) for name, value in scores(result.scene, truth).items()}
 
 
 def _check_device(name: str) -> None:

@@ -22,7 +22,7 @@ from deepir.folder import FILES, Folder
 from deepir.paths import expanded
 from deepir.report.progress import Lines
 from deepir.result import Result
-from deepir.runner import Callbacks, execute, prepare, versions
+from deepir.runner import Callbacks, execute, machine, prepare, versions
 from deepir.solve import Progress
 
 log = logging.getLogger("deepir")
@@ -48,7 +48,8 @@ def run_into(
     config = pinned(config, folder)
     _check_inputs(config, folder)
     data = prepare(config, frames)
-    record = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
+    inputs = hashes(config.data, data.sha256)
+    record = {"versions": versions(), "machine": machine(), "plugins": list(plugins), "inputs": inputs}
     made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
     work = _Work(folder, config, data, callbacks)
     try:
@@ -85,7 +86,8 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
         if record.get("versions", versions()) != versions():
             log.warning("started with %s, resumed with %s", record["versions"], versions())
         fresh = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
-        folder.write_record(fresh | record | {"started": time.time(), "seconds": before})
+        begun = {"machine": machine(), "started": time.time(), "seconds": before}
+        folder.write_record(fresh | record | begun)
         return _Work(folder, config, data, callbacks, before).run()
 
 

@@ -17,7 +17,7 @@ SECTIONS = {
     "Use": ["tutorial", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
     PROBLEMS: ["super-resolution"],
     "Concepts": ["how-it-works", "how-it-estimates", "jitter", "sensor-physics", "conventions", "extending"],
-    "Figures": ["results", "bench-*", "rivals", "performance", "reliability"],
+    "Figures": ["results", "benchmarks", "bench-*", "rivals", "performance", "reliability"],
     "Reference": ["components", "reference/*", "CHANGELOG"],
 }
 #: Pages of the reference: the modules of each, in order.
@@ -39,7 +39,7 @@ REFERENCE = {
     "Penalties": ["penalties", "denoisers", "fidelity"],
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
-    "Simulator": ["simulate", "scenes", "metrics"],
+    "Simulator": ["simulate", "scenes", "metrics", "comparison"],
     "Sweeps": ["sweep", "analysis", "training"],
     "Files": ["io", "calibration", "capture", "cameras"],
     "For plugins": ["registry", "testing"],

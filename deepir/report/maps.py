@@ -28,7 +28,7 @@ def packed(image: Array, fine: int = FINE) -> dict[str, Any]:
     step = 1.0 if whole else np.clip((most - least) / (MISSING - 1), span / fine, span / COARSE)
     base = max(least, low - step * MISSING / 2)
     levels = np.round((np.where(np.isfinite(image), image, base) - base) / step).clip(0, MISSING - 1)
-    levels = np.where(np.isfinite(image), levels, MISSING).astype("<u2")
+    levels = np.where(np.isfinite(image), levels, MISSING).astype("<u2", order="C")
     levels[:, 1:] -= levels[:, :-1].copy()
     planes = levels.view(np.uint8).reshape(-1, 2).T[::-1].tobytes()
     return {

@@ -44,5 +44,6 @@ def truth(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
     """The arrays that a result is compared with, float32; the scene is NaN where somebody stands before it."""
     found = simulation.truth
     scene = np.where(found.moving[0], np.nan, found.scene) if found.moving[0].any() else found.scene
-    arrays = {"scene": scene, "gain": found.gain, "offset": found.offset}
+    arrays = {"scene": scene, "gain": found.gain, "offset": found.offset, "motion": found.motion}
+    arrays |= {"stray": found.stray} if simulation.settings.stray else {}
     return {name: array.astype(np.float32) for name, array in arrays.items()}

@@ -12,7 +12,7 @@ from deepir.scenes import procedural
 
 #: Of scikit-image; all others are kept for tuning and judging.
 PHOTOGRAPHS = ("brick", "cell", "chelsea", "coffee", "hubble_deep_field", "retina")
-JUDGES_OF_RIVALS = ("chelsea", "coffee")  # benchmarks/rivals.py judges by them: no rival learns from them
+JUDGES_OF_RIVALS = ("chelsea", "coffee")  # benchmarks/record.py judges by them: no rival learns from them
 FIRST, SCENES = 1000, 160  # seeds of the drawn scenes; those below are for tuning and judging
 HEIGHTS = (160, 520)  # px of a drawn scene: coarse and fine ones
 SHRUNK = (1, 2, 3)  # times; a photograph is sharper when it is small

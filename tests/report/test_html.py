@@ -46,6 +46,11 @@ def test_a_map_without_shades_is_read_as_it_is(image):
     assert found["high"] > found["low"]
 
 
+def test_a_map_in_the_order_of_matlab_is_a_map():
+    image = np.arange(12.0).reshape(3, 4)
+    assert packed(np.asfortranarray(image)) == packed(image)
+
+
 def test_a_report_holds_every_map_of_the_run(tmp_path, result, example, config):
     write_report(tmp_path / "report.html", result, example, config)
     maps = {each["name"]: each for each in data(tmp_path / "report.html")["maps"]}

@@ -1,0 +1,45 @@
+"""A result beside the truth of its burst: all figures of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from deepir.burst import Burst
+from deepir.geometry import scaled
+from deepir.metrics import motion_error, scores
+from deepir.result import Result
+
+
+def compared(result: Result, burst: Burst) -> dict[str, float | None]:
+    """The scene's scores and the errors of gain, offset, stray flux and motion, as far as the burst's truth has them.
+
+    Errors are root mean squares, those of maps over good pixels, in the data's units. A motion's is in px of a frame.
+    With a radiometry there is `radiometric_rmse_mk`, the scene's error after one level in mK. A scene of
+    another shape than the truth's is not compared, with a message.
+    """
+    truth = burst.truth
+    if "scene" not in truth:
+        return {}
+    if truth["scene"].shape != result.scene.shape:
+        result.messages.append(
+            f"data.truth: the scene is {truth['scene'].shape}, the result {result.scene.shape}: not compared"
+        )
+        return {}
+    found: dict[str, float | None] = {k: float(v) for k, v in scores(result.scene, truth["scene"]).items()}
+    if burst.radiometry is not None:
+        kelvin = [burst.radiometry.kelvin(each).astype(float) for each in (result.scene, truth["scene"])]
+        found["radiometric_rmse_mk"] = 1000 * float(np.nanstd(kelvin[0] - kelvin[1]))
+    maps = {"gain": result.gain, "offset": result.offset, "stray": result.extra.get("stray")}
+    for name, array in maps.items():
+        if array is not None and name in truth and truth[name].shape == array.shape:
+            off = (array - truth[name])[~result.bad_pixels]
+            found[f"{name}_rmse"] = float(np.sqrt(np.mean(off.astype(float) ** 2)))
+    if "motion" in truth and truth["motion"].shape == result.motion.shape:
+        ratio = result.scene.shape[-1] / burst.size[1]
+        motion = scaled(torch.from_numpy(result.motion), 1 / ratio).numpy()
+        error = motion_error(motion, truth["motion"], burst.size)
+        found["motion_rmse"] = None if math.isnan(error) else error
+    return found

@@ -1,0 +1,77 @@
+"""A result beside its burst's truth."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import deepir
+from deepir.burst import Burst, load
+from deepir.comparison import compared
+from deepir.config import Data
+from deepir.io.radiometry import Linear
+from deepir.result import neutral
+from deepir.simulate import Settings, simulate
+
+SMALL = Settings(shape=(40, 48), n_frames=4, counts=True, max_shift=4.0, dead_pixels=0.0, stray=1.0, factor=2)
+
+
+@pytest.fixture
+def burst(tmp_path):
+    path, truth = simulate(settings=SMALL).save(tmp_path / "burst.npz")
+    return load(Data(path=str(path), truth=str(truth), frames=3))
+
+
+@pytest.fixture
+def told(burst):
+    """The truth as a result."""
+    truth = burst.truth
+    scene = truth["scene"] + np.random.default_rng(0).normal(0, 1e-2, truth["scene"].shape)
+    result = neutral(scene, 3, burst.size, burst.bad_pixels)
+    result.gain, result.offset, result.extra = (
+        truth["gain"].copy(),
+        truth["offset"].copy(),
+        {"stray": truth["stray"]},
+    )
+    result.motion = truth["motion"].copy()
+    result.motion[:, :2, 2] *= SMALL.factor  # px of the scene
+    return result
+
+
+def test_the_truth_is_right_in_every_respect(told, burst):
+    found = compared(told, burst)
+    assert found["psnr"] > 90
+    errors = {name: value for name, value in found.items() if name.endswith("rmse") or "residual" in name}
+    assert {"gain_rmse", "offset_rmse", "stray_rmse", "motion_rmse", "radiometric_rmse"} < set(errors)
+    assert max(errors.values()) < 2e-2
+
+
+@pytest.mark.parametrize(("name", "off"), [("gain", 0.01), ("offset", 3.0)])
+def test_a_column_that_is_off_is_a_columns_share_of_the_error(told, burst, name, off):
+    getattr(told, name)[:, -1] += off
+    assert compared(told, burst)[f"{name}_rmse"] == pytest.approx(off / burst.size[1] ** 0.5, rel=1e-3)
+
+
+def test_a_motion_is_judged_in_px_of_a_frame(told, burst):
+    told.motion[1:, 0, 2] += 1.0
+    assert compared(told, burst)["motion_rmse"] == pytest.approx(1 / SMALL.factor, rel=1e-3)
+
+
+def test_where_counts_are_kelvin_the_error_is_in_mk(told, burst):
+    told.scene = told.scene + np.float32(5) * (np.indices(told.scene.shape).sum(0) % 2)
+    found = compared(told, dataclasses.replace(burst, radiometry=Linear(0.01)))
+    assert found["radiometric_rmse_mk"] == pytest.approx(25, rel=0.02)  # ± 2.5 counts of 10 mK
+
+
+def test_the_truth_of_the_first_frames_is_theirs(burst):
+    assert burst.truth["motion"].shape == (3, 3, 3)
+    assert burst.truth["level"].shape == (3,)
+
+
+def test_without_a_truth_there_is_roughness_only():
+    frames = simulate(settings=dataclasses.replace(SMALL, stray=0.0, factor=1)).frames
+    metrics = deepir.run("nuc", frames=frames, method="average").metrics
+    assert metrics["roughness"] > 0
+    assert not {"psnr", "gain_rmse", "motion_rmse"} & metrics.keys()
+    blank = Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool))
+    assert compared(neutral(frames[0], 4, (40, 48), blank.bad_pixels), blank) == {}
