@@ -56,10 +56,13 @@ bench-deconv: setup  ## quality against scikit-image's, and the widths found: de
 bench-priors: setup  ## quality and time of every prior
 	$(BIN)/python benchmarks/priors.py --output docs/bench-priors.md
 
+bench-problems: setup  ## every problem with several priors: one table
+	$(BIN)/python benchmarks/problems.py --output docs/bench-problems.md
+
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-real clean
+.PHONY: help setup demo test test-all lint docs bench-nuc bench-sr bench-rivals bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-real clean
