@@ -130,3 +130,13 @@ def test_the_report_says_what_it_found():
         "1 of 2 bursts: REFUSED: no",
     ):
         assert words in text
+
+
+def test_every_problem_that_is_shipped_is_in_the_table_of_problems_with_total_variation_and_two_others():
+    from problems import CASES, PRIORS
+
+    from deepir.config import shipped_names
+
+    assert set(CASES) == {name for name in shipped_names() if not name.startswith("paper/")}
+    assert PRIORS[0] == "tv"
+    assert len(set(PRIORS)) >= 3
