@@ -66,10 +66,13 @@ bench-paper: setup  ## the 2021 formulation and every prior on its paper's proto
 bench-switches: setup  ## what a network's switches gain in time, and cost in quality
 	$(BIN)/python benchmarks/switches.py --workers $(WORKERS)
 
+bench-problems: setup  ## every problem with several priors: one table
+	$(BIN)/python benchmarks/problems.py --output docs/bench-problems.md
+
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-paper bench-switches bench-real clean
+.PHONY: help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real clean

@@ -45,6 +45,7 @@ HEADER = (
 )
 PRIORS = ("tv", "red", "tgv")
 CROP = np.s_[:, 20:400, 60:580]  # of the vehicle's frames, without its bonnet
+REACHES = (2, 4, 8)  # px
 SKY = np.s_[:190, 120:500]  # of that the part without near things, which parallax moves
 
 
@@ -112,22 +113,30 @@ def quality(scenes: np.ndarray, sim: Simulation) -> float:
 
 
 def vehicle() -> Iterator[str]:
-    """Ten frames in a row of a camera that moves 15 px in all: the pattern, to that of the registered solution."""
+    """Ten frames in a row of a camera that moves 15 px in all: the pattern, to those of two registered solutions."""
     frames = np.load(Path(os.environ["DEEPIR_DATA"]) / "a65" / "a65_frames_000-009.npz")["frames"][CROP]
-    registered = deepir.run("nuc", "physics.warp.motion=affine", frames=frames)
-    alone = deepir.run("multiview_nuc", frames=frames)
     level = ndimage.gaussian_filter(frames.mean(0, dtype=np.float64), 3)
-    first, second = (quick((each.gain - 1) * level + each.offset) for each in (registered, alone))
-    yield (
-        f"\nA65, pattern of 8 px or less, to that of `nuc`: {correlation(first, second):.2f}; above the road, "
-        f"where nothing is near: {correlation(first[SKY], second[SKY]):.2f}; {alone.metrics['seconds']:.0f} s"
-    )
-    yield f"\n{alone.messages[0]}"
 
+    def pattern(problem: str, *options: str, every: int = 1) -> np.ndarray:
+        result = deepir.run(problem, *options, frames=frames[::every])
+        return np.asarray((result.gain - 1) * level + result.offset)
 
-def quick(pattern: np.ndarray) -> np.ndarray:
-    """What a pattern has beside its slow part."""
-    return pattern - ndimage.gaussian_filter(pattern, 8)
+    alone, some = pattern("multiview_nuc"), pattern("multiview_nuc", every=3)
+    affine, dense = pattern("nuc", "physics.warp.motion=affine"), pattern("flow")
+    pairs = {
+        "`multiview_nuc`, `nuc`": (alone, affine),
+        "`multiview_nuc`, `flow`": (alone, dense),
+        "`nuc`, `flow`": (affine, dense),
+        "`multiview_nuc` of frames 0, 3, 6, 9, `nuc`": (some, affine),
+    }
+    yield "\nA65: correlation of patterns less what is slower than so many px (Gaussian); above the road."
+    yield f"\n| patterns | {' | '.join(f'{reach} px' for reach in REACHES)} |\n|{'---|' * (1 + len(REACHES))}"
+    for name, both in pairs.items():
+        cells = []
+        for reach in REACHES:
+            first, second = (each - ndimage.gaussian_filter(each, reach) for each in both)
+            cells.append(f"{correlation(first, second):.2f}; {correlation(first[SKY], second[SKY]):.2f}")
+        yield f"| {name} | {' | '.join(cells)} |"
 
 
 def correlation(first: np.ndarray, second: np.ndarray) -> float:

@@ -62,16 +62,14 @@ def report(*, fresh: bool) -> Iterator[str]:
     gaps = []
     for i, (camera, shape, strength) in enumerate(cases()):
         name = PICTURES[i % len(PICTURES)]
-        scene = picture(name)
-        settings = Settings(stray=strength, stray_shape=shape, **(CLEAN | CAMERAS[camera]))
-        sim = simulate(scene, settings, seed=SEED + i)
-        best = told(sim, scene, name, fresh=fresh)
+        sim = burst(i)
+        best = told(sim, picture(name), name, fresh=fresh)
         found = {"nuc": deepir.run("nuc", frames=sim.frames)}
         found |= {prior: deepir.run("narcissus", frames=sim.frames, prior=prior) for prior in PRIORS}
         quality = {each: aligned(result.scene, sim) for each, result in found.items()}
         gaps.append(best - quality["tv"])
         others = " | ".join(f"{quality[prior]:.1f}" for prior in PRIORS[1:])
-        left = (found["tv"].extra["stray"] - sim.truth.stray).std() / sim.truth.stray.std()
+        left = left_over(found["tv"], sim)
         yield (
             f"| {camera} | {shape} | {100 * strength:.0f} | {name} | {quality['nuc']:.1f} | **{quality['tv']:.1f}** | "
             f"{others} | {best:.1f} | {gaps[-1]:.1f} | {100 * left:.0f} | {found['tv'].metrics['seconds']:.1f} |"
@@ -83,6 +81,18 @@ def cases() -> Iterator[tuple[str, str, float]]:
     """Camera, shape and strength (fraction of the scene's range) of each burst."""
     yield from (("photons", shape, strength) for shape in SHAPES for strength in STRENGTHS)
     yield from (("counts", shape, 1.0) for shape in SHAPES)
+
+
+def burst(i: int) -> Simulation:
+    """The burst of the i-th case."""
+    camera, shape, strength = list(cases())[i]
+    settings = Settings(stray=strength, stray_shape=shape, **(CLEAN | CAMERAS[camera]))
+    return simulate(picture(PICTURES[i % len(PICTURES)]), settings, seed=SEED + i)
+
+
+def left_over(result: deepir.Result, sim: Simulation) -> float:
+    """Part of the stray flux that is not found."""
+    return float((result.extra["stray"] - sim.truth.stray).std() / sim.truth.stray.std())
 
 
 def told(sim: Simulation, scene: np.ndarray, name: str, *, fresh: bool) -> float:

@@ -8,6 +8,7 @@ in a buffer of the problem, so that a resumed solve goes on with it.
 from __future__ import annotations
 
 import functools
+import math
 
 import torch
 from torch import Tensor
@@ -36,12 +37,14 @@ def start_trials(problem: Problem, *, afresh: bool = False) -> None:
     )
 
 
-def trials(problem: Problem, *, first: float = COARSE, iterations: int = ITERATIONS) -> list[Stage]:
-    """The stages of the search, from the power `first` on; none where a weight is given, or there is none."""
+def trials(
+    problem: Problem, *, first: float = COARSE, least: float = -math.inf, iterations: int = ITERATIONS
+) -> list[Stage]:
+    """The stages of the search, from the power `first` on down to `least`; none for weights that are given."""
     penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
     if not penalties or any(penalty.given is not None for penalty in penalties):
         return []
-    prepare = functools.partial(_try, first=first)
+    prepare = functools.partial(_try, first=first, least=least)
     return [Stage(f"weight {i + 1}", (Step(("scene",)),), iterations, prepare=prepare) for i in range(TRIALS)]
 
 
@@ -51,10 +54,10 @@ def weigh_by_trials(problem: Problem, factor: float = 1.0) -> None:
     weigh_scene(problem, factor * (2 ** best_power(tried) if tried else 1.0))
 
 
-def _try(problem: Problem, first: float) -> None:
+def _try(problem: Problem, first: float, least: float) -> None:
     """Set the weights for the next trial."""
     tried = _conclude(problem)
-    power = next_power(tried, first)
+    power = next_power(tried, first, least)
     begin_smooth(problem)
     problem.get_buffer("trials")[_started(problem), 0] = power
     weigh_scene(problem, 2**power)
@@ -87,16 +90,16 @@ def _started(problem: Problem) -> int:
     return int(found)
 
 
-def next_power(tried: dict[float, float], first: float = COARSE) -> float:
+def next_power(tried: dict[float, float], first: float = COARSE, least: float = -math.inf) -> float:
     """Beyond the best where it lies at an end, else beside it; the best once more where nothing is left."""
     if not tried:
         return first
     best = min(tried, key=tried.__getitem__)
-    if best == min(tried):
-        return best - COARSE
+    if best == min(tried) and best > least:
+        return max(best - COARSE, least)
     if best == max(tried) and best < MOST:
         return min(best + COARSE, MOST)
-    beside = (min(best + FINE, MOST), best - FINE)
+    beside = (min(best + FINE, MOST), max(best - FINE, least))
     return next((power for power in beside if power not in tried), best)
 
 

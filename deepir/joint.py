@@ -81,7 +81,9 @@ def joint(
         messages += drift_message(problem) + shading_message(problem)
     found = given & ~(problem.precision.amax((0, 1)) > 0)
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
-    return _result(problem, geometry, solution, burst, used, taken, messages)
+    result = _result(problem, geometry, solution, burst, used, taken, messages)
+    result.metrics |= definition.figures(problem)
+    return result
 
 
 def registered(

@@ -104,8 +104,11 @@ def late(problem: Problem, seen: Tensor) -> Tensor:
     """What a lag makes of (instants, ...) values for each frame, (N, ...); the same if there is none."""
     for name, stage in problem.operator.named():
         if isinstance(stage, Lag):
-            tau = problem.fields[problem.slots[f"{name}.tau"]]().mean().to(seen)
-            shown = stage(seen.flatten(1)[:, None, None], tau=tau.expand(1, 1, 1, 1))
+            slots = {
+                slot: problem.fields[problem.slots[f"{name}.{slot}"]]().mean().to(seen).expand(1, 1, 1, 1)
+                for slot in ("tau", "moving")
+            }
+            shown = stage(seen.flatten(1)[:, None, None], **slots)
             return shown.view(-1, *seen.shape[1:])
     return seen
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -46,6 +47,16 @@ def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
     return loss
 
 
+def spectral_noise(psf: Tensor, frames: Tensor, usable: Tensor) -> float:
+    """Standard deviation of the noise behind a blur (1, 1, n, n): what is flat of the frames' spectrum.
+
+    Arguments as for `fit_psf`. A texture, which looks like noise from pixel to pixel, does not pass a blur.
+    """
+    misfit = _Misfit(filled(frames, usable))
+    noise = _followed(misfit, lambda: misfit.response(psf.double()), [])[1][2]
+    return math.sqrt(misfit.unit * math.exp(noise))
+
+
 class _Misfit:
     """Minus the logarithm of Whittle's likelihood of the frames' spectrum.
 
@@ -76,20 +87,27 @@ class _Misfit:
 def _minimised(misfit: _Misfit, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]) -> float:
     """The least misfit over the scene's spectrum, the noise, and what is free of the field, from a start."""
     field.load_state_dict(start)
+    return _followed(misfit, lambda: misfit.response(field()), free)[0]
+
+
+def _followed(
+    misfit: _Misfit, response: Callable[[], Tensor], free: list[nn.Parameter]
+) -> tuple[float, list[float]]:
+    """The least misfit over the scene's spectrum, the noise and `free`; log amplitude, slope and log noise."""
     scene = torch.tensor([0.0, SLOPE, -1.0], dtype=torch.float64, device=misfit.power.device).requires_grad_()
     optimiser = torch.optim.LBFGS([*free, scene], max_iter=ITERATIONS, line_search_fn="strong_wolfe")
     with torch.no_grad():
-        known = None if free else misfit.response(field())
+        known = None if free else response()
 
     def evaluate() -> Tensor:
         optimiser.zero_grad()
-        loss = misfit(misfit.response(field()) if known is None else known, scene)
+        loss = misfit(response() if known is None else known, scene)
         loss.backward()
         return loss
 
     optimiser.step(evaluate)
     loss = float(evaluate().detach())
-    return loss if math.isfinite(loss) else math.inf
+    return (loss if math.isfinite(loss) else math.inf), scene.tolist()
 
 
 def periodogram(frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:

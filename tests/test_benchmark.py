@@ -170,3 +170,13 @@ def test_frame_0_of_the_papers_bursts_is_not_moved(monkeypatch):
     frames, truth = paper.burst(2, 1.0, 6.0, 0)
     np.testing.assert_allclose(frames[0], truth, atol=2e-3)
     assert abs(frames[1] - truth).max() > 0.02
+
+
+def test_every_problem_that_is_shipped_is_in_the_table_of_problems_with_total_variation_and_two_others():
+    from problems import CASES, PRIORS
+
+    from deepir.config import shipped_names
+
+    assert set(CASES) == {name for name in shipped_names() if not name.startswith("paper/")}
+    assert PRIORS[0] == "tv"
+    assert len(set(PRIORS)) >= 3

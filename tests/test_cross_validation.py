@@ -70,3 +70,10 @@ def test_a_search_that_was_interrupted_goes_on_as_if_it_had_not_been(small_nuc, 
     resumed, whole = searched(checkpoint=state), searched()
     assert whole[:-1].isfinite().all()
     assert torch.equal(resumed.nan_to_num(), whole.nan_to_num())
+
+
+def test_the_search_for_a_weight_ends_at_the_least_that_is_allowed():
+    tried = {0.0: 5.0, -2.0: 4.0, -4.0: 3.0, -6.0: 2.0}
+    assert next_power(tried) == -8
+    assert next_power(tried, least=-6.0) == -5
+    assert next_power({0.0: 5.0, -2.0: 4.0}, least=-3.0) == -3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -18,29 +18,30 @@ SHORTEST = 1e-6  # time constant, in steps, below which a pixel follows at once
 class Lag(Operator):
     """What pixels of time constant `tau` show of a flux, `tau dy/dt = x - y`; (M, C, h, w) -> (N, C, h, w).
 
-    The flux is given at M instants, `substeps` for each of the N frames after the first. Between two of them it is
-    the parabola through these and the one before, for which the solution is exact. (A flux that is held, or linear,
-    wants many more sub-steps: what it leaves out of a wave looks like a longer time constant.) The slot `tau`, in ms,
-    is (1, C, h, w).
+    The flux is given at M instants, `substeps` for each of the N frames, the last of them as it is read, and one more
+    to begin with. Between two of them it is the parabola through these and the one before, for which the solution is
+    exact. (A flux that is held, or linear, wants many more sub-steps: what it leaves out of a wave looks like a longer
+    time constant.) The slot `tau`, in ms, is (1, C, h, w).
+
+    What the camera did before the first frame says the slot `moving`, (1, 1, 1, 1): zero, it was at rest, so that the
+    pixels had settled; one, it was moving as it goes on to. In between are slower cameras.
 
     Saragadam et al. 2021, the step response in "Sensor modeling".
     """
 
-    neutral: ClassVar = {"tau": 0.0}
+    neutral: ClassVar = {"tau": 0.0, "moving": 0.0}
 
     def __init__(
         self,
         fps: float | None = None,
         *,
         substeps: int = 4,
-        start: Literal["rest", "moving"] = "rest",
         readout: float = 0.0,
     ) -> None:
         """`fps`: frames a second.
 
-        `start`: before the first frame the camera was at rest, so that the pixels had settled; or it was moving as it
-        goes on to, from a frame earlier. `readout`: part of the time between frames in which the rows are read, one
-        after the other; the motion of a frame is where the camera is at its last row.
+        `readout`: part of the time between frames in which the rows are read, one after the other; the motion of a
+        frame is where the camera is at its last row.
 
         Raises:
             ValueError: A number out of its range, or no rate.
@@ -52,36 +53,41 @@ class Lag(Operator):
             raise ValueError(f"substeps must be 1 to 100, not {substeps}")
         if not 0 <= readout <= 1:
             raise ValueError(f"readout must be 0 to 1, not {readout}")
-        self.path = Path(substeps, lead=substeps if start == "moving" else 0)
+        self.path = Path(substeps, lead=substeps)
         self.duration, self.readout = 1000 / (fps * substeps), readout
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
-        """`tau`: (1, C, h, w)."""
-        return {"tau": (1, *x_shape[1:])}
+        """`tau`: (1, C, h, w); `moving`: (1, 1, 1, 1)."""
+        return {"tau": (1, *x_shape[1:]), "moving": (1, 1, 1, 1)}
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """(N, C, h, w)."""
         return (self.path.frames(x_shape[0]), *x_shape[1:])
 
-    def forward(self, x: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(self, x: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
         """Follow the flux from instant to instant; before the first, it was what it is then.
+
+        Up to the first frame, what is shown is the share `moving` of that, and else what a camera at rest shows.
 
         Raises:
             ValueError: The instants are not those of whole frames.
         """
         if self.path.count(self.path.frames(len(x))) != len(x):
             raise ValueError(
-                f"lag: {len(x)} instants are not {self.path.steps} for each frame after the first"
+                f"lag: {len(x)} instants are not {self.path.steps} for each frame and one to begin with"
             )
         kept, *weights = (weight.to(x.dtype) for weight in self._weights(tau[0].double()))
-        shown, earlier, before = [x[0]], x[0], x[0]
-        for now in x[1:]:
+        lead, share = self.path.lead, moving[0].to(x.dtype)
+        rest = x[lead]
+        seen = [*(torch.lerp(rest, each, share) for each in x[:lead]), *x[lead:]]
+        shown, earlier, before = [seen[0]], seen[0], seen[0]
+        for now in seen[1:]:
             given = weights[0] * earlier + weights[1] * before + weights[2] * now
             shown.append(kept * shown[-1] + given)
             earlier, before = before, now
         return self._read(torch.stack(shown))
 
-    def valid(self, mask: Tensor, *, tau: Tensor) -> Tensor:  # type: ignore[override]
+    def valid(self, mask: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose pixel has seen nothing but valid flux so far."""
         return mask.cummin(0).values[self.path.lead :: self.path.steps]
 
@@ -113,5 +119,6 @@ class Lag(Operator):
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
         """Three frames of 4 x 5 px, two steps each, time constants of 5 to 15 ms."""
         generator = torch.Generator().manual_seed(0)
-        x, tau = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) for n in (5, 1))
-        return cls(60.0, substeps=2), x, {"tau": 5 + 10 * tau}
+        x, tau = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) for n in (7, 1))
+        moving = torch.full((1, 1, 1, 1), 0.3, dtype=torch.float64)
+        return cls(60.0, substeps=2), x, {"tau": 5 + 10 * tau, "moving": moving}

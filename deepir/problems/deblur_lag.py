@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from typing import ClassVar
 
 import torch
 
+from deepir.build import FREE, build_scene
+from deepir.operators import Lag
 from deepir.operators.path import Path
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.registry import register
 from deepir.slow import late
-from deepir.solve import Stage
+from deepir.solve import Stage, solve
 
 FAST = 1.0  # px from instant to instant, above which the flux in between is a guess
+FINEST = 16  # sub-steps, above which a camera does not move smoothly but jumps
+HALF = 0.5  # of the speed at which the camera goes on
+TRIAL = 40  # iterations, after which it shows whether the camera was moving before the first frame
 UNLIKE = (
     1.15  # misfit of the first frame, in those of the others, from which it began otherwise than supposed
 )
@@ -25,7 +31,8 @@ class DeblurLag(NUC):
     """Scene, time constant, gain, offset and motion from frames of a camera that moves smoothly.
 
     As in `nuc`, but motion and time constant take part from the second round on: as registered, the motion is that of
-    the tails, which differs by what the camera moves in a time constant.
+    the tails, which differs by what the camera moves in a time constant. Whether the camera was moving before the first
+    frame is tried both ways.
     """
 
     frames = 3
@@ -35,17 +42,54 @@ class DeblurLag(NUC):
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """As in `nuc`, from where the camera was as each frame was read."""
+        name = slot_of(problem, "moving")
+        if name in problem.free():
+            losses = [self._tried(copy.deepcopy(problem), share, seed) for share in (0.0, 1.0)]
+            hold(problem, float(losses[1] < losses[0]))
         start_motion(problem)
         super().initialise(problem, seed)
+
+    def _tried(self, problem: Problem, share: float, seed: int) -> float:
+        """The objective, in nats, that a few iterations come to with this speed before the first frame.
+
+        Of free pixels, whatever the scene's prior: a network would take its time.
+        """
+        hold(problem, share)
+        problem.represent("scene", *build_scene(FREE, problem.fields["scene"].shape))
+        problem.to(problem.data.device)
+        self.initialise(problem, seed)
+        steps = self.plan(problem)[1].steps
+        return float(solve(problem, [Stage("before", steps, TRIAL)]).history[-1]["loss"])
 
     def plan(self, problem: Problem) -> list[Stage]:
         """Sensor; with motion and time constant, twice; scene."""
         first, second, third, scene = super().plan(problem)
         return [first, replace(second, steps=third.steps, iterations=third.iterations), third, scene]
 
+    @torch.no_grad()
+    def figures(self, problem: Problem) -> dict[str, float]:
+        """The mean time constant, ms, and how fast the camera was before the first frame, 0 to 1."""
+        values = problem.values()
+        tau, moving = (float(values[slot_of(problem, slot)].mean()) for slot in ("tau", "moving"))
+        return {"tau_ms": tau, "moving_before": moving}
+
     def remarks(self, problem: Problem) -> list[str]:
         """Where the sub-steps are too few, or the camera did something else before the first frame."""
         return speed_message(problem) + start_message(problem)
+
+
+def slot_of(problem: Problem, slot: str) -> str:
+    """The unknown that is bound to one of the lag's slots."""
+    stage = next(name for name, stage in problem.operator.named() if isinstance(stage, Lag))
+    return problem.slots[f"{stage}.{slot}"]
+
+
+@torch.no_grad()
+def hold(problem: Problem, share: float) -> None:
+    """Fix how fast the camera was before the first frame, in parts of the speed at which it goes on."""
+    field = problem.fields[slot_of(problem, "moving")]
+    field.init_from(torch.full(field.shape, share))
+    field.requires_grad_(False)
 
 
 @torch.no_grad()
@@ -71,10 +115,13 @@ def speed_message(problem: Problem) -> list[str]:
     fastest = float(problem.fields["motion"]()[:, :2, 2].diff(dim=0).norm(dim=1).max())
     if fastest < FAST * path_of(problem).steps:
         return []
-    return [
-        f"the camera moves by up to {fastest:.1f} px from one frame to the next: "
-        f"take physics.lag.substeps={int(fastest / FAST) + 1}, or move more slowly"
-    ]
+    enough = int(fastest / FAST) + 1
+    remedy = (
+        f"take physics.lag.substeps={enough}, or move more slowly"
+        if enough <= FINEST
+        else "where it was in between is not known. Move more slowly; if it jumped and stood still, take problem 'nuc'"
+    )
+    return [f"the camera moves by up to {fastest:.1f} px from one frame to the next: {remedy}"]
 
 
 @torch.no_grad()
@@ -84,8 +131,8 @@ def start_message(problem: Problem) -> list[str]:
     first, *others = misfit.flatten(1).nanmedian(1).values
     if not first > UNLIKE * torch.stack(others).nanmedian():
         return []
-    other = "rest" if path_of(problem).lead else "moving"
+    other = 0 if float(problem.values()[slot_of(problem, "moving")].mean()) > HALF else 1
     return [
         "the first frame does not fit the others: what did the camera do before it? "
-        f"Try physics.lag.start={other}, or leave the first frames out (data.frames)"
+        f"Try physics.lag.moving={other}, or leave the first frames out (data.frames)"
     ]

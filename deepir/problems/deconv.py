@@ -17,16 +17,20 @@ from deepir.problems.definition import Definition, start_precision, start_scene,
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
-from deepir.spectrum import fit_psf
+from deepir.spectrum import fit_psf, spectral_noise
 from deepir.strengths import HELD_OUT as LEAST
 from deepir.strengths import hold_out, update_noise, update_strengths, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
 CUT = 0.1  # of a point-spread function's peak: more than that is not to be cut off
+TOLD = 0.1  # of the noise from pixel to pixel, from which on the spectrum is believed: a sharp frame's tells nothing
 STILL = 0.5  # px of motion below which a burst counts as still
 #: Share of a frame's samples, in all frames together, that is held out: what a blur leaves of detail, few do not tell.
 HELD_OUT = 0.1
+#: Least weight of the scene's penalties, as a power of two of the natural ones: so few iterations are a prior, too,
+#: and the trials of a fine texture would go on to no weight at all.
+LIGHTEST = -6.0
 ITERATIONS = 40  # of a trial: through a blur, detail comes slowly
 
 
@@ -47,6 +51,8 @@ class Deconv(Definition):
         start_precision(problem)
         self.messages += start_psf(problem)
         demand_room(problem)
+        if not problem.closed_form():
+            start_noise(problem)
         if problem.closed_form():
             start_scene_and_parts(problem)
             estimate_slow(problem, start=True)
@@ -71,7 +77,7 @@ class Deconv(Definition):
         ]
         return [
             *(sensor if closed else [Stage("start", still, 40)]),
-            *trials(problem, first=0.0, iterations=ITERATIONS),
+            *trials(problem, first=0.0, least=LIGHTEST, iterations=ITERATIONS),
             Stage("scene", (Step(("scene",)),) if sharp else still, 120, prepare=_finish, use_held_out=True),
         ]
 
@@ -123,6 +129,17 @@ def start_psf(problem: Problem) -> list[str]:
             best = min(found, key=lambda each: fit_psf(each, frames, usable))
             field.init_from(best().detach())
     return messages
+
+
+def start_noise(problem: Problem) -> None:
+    """Set the noise of frames without a pattern to what the blur does not let through: a texture looks like noise."""
+    names, usable = psf_names(problem), problem.precision > 0
+    if problem.known_noise or len(names) != 1:
+        return
+    seen = float(problem.precision[usable].median().rsqrt())
+    noise = spectral_noise(problem.fields[names[0]]().detach(), problem.data, usable)
+    if noise > TOLD * seen:
+        problem.precision.copy_(usable / noise**2)
 
 
 def name_of(problem: Problem, unknown: str) -> str:

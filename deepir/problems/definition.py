@@ -52,6 +52,10 @@ class Definition:
         steps = (Step(free, "lbfgs"), *((Step(tuple(closed), "eliminate"),) if closed else ()))
         return [Stage("joint", steps, iterations=200)]
 
+    def figures(self, problem: Problem) -> dict[str, float]:
+        """What `metrics.json` is to hold of the problem once it is solved."""
+        return {}
+
     def remarks(self, problem: Problem) -> list[str]:
         """What is to be said of the problem once it is solved."""
         return list(self.messages)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 
 from deepir.errors import ConfigError
@@ -25,6 +27,10 @@ ALONE = (
     "the scene is in it, its own fine parts and the pattern of the pixels are in the scene. Take 5 frames or more "
     "while the camera moves"
 )
+
+
+#: Times the iterations where the sensor is known: no pattern is eliminated, which takes stray flux with it.
+PATIENCE = 3
 
 
 @register("problem", "narcissus")
@@ -60,12 +66,13 @@ class Narcissus(NUC):
         closed = problem.closed_form()
         still = tuple(name for name in problem.free() if name not in closed and name != "motion")
         offset = [Step((name,), "eliminate") for name in closed if name == "offset"]
-        return [
+        stages = [
             Stage("stray 1", (Step(still), *offset), 20),
             Stage("stray 2", (Step(still), *offset), 20, prepare=_register),
-            Stage(first.name, first.steps, first.iterations, prepare=_sensor),
+            replace(first, prepare=_sensor),
             *others,
         ]
+        return [replace(each, iterations=each.iterations * (1 if closed else PATIENCE)) for each in stages]
 
 
 @torch.no_grad()

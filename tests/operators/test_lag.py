@@ -15,14 +15,20 @@ from deepir.testing import check_operator
 
 FPS = 60.0
 FRAME = 1000 / FPS  # ms
+REST, MOVING = (torch.full((1, 1, 1, 1), share, dtype=torch.float64) for share in (0.0, 1.0))
 
 
 def shown(flux, tau, substeps=4, n_frames=9):
     """Frames of a pixel that sees `flux`, a function of time in frames, from rest."""
     lag = Lag(FPS, substeps=substeps)
-    time = torch.arange(lag.path.count(n_frames), dtype=torch.float64) / substeps
-    x = flux(time)[:, None, None, None]
-    return lag(x, tau=torch.full((1, 1, 1, 1), tau, dtype=torch.float64)).flatten()
+    x = flux(instants(lag, n_frames))[:, None, None, None]
+    return lag(x, tau=torch.full((1, 1, 1, 1), tau, dtype=torch.float64), moving=REST).flatten()
+
+
+def instants(lag, n_frames):
+    """Times at which the flux is wanted, in frames."""
+    path = lag.path
+    return (torch.arange(path.count(n_frames), dtype=torch.float64) - path.lead) / path.steps
 
 
 @pytest.mark.parametrize("tau", [4.0, 10.0, 25.0])
@@ -81,38 +87,40 @@ def test_without_inertia_a_pixel_shows_the_flux_of_the_moment(tau):
 
 def test_no_frame_knows_what_comes_after_it():
     lag, tau = Lag(FPS, substeps=3), torch.full((1, 1, 2, 2), 10.0)
-    x = torch.rand(10, 1, 2, 2)
+    x, slots = torch.rand(13, 1, 2, 2), {"tau": tau, "moving": MOVING}
     other = x.clone()
-    other[7:] += 1
-    assert torch.equal(lag(x, tau=tau)[:3], lag(other, tau=tau)[:3])
+    other[10:] += 1
+    assert torch.equal(lag(x, **slots)[:3], lag(other, **slots)[:3])
 
 
 def test_each_pixel_has_a_time_constant_of_its_own():
     lag, x = Lag(FPS), torch.rand(9, 1, 1, 2, dtype=torch.float64)
     tau = torch.tensor([8.0, 12.0], dtype=torch.float64).view(1, 1, 1, 2)
     for i in range(2):
-        alone = lag(x[..., i : i + 1], tau=tau[..., i : i + 1])
-        assert torch.equal(lag(x, tau=tau)[..., i : i + 1], alone)
+        alone = lag(x[..., i : i + 1], tau=tau[..., i : i + 1], moving=REST)
+        assert torch.equal(lag(x, tau=tau, moving=REST)[..., i : i + 1], alone)
 
 
-def test_a_camera_that_was_moving_shows_a_ramp_as_late_in_the_first_frame_as_later():
-    lag = Lag(100.0, substeps=5, start="moving")  # a frame is ten milliseconds, and five time constants
-    time = torch.arange(-5, 21, dtype=torch.float64) / 5
-    found = lag(time[:, None, None, None], tau=torch.full((1, 1, 1, 1), 2.0, dtype=torch.float64))
-    assert torch.allclose(found.flatten(), torch.arange(5, dtype=torch.float64) - 0.2, atol=0.01)
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_what_the_camera_was_moving_before_is_what_the_first_frame_is_late(share):
+    """A ramp: as late in the first frame as later where the camera was moving, and on time where it was not."""
+    lag = Lag(100.0, substeps=5)  # a frame is ten milliseconds, and five time constants
+    flux = instants(lag, 5)[:, None, None, None]
+    found = lag(flux, tau=torch.full((1, 1, 1, 1), 2.0, dtype=torch.float64), moving=share * MOVING)
+    late = torch.tensor([share * 0.2, 0.2, 0.2, 0.2, 0.2], dtype=torch.float64)
+    assert torch.allclose(found.flatten(), torch.arange(5, dtype=torch.float64) - late, atol=0.01)
 
 
 def test_rows_that_are_read_one_after_the_other_see_the_ramp_one_after_the_other():
     height, lag = 5, Lag(FPS, substeps=8, readout=0.5)
-    time = torch.arange(lag.path.count(4), dtype=torch.float64) / 8
-    x = time[:, None, None, None].expand(-1, 1, height, 2)
-    found = lag(x, tau=torch.zeros(1, 1, height, 2, dtype=torch.float64))
+    x = instants(lag, 4)[:, None, None, None].expand(-1, 1, height, 2)
+    found = lag(x, tau=torch.zeros(1, 1, height, 2, dtype=torch.float64), moving=REST)
     early = 0.5 * (1 - torch.arange(1, height + 1, dtype=torch.float64) / height)
     wanted = (torch.arange(4)[:, None] - early).clamp(min=0)
     assert torch.allclose(found, wanted[:, None, :, None].expand_as(found), atol=1e-5)
 
 
-@pytest.mark.parametrize("options", [{}, {"start": "moving"}, {"readout": 0.7}])
+@pytest.mark.parametrize("options", [{}, {"readout": 0.7}])
 def test_motion_lag_and_sensor_are_a_good_operator(options):
     lag = Lag(FPS, substeps=2, **options)
     chain = Chain({"warp": Warp((4, 5), (12, 13), (4, 4), lag.path), "lag": lag, "sensor": Sensor()})
@@ -127,14 +135,14 @@ def test_motion_lag_and_sensor_are_a_good_operator(options):
 
 
 def test_a_sample_is_valid_if_its_pixel_has_seen_only_what_is_in_the_canvas():
-    lag, mask = Lag(FPS, substeps=2), torch.ones(7, 1, 1, 1)
-    mask[3] = 0
-    assert lag.valid(mask, tau=torch.zeros(1, 1, 1, 1)).flatten().tolist() == [1, 1, 0, 0]
+    lag, mask = Lag(FPS, substeps=2), torch.ones(9, 1, 1, 1)
+    mask[5] = 0
+    assert lag.valid(mask, tau=torch.zeros(1, 1, 1, 1), moving=REST).flatten().tolist() == [1, 1, 0, 0]
 
 
 def test_instants_that_do_not_fit_the_sub_steps_are_refused():
-    with pytest.raises(ValueError, match="lag: 6 instants are not 4 for each frame after the first"):
-        Lag(FPS)(torch.rand(6, 1, 1, 1), tau=torch.zeros(1, 1, 1, 1))
+    with pytest.raises(ValueError, match="lag: 6 instants are not 4 for each frame and one to begin with"):
+        Lag(FPS)(torch.rand(6, 1, 1, 1), tau=torch.zeros(1, 1, 1, 1), moving=REST)
 
 
 @pytest.mark.parametrize(
@@ -151,4 +159,4 @@ def test_what_makes_no_sense_is_refused(rate, options, message):
 
 
 def test_the_instants_are_those_that_the_lag_asks_for():
-    assert Lag(FPS, substeps=6, start="moving").path == Path(6, lead=6)
+    assert Lag(FPS, substeps=6).path == Path(6, lead=6)

@@ -56,13 +56,15 @@ def lag(x, slots):
     at = at + 0.5  # of the step's time
     lagrange = ((at * (at - 1) / 2), (1 - at**2), (at * (at + 1) / 2))
     out = np.empty((3, *x.shape[1:]))
+    share = slots["moving"].item()
+    x = np.concatenate([share * x[:2] + (1 - share) * x[2], x[2:]])  # two instants before the first frame
     for i, j in np.ndindex(x.shape[2:]):
         tau = slots["tau"][0, 0, i, j]
         kernel = weight * dt / tau * np.exp(-(1 - at) * dt / tau)
         earlier, before, now = ((kernel * each).sum() for each in lagrange)
         # From rest: what is above the first flux starts at zero.
         rise = signal.lfilter([now, before, earlier], [1, -np.exp(-dt / tau)], x[:, 0, i, j] - x[0, 0, i, j])
-        out[:, 0, i, j] = x[0, 0, i, j] + rise[::2]
+        out[:, 0, i, j] = x[0, 0, i, j] + rise[2::2]
     return out
 
 

@@ -12,7 +12,7 @@ from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError
 from deepir.metrics import scores
-from deepir.problems.deblur_lag import start_motion
+from deepir.problems.deblur_lag import speed_message, start_motion
 from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
 
@@ -43,6 +43,7 @@ def found(sim):
 def test_the_time_constant_is_found(found):
     assert found.extra["tau"].shape == CAMERA.shape
     assert found.extra["tau"].mean() == pytest.approx(10, rel=0.05)
+    assert found.metrics["tau_ms"] == pytest.approx(found.extra["tau"].mean())
     assert not any("lag" in message for message in found.messages)
 
 
@@ -56,17 +57,22 @@ def test_the_motion_is_where_the_camera_was_and_not_where_the_frames_tails_are(s
     assert np.abs(found.motion - sim.truth.motion)[:, :2, 2].max() < 0.1
 
 
+def along(motion):
+    """A problem of empty frames, whose camera moves so."""
+    frames = np.zeros((len(motion), 24, 32), np.float32)
+    burst = Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool))
+    return build(load("deblur_lag", ["physics.warp.motion=shift"]), burst, motion)[0]
+
+
 def test_the_start_takes_the_lag_out_of_the_registered_motion():
     """Frames that lag by the time constant of the configuration: the true motion comes out of the lagged one."""
-    config = load("deblur_lag", ["physics.warp.motion=shift"])
     true = torch.eye(3, dtype=torch.float64).repeat(6, 1, 1)
     true[:, 0, 2] = torch.tensor([0.0, 1.0, 3.0, 4.0, 4.5, 3.0])
-    frames = np.zeros((6, 24, 32), np.float32)
-    burst = Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool))
-    problem, _ = build(config, burst, true)
+    problem = along(true)
     lag = problem.operator.stages["lag"]
     instants = lag.path.through(true)[:, :1, 2:]
-    late = lag(instants[:, None], tau=torch.full((1, 1, 1, 1), 10.0, dtype=torch.float64))
+    tau, moving = (torch.full((1, 1, 1, 1), value, dtype=torch.float64) for value in (10.0, 0.0))
+    late = lag(instants[:, None], tau=tau, moving=moving)
     seen = true.clone()
     seen[:, 0, 2] = late.flatten()
     problem.fields["motion"].init_from(seen)
@@ -83,13 +89,26 @@ def test_a_frame_that_fails_in_between_is_bridged(sim):
     assert any(message.startswith("frame 3 is bridged") for message in result.messages)
 
 
-def test_a_camera_that_was_moving_before_is_noticed(sim):
-    cut = sim.frames[1:]
-    said = deepir.run("deblur_lag", frames=cut, **RUN).messages
-    assert any("Try physics.lag.start=moving" in message for message in said)
-    moving = deepir.run("deblur_lag", "physics.lag.start=moving", frames=cut, **RUN)
-    assert not any("start=" in message for message in moving.messages)
+def test_whether_the_camera_was_moving_before_is_found(sim, found):
+    assert found.metrics["moving_before"] == 0
+    moving = deepir.run("deblur_lag", frames=sim.frames[1:], **RUN)
+    assert moving.metrics["moving_before"] == 1
     assert moving.extra["tau"].mean() == pytest.approx(10, rel=0.1)
+
+
+def test_what_is_given_of_the_time_before_is_doubted_where_it_does_not_fit(sim):
+    said = deepir.run("deblur_lag", "physics.lag.moving=0", frames=sim.frames[1:], **RUN).messages
+    assert any("Try physics.lag.moving=1" in message for message in said)
+
+
+@pytest.mark.parametrize(
+    ("far", "remedy"), [(8.0, "take physics.lag.substeps=9"), (40.0, "take problem 'nuc'")]
+)
+def test_a_camera_that_jumps_is_not_helped_by_sub_steps(far, remedy):
+    motion = torch.eye(3, dtype=torch.float64).repeat(4, 1, 1)
+    motion[1::2, 0, 2] = far
+    (message,) = speed_message(along(motion))
+    assert remedy in message
 
 
 def test_a_camera_that_is_too_fast_for_the_sub_steps_is_noticed(sim):
@@ -112,7 +131,7 @@ def test_time_constants_can_be_given_or_each_pixels_own(sim):
         (["physics.lag.tau=-3"], "physics.lag.tau: a time constant, in ms, is not negative"),
         (["physics.lag.tau.init=0"], "starts above zero: physics.lag.tau.init=10"),
         (["physics.lag=null"], "'deblur_lag' needs a stage 'lag'"),
-        (["physics.lag.start=walking"], "'rest' or 'moving'"),
+        (["physics.lag.moving=walking"], "physics.lag.moving"),
         (["physics.lag.substeps=0"], "substeps must be 1 to 100"),
     ],
 )

@@ -18,7 +18,7 @@ from deepir.priors.gaussian import Gaussian
 from deepir.priors.motion_blur import MotionBlur
 from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
-from deepir.spectrum import fit_psf
+from deepir.spectrum import fit_psf, spectral_noise
 
 CLEAN = dict.fromkeys(
     ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"],
@@ -138,6 +138,15 @@ def test_the_spectrum_of_one_frame_tells_the_width_to_ten_per_cent(kind, blur, w
     frames = torch.from_numpy(sim.frames)[:, None]
     fit_psf(field, frames, torch.ones_like(frames) > 0)
     assert field.width.item() == pytest.approx(width, rel=0.1)
+
+
+@pytest.mark.parametrize("texture", [data.gravel(), data.camera()])
+def test_behind_a_blur_the_spectrum_tells_noise_from_texture(texture):
+    sim = camera(texture / 255, shape=(96, 128), psf_sigma=1.0)
+    psf = Gaussian((1, 1, 17, 17), size=(96, 128), sigma=1.0)().detach()
+    frames = torch.from_numpy(sim.frames)[:, None]
+    found = spectral_noise(psf, frames, torch.ones_like(frames) > 0)
+    assert found == pytest.approx(sim.settings.read_noise, rel=0.2)
 
 
 # ---- what it says ----

@@ -65,6 +65,17 @@ def test_behind_a_known_gain_stray_flux_is_told_from_the_offset_by_the_gain_alon
     np.testing.assert_allclose(result.gain, sim.truth.gain, rtol=1e-5)
 
 
+def test_behind_a_known_sensor_stray_flux_is_found_too(tmp_path):
+    sim = record("ring", photons=0.0)
+    np.savez(tmp_path / "maps.npz", gain=sim.truth.gain, offset=sim.truth.offset)
+    known = [
+        f"physics.sensor.{name}={{type: constant, path: {tmp_path / 'maps.npz'}, key: {name}}}"
+        for name in ("gain", "offset")
+    ]
+    result = deepir.run("narcissus", *known, frames=sim.frames, threads=1)
+    assert (result.extra["stray"] - sim.truth.stray).std() < 0.1 * sim.truth.stray.std()
+
+
 def test_about_a_known_axis_few_numbers_are_enough():
     y, x = np.mgrid[:64, :80] - np.array([31.5, 39.5])[:, None, None]
     stray = np.exp(-np.square(np.hypot(y, x) - 20) / 30)
