@@ -73,8 +73,8 @@ def test_no_rival_learns_from_what_rivals_are_judged_by(monkeypatch):
     from deepir.training.pictures import JUDGES_OF_RIVALS
 
     monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
-    rivals = importlib.import_module("rivals")
-    assert set(JUDGES_OF_RIVALS) == set(PHOTOGRAPHS) & set(rivals.PICTURES)
+    record = importlib.import_module("record_protocols")
+    assert set(JUDGES_OF_RIVALS) == set(PHOTOGRAPHS) & set(record.PICTURES)
     everything, fewer = (Pictures(np.random.default_rng(0), without) for without in ((), JUDGES_OF_RIVALS))
     assert (
         len(everything.photographs) - len(fewer.photographs) == 2 * 3 * 3

@@ -134,7 +134,7 @@ def start_psf(problem: Problem) -> list[str]:
 def start_noise(problem: Problem) -> None:
     """Set the noise of frames without a pattern to what the blur does not let through: a texture looks like noise."""
     names, usable = psf_names(problem), problem.precision > 0
-    if problem.known_noise or len(names) != 1:
+    if problem.noise is not None or len(names) != 1:
         return
     seen = float(problem.precision[usable].median().rsqrt())
     noise = spectral_noise(problem.fields[names[0]]().detach(), problem.data, usable)
