@@ -9,7 +9,7 @@ import torch
 
 from deepir.registration import align, burst, likelihood, register
 from deepir.registration.flatten import flatten
-from deepir.scenes import sky
+from deepir.scenes import procedural, sky
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
 
@@ -72,6 +72,37 @@ def test_clouds_under_a_pattern_stronger_than_they_are_find_their_places(number,
     result = register(torch.from_numpy(found.frames.astype(np.float32)))
     assert result.used.all()
     assert np.abs((result.motion.numpy() - found.truth.motion)[:, :2, 2]).max() < 0.5
+
+
+@pytest.mark.parametrize(("power", "seed"), [(1, 31), (4, 79), (6, 79)])
+def test_three_frames_of_which_two_lie_close_do_not_end_where_residuals_are_small(power, seed):
+    picture = (
+        scene("moon") if power == 1 else procedural(2 * power - 3, (430, 500)) ** power
+    )  # dark, few details
+    rows = {"photons": 1000.0, "read_noise": 0.002, "gain_row": 0.05, "offset_row": 0.05}
+    camera = rows if power == 1 else {"counts": True, "read_noise": 0.003, "offset_pixel": 0.04}
+    sim = simulate(picture, Settings(shading=0.0, dead_pixels=0.0, n_frames=3, **camera), seed=seed)
+    shifts = register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]
+    assert np.abs(shifts - sim.truth.motion[:, :2, 2]).max() < 0.4
+
+
+def test_somebody_who_walks_does_not_take_the_likelihood_along():
+    camera = Settings(
+        shading=0.0,
+        dead_pixels=0.0,
+        photons=1000.0,
+        read_noise=0.002,
+        walker=0.5,
+        walker_contrast=0.3,
+        n_frames=5,
+    )
+    sim = simulate(scene("camera"), camera, seed=11)
+    frames = torch.from_numpy(sim.frames.astype(np.float32))
+    flat, _ = flatten(frames, None)
+    shifts = register(frames).motion[:, :2, 2]
+    fooled = likelihood.likeliest_shifts(flat, shifts) - torch.from_numpy(sim.truth.motion[:, :2, 2])
+    assert fooled.abs().max() > 2
+    assert np.abs(shifts.numpy() - sim.truth.motion[:, :2, 2]).max() < 0.2
 
 
 def test_the_slope_of_the_shifts_likelihood_is_that_of_its_differences():

@@ -11,7 +11,7 @@ from deepir.errors import DataError, nearest
 from deepir.registration.align import align
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, one_scene
-from deepir.registration.likelihood import settle
+from deepir.registration.likelihood import likelier, settle
 from deepir.registration.motion import PARAMETERS, identity, relative
 from deepir.registration.pyramid import build_level
 
@@ -62,8 +62,9 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
         factors = [2 * finest, finest] if 2 * finest < coarse.factor else [finest]
         for factor in factors:
             found = align(build_level(flat, weight, factor), found.motion, model, ROUNDS // len(factors))
-        confidence[used] = agreement(coarse.of(used), pattern, found.motion)
-        motion[used] = found.motion
+        moved = likelier(flat, coarse, found.motion)
+        confidence[used] = agreement(coarse.of(used), pattern, moved)
+        motion[used] = moved
     return verdict(motion, confidence)
 
 

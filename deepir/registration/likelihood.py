@@ -26,7 +26,12 @@ LINE = 2.5  # waves along a line that make up those of lines, for the window's s
 CLEARLY = 0.85  # agreement from which a frame is used that was not
 ALIKE = 0.3  # px that likelihood and residuals may be apart
 SETTLED = 0.05  # px of the level: a smaller step ends the rounds
-TURNED = 6.0  # px at the frame's edge up to which a motion may be a shift that was taken for a turn
+#: Px apart from where the quarters of the frame are asked which of two places they like better; and from where three of
+#: the four will do for five frames and more, as they do for fewer, whose residuals say little.
+APART, FAR_APART = 0.5, 1.5
+QUARTERED = 64  # px: of smaller frames a quarter says too little
+#: Px at the frame's edge up to which a motion may be a shift that was taken for a turn, at first and in the end.
+TURNED, STILL_TURNED = 6.0, 2.0
 ROUNDS, STEPS, PASSES = 3, 20, 6  # of powers after shifts; of the shifts at most; of the powers
 
 
@@ -36,7 +41,7 @@ def settle(flat: Tensor, level: Level, used: Tensor, found: Aligned) -> tuple[Te
     All frames are tried, then those that were used: for frames `(N, H, W)`, three or more, that only shift.
     """
     for some in (torch.ones_like(used), used):
-        if some.sum() < 3 or not (_only_shifts(found.motion, level) and flat[some].any()):
+        if some.sum() < 3 or not (_only_shifts(found.motion, level, TURNED) and flat[some].any()):
             return used, found
         start = identity(len(used))
         start[used, :2, 2] = found.motion[:, :2, 2]
@@ -59,14 +64,58 @@ def settle(flat: Tensor, level: Level, used: Tensor, found: Aligned) -> tuple[Te
     return used, found
 
 
-def _only_shifts(motion: Tensor, level: Level) -> bool:
-    """Whether nothing turns or stretches by more than `TURNED` px at the frame's edge."""
-    return bool((motion[:, :2, :2] - torch.eye(2)).abs().amax() * max(level.shape) / 2 < TURNED)
+def likelier(flat: Tensor, level: Level, motion: Tensor) -> Tensor:
+    """Motions `(N, 3, 3)` of all flat frames `(N, H, W)`, moved to where they are likeliest if the frame agrees.
+
+    Residuals are fine, but of few frames they are small at wrong places, too: a pattern that has all the freedom takes
+    them up. The likelihood knows that, but not that something may walk through one part of the frame.
+    """
+    if len(motion) < 3 or min(flat.shape[1:]) < QUARTERED or not flat.any():
+        return motion
+    if not _only_shifts(motion, level, STILL_TURNED):
+        return motion
+    before = motion[:, :2, 2] - motion[0, :2, 2]
+    after = likeliest_shifts(flat, before)
+    apart = float((after - before).abs().max())
+    if apart < APART:
+        return motion
+    few = len(motion) < 5 or apart > FAR_APART
+    if sum(gain > 0 for gain in _gains(flat, before, after)) < (3 if few else 4):
+        return motion
+    motion = motion.clone()
+    motion[:, :2, 2] = after + motion[0, :2, 2]
+    return motion
+
+
+def _gains(flat: Tensor, before: Tensor, after: Tensor) -> list[float]:
+    """In nats, what each quarter of the frame gains from shifts `(N, 2)` to others, its powers as found at either."""
+    factor = _shrunk(flat)
+    frames = average(flat, factor).double()
+    old, new = (each.double().numpy() / factor for each in (before, after))
+    found = []
+    for half in frames.tensor_split(2, dim=1):
+        for quarter in half.tensor_split(2, dim=2):
+            spectra, gain = _Spectra(quarter), 0.0
+            for shifts in (old, new):
+                spectra.update(shifts)
+                gain += spectra.nats(old[1:].ravel())[0] - spectra.nats(new[1:].ravel())[0]
+            found.append(gain)
+    return found
+
+
+def _shrunk(flat: Tensor) -> int:
+    """Over how many px along an axis means are taken."""
+    return max(1, -(-max(flat.shape[1:]) // SIZE))
+
+
+def _only_shifts(motion: Tensor, level: Level, turned: float) -> bool:
+    """Whether nothing turns or stretches by more than so many px at the frame's edge."""
+    return bool((motion[:, :2, :2] - torch.eye(2)).abs().amax() * max(level.shape) / 2 < turned)
 
 
 def likeliest_shifts(flat: Tensor, start: Tensor) -> Tensor:
     """Shifts `(N, 2)` (x, y) in px of flat frames `(N, H, W)`, relative to the first, from a start `(N, 2)`."""
-    factor = max(1, -(-max(flat.shape[1:]) // SIZE))
+    factor = _shrunk(flat)
     spectra = _Spectra(average(flat, factor).double())
     shifts = (start - start[0]).double().numpy() / factor
     for _ in range(ROUNDS):
