@@ -3,6 +3,8 @@
 import pytest
 import torch
 
+torch.set_num_threads(1)  # the tests share the cores among processes; threads that wait for each other take them away
+
 
 @pytest.fixture(autouse=True)
 def seed():
