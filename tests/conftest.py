@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-torch.set_num_threads(1)  # the tests share the cores among processes; threads that wait for each other take them away
+# The tests share the cores among processes: threads that wait for each other take them away.
+torch.set_num_threads(1)
 
 
 @pytest.fixture(autouse=True)
