@@ -186,6 +186,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(line, deepir, folder):
     assert sorted(folder.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced_and_its_run_goes_on(deepir, folder):
     (folder / "fragile_method.py").write_text(DIES)
     given = (*COMPARE, "seed=0,1", "method=fragile", "--plugin", "fragile_method", "--workers", "2")
