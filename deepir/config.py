@@ -124,7 +124,10 @@ def _merge(label: str, *parts: Mapping[str, Any], resolve: bool = False) -> dict
 
 
 def _over(under: Any, over: Any, where: str = "") -> Any:
-    """What is `over`, and of mappings what is `under` beside it."""
+    """What is `over`, and of mappings what is `under` beside it.
+
+    `OmegaConf.merge` raises a bare TypeError for some that do not go together; this says where the mistake is.
+    """
     if not isinstance(over, Mapping):
         return over
     if wrong := [key for key in over if not isinstance(key, str)]:
