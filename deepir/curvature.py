@@ -120,11 +120,14 @@ def modelled(problem: Problem) -> bool:
     return moving and isinstance(problem.fields["scene"], Pixels)
 
 
-def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
-    """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`."""
+def information(problem: Problem, eliminated: Collection[str], weak: float = 1.0) -> Tensor | None:
+    """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`.
+
+    With `weak` times the scene's penalties.
+    """
     if not modelled(problem):
         return None
-    found = _waves(problem, variances(problem, eliminated))
+    found = _waves(problem, variances(problem, eliminated), weak)
     return found.clamp(min=RIDGE * float(found.mean()))
 
 
@@ -201,7 +204,7 @@ def _measured(problem: Problem, parameter: nn.Parameter) -> float:
     return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
-def _waves(problem: Problem, pattern: Variances) -> Tensor:
+def _waves(problem: Problem, pattern: Variances, weak: float = 1.0) -> Tensor:
     """Curvature along each wave of a real Fourier transform, (H, W / 2 + 1), in units of the scene."""
     scene, precision = problem.fields["scene"](), typical_noise(problem.precision) ** -2
     y, x = _frequencies(scene.shape[-2:], scene.device)
@@ -212,7 +215,7 @@ def _waves(problem: Problem, pattern: Variances) -> Tensor:
         told = told - _common(motion, problem.data.shape[-2:], y, x) / shared
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
-    of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
+    of_value, of_gradient = (weak * sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
     y, x = y.float(), x.float()
     return precision * _response(y, x) * told + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
 

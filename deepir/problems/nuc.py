@@ -36,6 +36,7 @@ class NUC(Definition):
 
     frames = 2
     motion = True
+    weak = WEAK
     operators: ClassVar[tuple[str, ...]] = ("warp", "sensor")
     #: Unknowns that are refined last: what registration knows of them is good enough to find the sensor.
     late: ClassVar[tuple[str, ...]] = ("motion",)
