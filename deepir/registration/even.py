@@ -1,0 +1,37 @@
+"""Frames bent so that their fixed pattern is as strong where the scene is bright as where it is dark."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.ndimage
+import scipy.optimize
+import torch
+from torch import Tensor
+
+NEAR = 7  # px: beside the mean over so many a pixel's gain and offset are seen
+PARTS = 8  # of the pixels, from dark to bright
+KNEE = (0.05, 50.0)  # bounds, in root mean squares of the flux: nearly the logarithm, nearly nothing
+
+
+def even(frames: Tensor, weight: Tensor) -> Tensor:
+    """Frames `(N, h, w)` float64 of an even pattern, zero where weights `(h, w)` are.
+
+    Gains and offsets with variances `a` and `b` are a pattern of variance `a z^2 + b` in a flux z, and an even one in
+    `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): the logarithm where gains rule, next to nothing where offsets do.
+    """
+    good = weight > 0
+    frames = torch.where(good, frames.double(), frames[:, good].double().mean())
+    bent = (frames / knee(frames.mean(0).numpy())).asinh()
+    return (bent - bent.mean((1, 2), keepdim=True)) * good
+
+
+def knee(image: np.ndarray) -> float:
+    """The flux at which gains make as strong a pattern as offsets, as the bright and dark parts of an image tell."""
+    slow = scipy.ndimage.uniform_filter(image, NEAR, mode="nearest")
+    size = float(np.sqrt(np.mean(slow**2))) or 1.0
+    parts = np.array_split(slow.ravel().argsort(), PARTS)
+    flux, apart = slow.ravel() / size, np.abs(image - slow).ravel() / size
+    square = np.array([np.mean(flux[part] ** 2) for part in parts])
+    power = np.array([np.median(apart[part]) ** 2 for part in parts]).clip(1e-20)
+    (offset, gain), _ = scipy.optimize.nnls(np.stack((1 / power, square / power), 1), np.ones(PARTS))
+    return size * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *KNEE))
