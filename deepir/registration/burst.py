@@ -56,7 +56,7 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
         factors = [2 * finest, finest] if 2 * finest < coarse.factor else [finest]
         for factor in factors:
             moved = align(build_level(mine, weight, factor), moved, model, ROUNDS // len(factors)).motion
-        moved = likelier(frames[used].detach().cpu(), weight, moved)
+        moved = likelier(frames.detach().cpu()[used], weight, moved)
         found = Aligned(moved, *standing(coarse.of(used), moved))
     still = at_rest(coarse, found)
     if still.any():

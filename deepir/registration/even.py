@@ -6,23 +6,26 @@ import numpy as np
 import scipy.ndimage
 import scipy.optimize
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 NEAR = 7  # px: beside the mean over so many a pixel's gain and offset are seen
+BESIDE = 5  # px: over so many a bad pixel is filled in
 PARTS = 8  # of the pixels, from dark to bright
 KNEE = (0.05, 50.0)  # bounds, in root mean squares of the flux: nearly the logarithm, nearly nothing
 
 
 def even(frames: Tensor, weight: Tensor) -> Tensor:
-    """Frames `(N, h, w)` float64 of an even pattern, zero where weights `(h, w)` are.
+    """Frames `(N, h, w)` float64 of an even pattern, filled in where weights `(h, w)` are not one.
 
     Gains and offsets with variances `a` and `b` are a pattern of variance `a z^2 + b` in a flux z, and an even one in
     `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): the logarithm where gains rule, next to nothing where offsets do.
     """
-    good = weight > 0
-    frames = torch.where(good, frames.double(), frames[:, good].double().mean())
-    bent = (frames / knee(frames.mean(0).numpy())).asinh()
-    return (bent - bent.mean((1, 2), keepdim=True)) * good
+    good = weight == 1
+    known = torch.where(good, frames, 0.0)
+    share = F.avg_pool2d(good[None].float(), BESIDE, 1, BESIDE // 2).clamp_min(1e-6)
+    filled = torch.where(good, known, F.avg_pool2d(known, BESIDE, 1, BESIDE // 2) / share).double()
+    return (filled / knee(filled.mean(0).numpy())).asinh()
 
 
 def knee(image: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from deepir.registration.motion import identity, relative
 from deepir.registration.pyramid import average
 
 SIZE = 320  # px: of larger frames, means over blocks are looked at
-TURNED = 2.0  # px at the frame's edge up to which a part of the frame only shifts
+TURNED = 6.0  # px at the frame's edge up to which a motion may be a shift
 APART = 0.2  # px: what is closer is the same
 LEAST = 64  # px: of smaller frames a part says too little
 
@@ -27,7 +27,7 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
     if len(frames) < 3 or turned > TURNED or min(weight.shape) < LEAST:
         return motion
     factor = max(1, -(-max(weight.shape) // SIZE))
-    small = even(average(frames, factor), average(weight[None], factor)[0] == 1)
+    small = even(average(frames, factor), average(weight[None], factor)[0])
     before = relative(motion)
     before[:, :2, 2] /= factor
     after = identity(len(motion))
@@ -60,7 +60,7 @@ def gains(frames: Tensor, before: Tensor, after: Tensor) -> list[float]:
             centre = torch.tensor([x.start + x.stop - w, y.start + y.stop - h, 2.0], dtype=torch.float64) / 2
             spectra, gain = Spectra(frames[:, y, x]), 0.0
             old, new = ((motion[1:] @ centre - centre)[:, :2].numpy() for motion in (before, after))
-            for shifts in (old, new):
+            for shifts in (new, old):
                 spectra.update(shifts)
                 gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]
             found.append(gain)
