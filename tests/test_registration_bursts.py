@@ -114,18 +114,25 @@ def test_somebody_who_walks_does_not_take_the_likelihood_along():
 @pytest.mark.parametrize("number", [1, 2, 4])
 def test_a_bright_slope_with_three_frames_finds_its_places(number):
     sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3), seed=31)
-    assert apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.35
+    assert (
+        apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.35
+    )
 
 
 @pytest.mark.parametrize("seed", [30, 35, 47])
 def test_clouds_that_move_are_not_taken_for_still_ones(seed):
     counts = {"counts": True, "read_noise": 0.003, "photons": 0.0}
     sim = simulate(sky(1, (430, 500)), camera_of_tones(n_frames=3, **counts), seed=seed)
-    assert apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.3
+    assert (
+        apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.3
+    )
 
 
 @given(
-    gain=st.floats(0.02, 0.1), offset=st.floats(0.0, 0.1), seed=st.integers(0, 99), unit=st.sampled_from([1.0, 1500.0])
+    gain=st.floats(0.02, 0.1),
+    offset=st.floats(0.0, 0.1),
+    seed=st.integers(0, 99),
+    unit=st.sampled_from([1.0, 1500.0]),
 )
 @settings_of_hypothesis(max_examples=20, deadline=None)
 def test_a_pattern_is_as_strong_in_the_bright_as_in_the_dark_once_it_is_even(gain, offset, seed, unit):

@@ -19,7 +19,7 @@ def even(frames: Tensor, weight: Tensor) -> Tensor:
     """Frames `(N, h, w)` float64 of an even pattern, filled in where weights `(h, w)` are not one.
 
     Gains and offsets with variances `a` and `b` are a pattern of variance `a z^2 + b` in a flux z, and an even one in
-    `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): the logarithm where gains rule, next to nothing where offsets do.
+    `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): a logarithm where gains rule, next to nothing where offsets do.
     """
     good = weight == 1
     known = torch.where(good, frames, 0.0)

@@ -49,6 +49,7 @@ class Spectra:
         self.y, self.x = y[rows], x[columns]
         spectra = torch.fft.rfft2(frames).numpy() / float(apart.square().sum().sqrt())
         self.frames = spectra[:, rows][:, :, columns]
+        self.total = self.frames.sum(0)
         length = np.hypot(self.y[:, None], self.x)
         self.ring = np.digitize(length, np.geomspace(2 * np.pi / max(h, w), HIGHEST, RINGS))
         self.line = np.zeros_like(self.ring)
@@ -94,8 +95,8 @@ class Spectra:
             self.noise = np.maximum(_means(left, self.ring) / n, self.least)
 
     def _scene_and_pattern(self, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
+        """`exp(i k d)`, the frames' sum moved back, the normal equations' off-diagonal, determinant and solution."""
         n, (dx, dy) = len(self.frames), np.vstack((np.zeros((1, 2)), shifts)).T
-        self.total = self.frames.sum(0)
         turn = np.exp(1j * dy[:, None] * self.y)[:, :, None] * np.exp(1j * dx[:, None] * self.x)[:, None]
         a, b = n + self.noise / self.scene, n + self.noise / self.pattern
         both, along = turn.conj().sum(0), (turn.conj() * self.frames).sum(0)

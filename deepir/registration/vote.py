@@ -1,4 +1,4 @@
-"""Between two motions, that of least residuals and that of the largest likelihood: the parts of the frame vote."""
+"""Between the motion of least residuals and the likeliest shifts: the parts of the frame decide."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from deepir.registration.pyramid import average
 
 SIZE = 320  # px: of larger frames, means over blocks are looked at
 TURNED = 6.0  # px at the frame's edge up to which a motion may be a shift
-APART = 0.2  # px: what is closer is the same
+APART = 0.2  # px at the frame's corners: what is closer is the same
+STRETCHED = ("affine", "homography")  # models of which only the shift is changed
 LEAST = 64  # px: of smaller frames a part says too little
 
 
-def likelier(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
+def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
     """Motions `(N, 3, 3)` of frames `(N, H, W)`, or the likeliest shifts if the parts of the frame like these better.
 
     Residuals are fine, but of few frames they are small at wrong places, too: a pattern that has all the freedom takes
-    them up. The likelihood knows that, but not that something may walk through one part of the frame: what the other
-    parts say counts. weight: `(H, W)`, zero where a pixel is bad.
+    them up. The likelihood knows that, but not that something may walk through one part of the frame: so what counts is
+    the gain of all parts but the one that gains most. weight: `(H, W)`, zero where a pixel is bad.
     """
     turned = float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
     if len(frames) < 3 or turned > TURNED or min(weight.shape) < LEAST:
         return motion
     factor = max(1, -(-max(weight.shape) // SIZE))
-    small = even(average(frames, factor), average(weight[None], factor)[0])
+    small = even(average(frames.float(), factor), average(weight[None], factor)[0])
     before = relative(motion)
     before[:, :2, 2] /= factor
-    after = identity(len(motion))
+    after = before.clone() if model in STRETCHED else identity(len(motion))
     after[1:, :2, 2] = torch.from_numpy(likeliest_shifts(small, before[1:, :2, 2].numpy()))
     if factor * apart(before, after, small) < APART:
         return motion
@@ -44,8 +45,8 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
 def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
     """How far motions `(N, 3, 3)` are apart at most, in px, at the corners of frames."""
     h, w = frames.shape[1:]
-    corner = torch.tensor([[x * w / 2, y * h / 2, 1.0] for x in (-1, 1) for y in (-1, 1)], dtype=torch.float64)
-    return float(((after - before) @ corner.T)[:, :2].norm(dim=1).max())
+    corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
+    return float(((after - before) @ corners)[:, :2].norm(dim=1).max())
 
 
 def gains(frames: Tensor, before: Tensor, after: Tensor) -> list[float]:
