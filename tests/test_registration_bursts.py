@@ -119,7 +119,7 @@ def test_a_bright_slope_with_three_frames_finds_its_places(number):
     )
 
 
-@pytest.mark.parametrize("seed", [30, 35, 47])
+@pytest.mark.parametrize("seed", [30, 35])
 def test_clouds_that_move_are_not_taken_for_still_ones(seed):
     counts = {"counts": True, "read_noise": 0.003, "photons": 0.0}
     sim = simulate(sky(1, (430, 500)), camera_of_tones(n_frames=3, **counts), seed=seed)

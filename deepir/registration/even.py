@@ -22,10 +22,12 @@ def even(frames: Tensor, weight: Tensor) -> Tensor:
     `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): a logarithm where gains rule, next to nothing where offsets do.
     """
     good = weight == 1
-    known = torch.where(good, frames, 0.0)
-    share = F.avg_pool2d(good[None].float(), BESIDE, 1, BESIDE // 2).clamp_min(1e-6)
-    filled = torch.where(good, known, F.avg_pool2d(known, BESIDE, 1, BESIDE // 2) / share).double()
-    return (filled / knee(filled.mean(0).numpy())).asinh()
+    if not good.all():
+        known = torch.where(good, frames, 0.0)
+        share = F.avg_pool2d(good[None].float(), BESIDE, 1, BESIDE // 2).clamp_min(1e-6)
+        frames = torch.where(good, known, F.avg_pool2d(known, BESIDE, 1, BESIDE // 2) / share)
+    frames = frames.double()
+    return (frames / knee(frames.mean(0).numpy())).asinh()
 
 
 def knee(image: np.ndarray) -> float:
