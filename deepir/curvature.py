@@ -17,7 +17,7 @@ dense system.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import torch
@@ -120,15 +120,20 @@ def modelled(problem: Problem) -> bool:
     return moving and isinstance(problem.fields["scene"], Pixels)
 
 
-def information(problem: Problem, eliminated: Collection[str], weak: float = 1.0) -> Tensor | None:
-    """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`.
+def unsureness(problem: Problem, eliminated: Collection[str], weak: float = 1.0) -> Tensor | None:
+    """Variance along each wave of a real Fourier transform, in units of the scene; None as for `curvature`.
 
-    With `weak` times the scene's penalties.
+    The mean over the frame: where the camera turns, other waves are open at other places. With `weak` times the
+    scene's penalties. Strong lines are left out: where the scene is bright and dark, their gains are told from it.
     """
     if not modelled(problem):
         return None
-    found = _waves(problem, variances(problem, eliminated), weak)
-    return found.clamp(min=RIDGE * float(found.mean()))
+    pattern = variances(problem, eliminated, LINES)
+    found = []
+    for common in _common(problem) if eliminated else (None,):
+        here = _waves(problem, pattern, common, weak)
+        found.append(here.clamp_(min=RIDGE * float(here.mean())).reciprocal_())
+    return sum(found[1:], found[0]) / len(found)
 
 
 def spline_response(problem: Problem) -> Tensor:
@@ -171,7 +176,8 @@ def _tensors(
 def _floored(problem: Problem, pattern: Variances, floor: float) -> tuple[Tensor, float]:
     """Curvature along each wave of the scene's parameters, none far below the mean; and the mean."""
     scene: Any = problem.fields["scene"]
-    found = float(scene.scale) ** 2 * _waves(problem, pattern)
+    common = sum(_common(problem), torch.zeros(())) / PLACES**2 if any(pattern.values()) else None
+    found = float(scene.scale) ** 2 * _waves(problem, pattern, common)
     mean = float(found.mean())
     found.clamp_(min=floor * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     return found, mean
@@ -204,15 +210,16 @@ def _measured(problem: Problem, parameter: nn.Parameter) -> float:
     return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
-def _waves(problem: Problem, pattern: Variances, weak: float = 1.0) -> Tensor:
-    """Curvature along each wave of a real Fourier transform, (H, W / 2 + 1), in units of the scene."""
+def _waves(problem: Problem, pattern: Variances, common: Tensor | None, weak: float = 1.0) -> Tensor:
+    """Curvature along each wave of a real Fourier transform, (H, W / 2 + 1), in units of the scene.
+
+    `common`: what the frames share, see `_common`; None where no pattern is free.
+    """
     scene, precision = problem.fields["scene"](), typical_noise(problem.precision) ** -2
     y, x = _frequencies(scene.shape[-2:], scene.device)
-    motion = problem.fields[problem.slots["warp.motion"]]().double()
-    told = torch.full((), float(len(motion)), device=motion.device)
-    if any(pattern.values()):
-        shared = _shared(pattern, precision, len(motion), scene.shape[-2:], y, x)
-        told = told - _common(motion, problem.data.shape[-2:], y, x) / shared
+    told = torch.full((), float(len(problem.data)), device=scene.device)
+    if common is not None:
+        told = told - common / _shared(pattern, precision, len(problem.data), scene.shape[-2:], y, x)
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
     of_value, of_gradient = (weak * sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
@@ -241,18 +248,19 @@ def _shared(
     return count + 1 / (precision * each).clamp(min=1e-9)
 
 
-def _common(motion: Tensor, size: Sequence[int], y: Tensor, x: Tensor) -> Tensor:
-    """`|Σ_j exp(i k d_j)|²`, the mean over the frame: where the camera turns, d differs from place to place."""
-    total = torch.zeros(len(y), len(x), device=y.device)
+def _common(problem: Problem) -> Iterator[Tensor]:
+    """`|Σ_j exp(i k d_j)|²` of each wave at places of the frame: where the camera turns, d differs among them."""
+    y, x = _frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
+    motion = problem.fields[problem.slots["warp.motion"]]().double()
+    height, width = problem.data.shape[-2:]
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
-    for at in torch.cartesian_prod(parts * size[1], parts * size[0]):
+    for at in torch.cartesian_prod(parts * width, parts * height):
         shift = displaced(motion, at)
         along_y, along_x = y * shift[:, 1], x * shift[:, :1]  # (ny, N) and (N, nx)
         cos, sin = along_y.cos().float(), along_y.sin().float()
         both = torch.cat((along_x.cos(), along_x.sin())).float()
         real, imaginary = torch.cat((cos, -sin), 1) @ both, torch.cat((sin, cos), 1) @ both
-        total.addcmul_(real, real).addcmul_(imaginary, imaginary)
-    return total / PLACES**2
+        yield real.square_().addcmul_(imaginary, imaginary)
 
 
 def _frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.curvature import information, spline_response
+from deepir.curvature import spline_response, unsureness
 from deepir.problem import Problem
 
 Maps = dict[str, np.ndarray]
@@ -22,12 +22,12 @@ def pattern_cost(problem: Problem, weak: float = 1.0) -> float:
     alone gives `10 log10 (n / (n - 1))` for n frames and any pattern, and waves that fit the motion more. `weak` times
     the scene's penalties is what held them while the pattern was found.
     """
-    found = [information(problem, each, weak) for each in (problem.closed_form(), ())]
+    found = [unsureness(problem, each, weak) for each in (problem.closed_form(), ())]
     if any(each is None for each in found):
         return math.nan
     response = spline_response(problem)
     response[0, 0] = 0  # no burst shows the level
-    free, known = (float((response / each).sum()) for each in found if each is not None)
+    free, known = (float((response * each).sum()) for each in found if each is not None)
     return 10 * math.log10(free / known)
 
 

@@ -62,9 +62,10 @@ class DeblurLag(NUC):
         return float(solve(problem, [Stage("before", steps, TRIAL)]).history[-1]["loss"])
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """Sensor; with motion and time constant, twice; scene."""
+        """Sensor; with motion and time constant, twice, to the end; scene."""
         first, second, third, scene = super().plan(problem)
-        return [first, replace(second, steps=third.steps, iterations=third.iterations), third, scene]
+        third = replace(third, tolerance=Stage.tolerance)
+        return [first, replace(third, name=second.name), third, scene]
 
     @torch.no_grad()
     def figures(self, problem: Problem) -> dict[str, float]:
