@@ -17,6 +17,8 @@ from deepir.sweep.axes import BURST
 from deepir.sweep.cells import Cell
 from deepir.sweep.table import rows
 
+HERE = f"{Path(__file__).parent.parent}/"
+
 HEADER = "<!-- written by benchmarks/record.py: `make bench`, `make bench-full` -->"
 INTRODUCTION = """\
 # Benchmark of record
@@ -117,7 +119,7 @@ def _missing(each: Found) -> Iterator[str]:
     for reason, count in reasons.items():
         yield f"- {count} of {len(each.protocol.bursts)} bursts are left out: {reason}."
     for (method, reason), count in sorted(lost.items()):
-        yield f"- {method}: {count} {'run is' if count == 1 else 'runs are'} missing: {reason}."
+        yield f"- {method}: {count} {'run is' if count == 1 else 'runs are'} missing: {reason.replace(HERE, '')}."
 
 
 def _record(everything: Mapping[str, Found], cells: Mapping[str, Sequence[Cell]]) -> Iterator[str]:
