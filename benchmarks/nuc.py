@@ -7,7 +7,7 @@ runs/bench-nuc, so that a second run costs deepir's own time only; `--warm` does
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from nuc_oracle import VERSION, aligned, oracle, radiometric
 from nuc_regimes import REGIMES, SEEDS, Regime, picture
 from nuc_store import REGISTRATION, burst, code, kept
 from nuc_table import HEADER, Case, Row, summary
+from nuc_told import VERSION as TOLD
+from nuc_told import told
 from skimage.restoration import denoise_tv_chambolle
 from written import write
 
@@ -86,19 +88,28 @@ def case(regime: Regime, half: str, n: int, seed: int, fresh: bool) -> Case:
     """All figures of one burst."""
     sim, digest = burst(regime.picture(half), regime.settings(n), seed, fresh=fresh)
     average = kept("averages", [digest, code(*REGISTRATION)], lambda: averaged(sim), fresh=fresh)
-    best = ceiling(sim, digest, regime.picture(half), fresh=fresh)
+    best, left = ceilings(sim, digest, regime.picture(half), fresh=fresh)
     raw = aligned(sim.frames[0].astype(float), sim)
     try:
         result = deepir.run("nuc", frames=sim.frames)
     except DeepIRError as error:  # then one frame is what there is
         return Case(
-            raw, float(average["plain"]), float(average["smooth"]), raw, best, np.nan, np.nan, [f"REFUSED: {error}"]
-        )  # fmt: skip
+            raw,
+            float(average["plain"]),
+            float(average["smooth"]),
+            raw,
+            left,
+            best,
+            np.nan,
+            np.nan,
+            [f"REFUSED: {error}"],
+        )
     return Case(
         one_frame=raw,
         average=float(average["plain"]),
         smooth_average=float(average["smooth"]),
         deepir=aligned(result.scene, sim),
+        told=left,
         oracle=best,
         radiometric=radiometric(result.scene, sim),
         seconds=result.metrics["seconds"],
@@ -118,25 +129,31 @@ def averaged(sim: Simulation) -> dict[str, np.ndarray]:
     return {"plain": np.array(aligned(scene, sim)), "smooth": np.array(best)}
 
 
-def ceiling(sim: Simulation, digest: str, name: str, *, fresh: bool) -> float:
-    """The oracle's PSNR; it depends on the burst, and on no more of deepir than VERSION stands for."""
+def ceilings(sim: Simulation, digest: str, name: str, *, fresh: bool) -> tuple[float, float]:
+    """PSNR of the oracle, and of what is told all but scene and pattern.
 
-    def make() -> dict[str, np.ndarray]:
-        return {"psnr": np.array(oracle(sim, picture(name)))}
+    They depend on the burst, and on no more of deepir than their versions stand for.
+    """
 
-    return float(kept("oracles", [digest, VERSION], make, fresh=fresh)["psnr"])
+    def make(best: Callable[[Simulation, np.ndarray], float]) -> Callable[[], dict[str, np.ndarray]]:
+        return lambda: {"psnr": np.array(best(sim, picture(name)))}
+
+    return (
+        float(kept("oracles", [digest, VERSION], make(oracle), fresh=fresh)["psnr"]),
+        float(kept("told", [digest, TOLD], make(told), fresh=fresh)["psnr"]),
+    )
 
 
 def warm(regimes: dict[str, Regime], halves: str, seeds: int, *, fresh: bool) -> None:
-    """Simulate all bursts and solve all oracles."""
+    """Simulate all bursts, and solve all that is told the truth."""
     for name, regime in regimes.items():
         for n in regime.frames:
             for half in halves:
                 found = []
                 for seed in SEEDS[half][:seeds]:
                     sim, digest = burst(regime.picture(half), regime.settings(n), seed, fresh=fresh)
-                    found.append(ceiling(sim, digest, regime.picture(half), fresh=fresh))
-                print(name, n, half, " ".join(f"{each:.2f}" for each in found), flush=True)
+                    found.append(ceilings(sim, digest, regime.picture(half), fresh=fresh))
+                print(name, n, half, " ".join(f"{best:.2f} ({left:.2f})" for best, left in found), flush=True)
 
 
 if __name__ == "__main__":

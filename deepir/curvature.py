@@ -8,7 +8,8 @@ they share,
     w (n - |Σ_j exp(i k d_j)|² / (n + 1 / (w V))),
 
 less by the spline that the warp samples, and more by the penalties. Where samples are surer than the usual one, by
-photons or a known gain, the scene moves by as much less. Waves longer than the frame, which a Fourier transform does
+photons or a known gain, the scene moves by as much less. Lines whose gains differ much leave open what is as bright as
+the scene times a wave along them, rather than the wave. Waves longer than the frame, which a Fourier transform does
 not have, and the levels of the frames, which look like slopes to a camera that moves, are taken together in a small
 dense system.
 """
@@ -33,14 +34,15 @@ from deepir.priors.motion import Motion
 from deepir.priors.pixels import Pixels
 from deepir.priors.terms import Terms
 from deepir.problem import Problem
-from deepir.slow import SMOOTH, Slow, expected, variances
+from deepir.slow import SMOOTH, Slow, Variances, expected, variances
 
-LINES = 0.1  # standard deviation of lines' gains up to which they are about additive
+LINES = 0.05  # standard deviation of lines' gains up to which they are taken for additive
 PLACES = 5  # along each axis, at which the motion is taken
 RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
 #: to run to where a weak prior has its optimum: pattern in the scene.
 FLOOR = 0.3
+FLOOR_OF_LINES = 0.03  # those of strong lines are few, and the lines' prior holds them
 #: Information of all samples on a pixel of the scene, in that of usual ones, that is made use of.
 UNEVEN = (0.5, 30.0)
 
@@ -78,6 +80,10 @@ class Curvature:
         even = self.tensors["even"]
         spectrum = torch.fft.rfft2(scene * even).mul_(self.tensors["waves"])
         waves = torch.fft.irfft2(spectrum, s=scene.shape).mul_(even)
+        if "lines" in self.tensors:
+            bright = self.tensors["bright"]
+            spectrum = torch.fft.rfft2(scene * bright).mul_(self.tensors["lines"])
+            waves.addcmul_(torch.fft.irfft2(spectrum, s=scene.shape), bright)
         if self.basis is None:
             into[self.scene].copy_(waves.flatten())
             for i in self.others:
@@ -108,28 +114,20 @@ def curvature(
 
 
 def modelled(problem: Problem) -> bool:
-    """Whether the model holds: for pixels that a moving sensor sees, whose lines' gains do not differ by much.
-
-    Over a scene that is dark in part a gain is no additive pattern: for lines of 20 % L-BFGS is better off alone. Not
-    so where there is stray flux to be found: along slow waves it is lost without.
-    """
+    """Whether the model holds: for pixels that a moving sensor sees."""
     stages = [type(stage) for _, stage in problem.operator.named() if not isinstance(stage, Lag)]
-    if stages not in ([Warp, Sensor], [Warp, Add, Sensor]) or len(problem.data) < 2:
-        return False
-    if not isinstance(problem.fields["scene"], Pixels):
-        return False
-    if any(isinstance(problem.fields[name], Terms) for name in problem.free()):
-        return True
-    gains = problem.fields[problem.slots["sensor.gain"]].parts()
-    return not any(part.along in (COLUMN, ROW) and part.sigma > LINES for part in gains)
+    moving = stages in ([Warp, Sensor], [Warp, Add, Sensor]) and len(problem.data) > 1
+    return moving and isinstance(problem.fields["scene"], Pixels)
 
 
-def information(problem: Problem, eliminated: Collection[str]) -> Tensor | None:
-    """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`."""
+def information(problem: Problem, eliminated: Collection[str], weak: float = 1.0) -> Tensor | None:
+    """Curvature along each wave of a real Fourier transform, in units of the scene; None as for `curvature`.
+
+    With `weak` times the scene's penalties.
+    """
     if not modelled(problem):
         return None
-    scene, precision = problem.fields["scene"](), typical_noise(problem.precision) ** -2
-    found = _waves(problem, eliminated, scene, precision, *_frequencies(scene.shape[-2:], scene.device))
+    found = _waves(problem, variances(problem, eliminated), weak)
     return found.clamp(min=RIDGE * float(found.mean()))
 
 
@@ -147,15 +145,14 @@ def _tensors(
     others: Sequence[Drift | Terms],
     eliminated: Collection[str],
 ) -> dict[str, Tensor]:
-    """Inverse curvatures: `waves` (H, W / 2 + 1), `even` (H, W) before and after; of all others; of what is slow."""
-    scene: Any = problem.fields["scene"]
-    value, unit = scene(), float(scene.scale) ** 2
+    """Inverse curvatures: `waves` (H, W / 2 + 1), `even` (H, W) before and after; of all others; of what is slow.
+
+    Where lines' gains differ much, what they add to that of the waves, `lines`, `bright` (H, W) before and after.
+    """
+    value = problem.fields["scene"]()
     precision = typical_noise(problem.precision) ** -2
-    waves = unit * _waves(
-        problem, eliminated, value, precision, *_frequencies(scene.shape[-2:], value.device)
-    )
-    mean = float(waves.mean())
-    waves.clamp_(min=FLOOR * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
+    pattern, additive = variances(problem, eliminated), variances(problem, eliminated, LINES)
+    waves, mean = _floored(problem, additive, FLOOR)
     slopes = float(squared_gradient(problem.operator.image(value)).mean()) / 2
     scales = []
     for field, parameter in zip(fields, parameters, strict=True):
@@ -163,9 +160,21 @@ def _tensors(
         known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
-    found = {"waves": waves.reciprocal_().to(scene.values), "even": _even(problem, precision)}
+    found = {"waves": waves.reciprocal().to(value), "even": _even(problem, precision)}
     found["scales"] = torch.tensor(scales)
+    if pattern != additive:
+        lines = _floored(problem, pattern, FLOOR_OF_LINES)[0].reciprocal_() - waves.reciprocal_()
+        found |= {"lines": lines.to(value), "bright": value[0, 0] / value.square().mean().sqrt()}
     return found | ({"slow": _slow(problem, slow, others, eliminated)} if slow else {})
+
+
+def _floored(problem: Problem, pattern: Variances, floor: float) -> tuple[Tensor, float]:
+    """Curvature along each wave of the scene's parameters, none far below the mean; and the mean."""
+    scene: Any = problem.fields["scene"]
+    found = float(scene.scale) ** 2 * _waves(problem, pattern)
+    mean = float(found.mean())
+    found.clamp_(min=floor * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
+    return found, mean
 
 
 def _even(problem: Problem, precision: float) -> Tensor:
@@ -195,18 +204,18 @@ def _measured(problem: Problem, parameter: nn.Parameter) -> float:
     return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
-def _waves(
-    problem: Problem, eliminated: Collection[str], scene: Tensor, precision: float, y: Tensor, x: Tensor
-) -> Tensor:
-    """Curvature along waves of frequencies y (ny, 1) and x (nx,), radians a px, (ny, nx), in units of the scene."""
+def _waves(problem: Problem, pattern: Variances, weak: float = 1.0) -> Tensor:
+    """Curvature along each wave of a real Fourier transform, (H, W / 2 + 1), in units of the scene."""
+    scene, precision = problem.fields["scene"](), typical_noise(problem.precision) ** -2
+    y, x = _frequencies(scene.shape[-2:], scene.device)
     motion = problem.fields[problem.slots["warp.motion"]]().double()
     told = torch.full((), float(len(motion)), device=motion.device)
-    if eliminated:
-        shared = _shared(problem, eliminated, precision, len(motion), scene.shape[-2:], y, x)
+    if any(pattern.values()):
+        shared = _shared(pattern, precision, len(motion), scene.shape[-2:], y, x)
         told = told - _common(motion, problem.data.shape[-2:], y, x) / shared
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
-    of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
+    of_value, of_gradient = (weak * sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
     y, x = y.float(), x.float()
     return precision * _response(y, x) * told + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
 
@@ -216,8 +225,7 @@ def _response(y: Tensor, x: Tensor) -> Tensor:
 
 
 def _shared(
-    problem: Problem,
-    eliminated: Collection[str],
+    variance: Variances,
     precision: float,
     count: int,
     size: Sequence[int],
@@ -225,7 +233,7 @@ def _shared(
     x: Tensor,
 ) -> Tensor:
     """`n + 1 / (w V)` for each wave: a pattern constant along columns is all in the waves that are so, too."""
-    variance, (height, width) = variances(problem, eliminated), size
+    height, width = size
     # In part also in their neighbours: the camera moves over them.
     columns = height * variance[COLUMN] / (math.pi * (1 + (y * height / (2 * math.pi)).square()))
     rows = width * variance[ROW] / (math.pi * (1 + (x * width / (2 * math.pi)).square()))
@@ -264,7 +272,7 @@ def _slow(
     """
     scene: Any = problem.fields["scene"]
     terms = len(slow.scene.white)
-    found = variances(problem, eliminated)
+    found = variances(problem, eliminated, LINES)
     maps = [slow.levels() if isinstance(each, Drift) else slow.of_terms(each)[0] for each in others]
     whole = slow.normal(*maps)
     unit = whole.new_full((len(whole),), float(scene.scale))
@@ -288,7 +296,7 @@ def _slow(
     return torch.linalg.inv(system).float().contiguous()
 
 
-def _rest(problem: Problem, slow: Slow, field: Terms, variance: dict[tuple[int, ...], float]) -> Tensor:
+def _rest(problem: Problem, slow: Slow, field: Terms, variance: Variances) -> Tensor:
     """Curvature of stray flux in its prior and in what is not slow of it, behind a free pattern: a matrix."""
     _, rest = slow.of_terms(field)
     height, width = problem.data.shape[-2:]

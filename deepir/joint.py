@@ -81,7 +81,8 @@ def joint(
         messages += drift_message(problem) + shading_message(problem)
     found = given & ~(problem.precision.amax((0, 1)) > 0)
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
-    result = _result(problem, geometry, solution, burst, used, taken, messages)
+    cost = pattern_cost(problem, definition.weak)
+    result = _result(problem, geometry, solution, burst, used, taken, messages, cost)
     result.metrics |= definition.figures(problem)
     return result
 
@@ -245,6 +246,7 @@ def _result(
     used: np.ndarray,
     taken: np.ndarray,
     messages: list[str],
+    cost: float,
 ) -> Result:
     """The result of frames that are `taken` into the problem, though perhaps not `used` in the fit."""
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
@@ -269,7 +271,6 @@ def _result(
     gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
     known = not any(name in problem.free() for name in gains)
     to_gauge(result, known_gain=known, flux=added_flux(problem))
-    cost = pattern_cost(problem)
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
     result.uncertainty = maps | {"scene": geometry.crop(maps["scene"])}
     result.messages += cost_message(cost, len(problem.data))

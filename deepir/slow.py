@@ -11,6 +11,7 @@ constant. All that the data say of them is a matrix `M_j` and a vector `q_j` for
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -26,6 +27,9 @@ from deepir.thin import thinned
 
 POINTS = 40  # along each axis, where the polynomials are sampled
 SMOOTH = (-1, 1)  # no axes: the polynomials of a shading
+
+#: Of the pattern's parts, by the axes along which they are constant.
+Variances = dict[tuple[int, ...], float]
 
 
 class Slow:
@@ -113,19 +117,24 @@ def late(problem: Problem, seen: Tensor) -> Tensor:
     return seen
 
 
-def variances(problem: Problem, eliminated: Collection[str]) -> dict[tuple[int, ...], float]:
-    """Variance of the free pattern in the data's units, by the axes along which it is constant."""
+def variances(problem: Problem, eliminated: Collection[str], faint: float = math.inf) -> Variances:
+    """Variance of the free pattern in the data's units, by the axes along which it is constant.
+
+    Gains of lines are left out if their standard deviation is above `faint`.
+    """
     data, precision = thinned(problem.data, problem.precision)
     level = float(data[precision > 0].square().mean().sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
         for part in problem.fields[name].parts() if name in eliminated else ():
+            if kind == "gain" and part.along in (COLUMN, ROW) and part.sigma > faint:
+                continue
             found[SMOOTH if isinstance(part, Shading) else part.along] += (float(part.sigma) * unit) ** 2
     return found
 
 
-def expected(variance: dict[tuple[int, ...], float], frame: Shading) -> Tensor:
+def expected(variance: Variances, frame: Shading) -> Tensor:
     """Variance of each of the frame's polynomials in a pattern of these variances, shading left out."""
     height, width = frame.shape[-2:]
     each = torch.full((len(frame.white),), variance[PIXEL] / (height * width), dtype=torch.float64)

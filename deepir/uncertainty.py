@@ -15,13 +15,14 @@ Maps = dict[str, np.ndarray]
 
 
 @torch.no_grad()
-def pattern_cost(problem: Problem) -> float:
+def pattern_cost(problem: Problem, weak: float = 1.0) -> float:
     """What it costs the scene, in dB, that the pattern is not known; NaN where there is no model of it.
 
     Mean squared errors of the scene's waves, the pattern unknown over known, by the model of `deepir.curvature`. Noise
-    alone gives `10 log10 (n / (n - 1))` for n frames and any pattern, and waves that fit the motion more.
+    alone gives `10 log10 (n / (n - 1))` for n frames and any pattern, and waves that fit the motion more. `weak` times
+    the scene's penalties is what held them while the pattern was found.
     """
-    found = [information(problem, each) for each in (problem.closed_form(), ())]
+    found = [information(problem, each, weak) for each in (problem.closed_form(), ())]
     if any(each is None for each in found):
         return math.nan
     response = spline_response(problem)

@@ -4,11 +4,15 @@ import functools
 
 import numpy as np
 import pytest
+import scipy.ndimage
 import skimage.data
 import torch
+from hypothesis import given
+from hypothesis import settings as settings_of_hypothesis
+from hypothesis import strategies as st
 
 from deepir.registration import align, burst, likelihood, register
-from deepir.registration.flatten import flatten
+from deepir.registration.even import even
 from deepir.scenes import procedural, sky
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
@@ -86,29 +90,65 @@ def test_three_frames_of_which_two_lie_close_do_not_end_where_residuals_are_smal
     assert np.abs(shifts - sim.truth.motion[:, :2, 2]).max() < 0.4
 
 
+def camera_of_tones(**settings):
+    """160 x 192 px, scenes in [0, 1]; a thousand photons, no bad pixels."""
+    fixed = {"shading": 0.0, "dead_pixels": 0.0, "photons": 1000.0, "read_noise": 0.002}
+    return Settings(**(fixed | settings))
+
+
+def apart(sim, shifts):
+    """Largest distance (px) along an axis between found and true shifts."""
+    return np.abs(shifts - sim.truth.motion[:, :2, 2]).max()
+
+
 def test_somebody_who_walks_does_not_take_the_likelihood_along():
-    camera = Settings(
-        shading=0.0,
-        dead_pixels=0.0,
-        photons=1000.0,
-        read_noise=0.002,
-        walker=0.5,
-        walker_contrast=0.3,
-        n_frames=5,
-    )
-    sim = simulate(scene("camera"), camera, seed=11)
+    walker = {"walker": 0.5, "walker_contrast": 0.3}
+    sim = simulate(procedural(3, (430, 500)), camera_of_tones(n_frames=5, shape=(96, 128), **walker), seed=57)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
-    flat, _ = flatten(frames, None)
-    shifts = register(frames).motion[:, :2, 2]
-    fooled = likelihood.likeliest_shifts(flat, shifts) - torch.from_numpy(sim.truth.motion[:, :2, 2])
-    assert fooled.abs().max() > 2
-    assert np.abs(shifts.numpy() - sim.truth.motion[:, :2, 2]).max() < 0.2
+    shifts = register(frames).motion[:, :2, 2].numpy()
+    followed = likelihood.likeliest_shifts(even(frames, torch.ones(96, 128)), shifts[1:])
+    assert apart(sim, np.vstack((shifts[:1], followed))) > 5
+    assert apart(sim, shifts) < 0.2
+
+
+@pytest.mark.parametrize("number", [1, 2, 4])
+def test_a_bright_slope_with_three_frames_finds_its_places(number):
+    sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3), seed=31)
+    assert (
+        apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.35
+    )
+
+
+@pytest.mark.parametrize("seed", [30, 35])
+def test_clouds_that_move_are_not_taken_for_still_ones(seed):
+    counts = {"counts": True, "read_noise": 0.003, "photons": 0.0}
+    sim = simulate(sky(1, (430, 500)), camera_of_tones(n_frames=3, **counts), seed=seed)
+    assert (
+        apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.3
+    )
+
+
+@given(
+    gain=st.floats(0.02, 0.1),
+    offset=st.floats(0.0, 0.1),
+    seed=st.integers(0, 99),
+    unit=st.sampled_from([1.0, 1500.0]),
+)
+@settings_of_hypothesis(max_examples=20, deadline=None)
+def test_a_pattern_is_as_strong_in_the_bright_as_in_the_dark_once_it_is_even(gain, offset, seed, unit):
+    rng = np.random.default_rng(seed)
+    flux = np.tile(np.linspace(0.1, 1.5, 160), (128, 1))
+    frame = flux * (1 + gain * rng.normal(size=flux.shape)) + offset * rng.normal(size=flux.shape)
+    bent = even(torch.from_numpy(unit * frame)[None], torch.ones(128, 160))[0].numpy()
+    fine = bent - scipy.ndimage.gaussian_filter(bent, 3)
+    dark, bright = fine[:, :60].std(), fine[:, 100:].std()
+    assert 0.6 < bright / dark < 1.6
 
 
 def test_the_slope_of_the_shifts_likelihood_is_that_of_its_differences():
     frames, truth = simulated("moon")
     shifts = truth[1:, :2, 2].ravel() + 0.3
-    spectra = likelihood._Spectra(flatten(frames, None)[0].double())
+    spectra = likelihood.Spectra(even(frames, torch.ones(SHAPE)))
     around = [spectra.nats(shifts + 1e-5 * way * unit)[0] for unit in np.eye(len(shifts)) for way in (1, -1)]
     np.testing.assert_allclose(
         spectra.nats(shifts)[1], (np.array(around[::2]) - around[1::2]) / 2e-5, rtol=1e-4

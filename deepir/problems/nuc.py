@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import ClassVar
 
 from deepir.curvature import modelled
@@ -20,6 +21,8 @@ from deepir.strengths import (
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
+#: Gain of ten iterations, in nats for each sample, below which a round of the sensor's ends: the first ones, the last.
+ROUGH, FINE = 5e-3, 3e-4
 
 
 @register("problem", "nuc")
@@ -33,6 +36,7 @@ class NUC(Definition):
 
     frames = 2
     motion = True
+    weak = WEAK
     operators: ClassVar[tuple[str, ...]] = ("warp", "sensor")
     #: Unknowns that are refined last: what registration knows of them is good enough to find the sensor.
     late: ClassVar[tuple[str, ...]] = ("motion",)
@@ -48,17 +52,20 @@ class NUC(Definition):
     def plan(self, problem: Problem) -> list[Stage]:
         """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
 
-        Where the curvature is modelled the first ones need fewer iterations, and the last can be had to its end.
+        Where the curvature is modelled each round ends by itself: in tones there is little left after twenty
+        iterations, in counts and where lines are strong after more.
         """
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        short, long, last = (8, 60, 20) if modelled(problem) else (25, 30, 35)
+        short, long, last = (30, 60, 20) if modelled(problem) else (25, 30, 35)
+        rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
+        first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
         return [
-            Stage("sensor 1", (Step(still), *eliminate), short),
-            Stage("sensor 2", (Step(still), *eliminate), short, prepare=update),
-            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update),
+            first,
+            dataclasses.replace(first, name="sensor 2", prepare=update),
+            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine),
             Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
         ]
 

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from deepir.errors import DataError, nearest
-from deepir.registration.align import align
+from deepir.registration.align import Aligned, align, standing
 from deepir.registration.flatten import flatten
-from deepir.registration.group import FAILED, agreement, at_rest, one_scene
-from deepir.registration.likelihood import likelier, settle
+from deepir.registration.group import FAILED, agreement, at_rest, left, one_scene
 from deepir.registration.motion import PARAMETERS, identity, relative
 from deepir.registration.pyramid import build_level
+from deepir.registration.vote import likelier
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
 FINEST = 400_000  # px: larger frames are registered at half their size
@@ -49,23 +49,29 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
     flat, weight = flatten(frames.detach().cpu(), None if ignore is None else ignore.cpu())
     coarse = build_level(flat, weight, halvings(max(frames.shape[1:]) / COARSE))
     clear, used, found = one_scene(coarse, "shift" if model == "shift" else "rigid")
-    used, found = settle(flat, coarse, used, found)
+    n, moved = len(frames), found.motion
+    if used.sum() > 1:
+        some = slice(None) if used.all() else used  # no copy of all
+        moved = fine(flat[some], weight, coarse.factor, moved, model)
+        moved = likelier(frames.detach().cpu()[some], weight, moved, model)
+        found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
     still = at_rest(coarse, found)
     if still.any():
-        return verdict(identity(len(frames)), still.double())
-    n, pattern = len(frames), found.pattern
+        return verdict(identity(n), still.double())
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
     confidence = 0.5 * FAILED * clear.clamp_max(1)
     if used.sum() > 1:
-        flat = flat if used.all() else flat[used]
-        finest = halvings((weight.numel() / FINEST) ** 0.5)
-        factors = [2 * finest, finest] if 2 * finest < coarse.factor else [finest]
-        for factor in factors:
-            found = align(build_level(flat, weight, factor), found.motion, model, ROUNDS // len(factors))
-        moved = likelier(flat, coarse, found.motion)
-        confidence[used] = agreement(coarse.of(used), pattern, moved)
-        motion[used] = moved
+        motion[used], confidence[used] = moved, agreement(coarse.of(used), found.pattern, moved)
     return verdict(motion, confidence)
+
+
+def fine(flat: Tensor, weight: Tensor, coarse: int, motion: Tensor, model: str) -> Tensor:
+    """Motions `(N, 3, 3)` of flat frames `(N, H, W)` of least residuals, from those on a level of factor `coarse`."""
+    finest = halvings((weight.numel() / FINEST) ** 0.5)
+    factors = [2 * finest, finest] if 2 * finest < coarse else [finest]
+    for factor in factors:
+        motion = align(build_level(flat, weight, factor), motion, model, ROUNDS // len(factors)).motion
+    return motion
 
 
 def verdict(motion: Tensor, confidence: Tensor) -> Registration:

@@ -1,0 +1,68 @@
+"""Between the motion of least residuals and the likeliest shifts: the parts of the frame decide."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.registration.even import even
+from deepir.registration.likelihood import Spectra, likeliest_shifts
+from deepir.registration.motion import identity, relative
+from deepir.registration.pyramid import average
+
+SIZE = 320  # px: of larger frames, means over blocks are looked at
+TURNED = 6.0  # px at the frame's edge up to which a motion may be a shift
+APART = 0.2  # px at the frame's corners: what is closer is the same
+STRETCHED = ("affine", "homography")  # models of which only the shift is changed
+LEAST = 64  # px: of smaller frames a part says too little
+
+
+def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
+    """Motions `(N, 3, 3)` of frames `(N, H, W)`, or the likeliest shifts if the parts of the frame like these better.
+
+    Residuals are fine, but of few frames they are small at wrong places, too: a pattern that has all the freedom takes
+    them up. The likelihood knows that, but not that something may walk through one part of the frame: so what counts is
+    the gain of all parts but the one that gains most. weight: `(H, W)`, zero where a pixel is bad.
+    """
+    turned = float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
+    if len(frames) < 3 or turned > TURNED or min(weight.shape) < LEAST:
+        return motion
+    factor = max(1, -(-max(weight.shape) // SIZE))
+    small = even(average(frames.float(), factor), average(weight[None], factor)[0])
+    before = relative(motion)
+    before[:, :2, 2] /= factor
+    after = before.clone() if model in STRETCHED else identity(len(motion))
+    after[1:, :2, 2] = torch.from_numpy(likeliest_shifts(small, before[1:, :2, 2].numpy()))
+    if factor * apart(before, after, small) < APART:
+        return motion
+    gained = gains(small, before, after)
+    if sum(gained) < max(gained):
+        return motion
+    after[:, :2, 2] *= factor
+    return after
+
+
+def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
+    """How far motions `(N, 3, 3)` are apart at most, in px, at the corners of frames."""
+    h, w = frames.shape[1:]
+    corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
+    return float(((after - before) @ corners)[:, :2].norm(dim=1).max())
+
+
+def gains(frames: Tensor, before: Tensor, after: Tensor) -> list[float]:
+    """In nats, what each of four parts, two thirds of height and width, gains from motions `(N, 3, 3)` to others.
+
+    A part only shifts, and its powers are those that are found at either.
+    """
+    h, w = frames.shape[1:]
+    found = []
+    for y in (slice(0, 2 * h // 3), slice(h // 3, h)):
+        for x in (slice(0, 2 * w // 3), slice(w // 3, w)):
+            centre = torch.tensor([x.start + x.stop - w, y.start + y.stop - h, 2.0], dtype=torch.float64) / 2
+            spectra, gain = Spectra(frames[:, y, x]), 0.0
+            old, new = ((motion[1:] @ centre - centre)[:, :2].numpy() for motion in (before, after))
+            for shifts in (new, old):
+                spectra.update(shifts)
+                gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]
+            found.append(gain)
+    return found
