@@ -209,10 +209,11 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
     evaluate = objective(problem, stage)
     steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
-    found = [
-        (OPTIMISERS[s.method](problem, s.group, evaluate, lr=s.lr, rates=s.rates, average=s.average), s)
-        for s in steps
-    ]
+    found = []
+    for step in steps:
+        rates = {name: step.rates.get(name, step.lr) for name in step.group}
+        optimiser = OPTIMISERS[step.method](problem, step.group, evaluate, lr=rates, average=step.average)
+        found.append((optimiser, step))
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, step in found:
         if step.method == "lbfgs":

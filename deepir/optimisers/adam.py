@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepir.held_out import held_out_error
-from deepir.optimisers.optimiser import EQUAL, Evaluate, Optimiser, free_parameters
+from deepir.optimisers.optimiser import Evaluate, Optimiser, Rate, free_parameters
 from deepir.problem import Problem
 
 LOOK = 10  # iterations between two looks at the held-out samples
@@ -23,17 +23,11 @@ class Adam(Optimiser):
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        group: Sequence[str],
-        evaluate: Evaluate,
-        *,
-        lr: float,
-        rates: Mapping[str, float] = EQUAL,
-        average: float = 0.0,
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
-        super().__init__(problem, group, evaluate, lr=lr, rates=rates, average=average)
-        each = [{"params": free_parameters(problem, [name]), "lr": rates.get(name, lr)} for name in group]
+        super().__init__(problem, group, evaluate, lr=lr, average=average)
+        rates = lr if isinstance(lr, Mapping) else dict.fromkeys(group, lr)
+        each = [{"params": free_parameters(problem, [name]), "lr": rates[name]} for name in group]
         self.torch = torch.optim.Adam(each)
         copies = 2 if average else 0
         #: The average, and the best one.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from deepir.optimisers.optimiser import EQUAL, Evaluate, Optimiser
+from deepir.optimisers.optimiser import Evaluate, Optimiser, Rate
 from deepir.problem import Problem
 
 MEMORY = 10
@@ -24,16 +24,9 @@ class LBFGS(Optimiser):
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        group: Sequence[str],
-        evaluate: Evaluate,
-        *,
-        lr: float,
-        rates: Mapping[str, float] = EQUAL,
-        average: float = 0.0,
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
-        super().__init__(problem, group, evaluate, lr=lr, rates=rates, average=average)
+        super().__init__(problem, group, evaluate, lr=lr, average=average)
         self.x = self._flat(self.parameters)
         self.slope: Tensor | None = None
         self.scale = torch.ones(())  # of a known curvature

@@ -11,7 +11,8 @@ from deepir.curvature import Curvature
 from deepir.problem import Problem, Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
-EQUAL: Mapping[str, float] = {}
+#: How far a step goes, of those whose steps have a length: one number, or one for each unknown.
+Rate = float | Mapping[str, float]
 
 
 def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter]:
@@ -23,23 +24,13 @@ def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter
 
 
 class Optimiser:
-    """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields.
-
-    `lr` is the step of those that have one, and `rates` that of some unknowns.
-    """
+    """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields."""
 
     def __init__(
-        self,
-        problem: Problem,
-        group: Sequence[str],
-        evaluate: Evaluate,
-        *,
-        lr: float,
-        rates: Mapping[str, float] = EQUAL,
-        average: float = 0.0,
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
         self.problem, self.average = problem, average
-        self.group, self.evaluate, self.lr, self.rates = tuple(group), evaluate, lr, rates
+        self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
         self.parameters = free_parameters(problem, group)
         self.value, self.done, self._count = float("nan"), False, 0
         #: What is known of the objective's second derivatives, for those that can use it.

@@ -69,7 +69,7 @@ def test_adams_first_step_is_as_long_as_its_rate_says_for_each_unknown():
     def both(group):
         return rosenbrock(point.x) + other.x.sum(), {}
 
-    OPTIMISERS["adam"](point, ["x", "y"], both, lr=0.05, rates={"y": 0.2}).step(fresh=False)
+    OPTIMISERS["adam"](point, ["x", "y"], both, lr={"x": 0.05, "y": 0.2}).step(fresh=False)
     assert [point.x[0].item(), other.x.item()] == pytest.approx([-1.15, 2.8])
 
 
