@@ -10,7 +10,7 @@ from functools import partial
 from multiprocessing import get_context
 
 import torch
-from nuc_store import Arrays, kept
+from nuc_store import Arrays, finished, kept
 
 Cell = tuple[str | int, ...]
 #: A change of any of these makes other figures.
@@ -37,6 +37,12 @@ def worked(
         return _told(wanted, map(work, wanted))
     with ProcessPoolExecutor(workers, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
         return _told(wanted, pool.map(work, wanted))
+
+
+def done(kind: str, cells: Iterable[Cell], *, code: str) -> dict[Cell, Arrays]:
+    """Those of the cells that `worked` is through with."""
+    found = {cell: finished(kind, [*cell, code]) for cell in cells}
+    return {cell: arrays for cell, arrays in found.items() if arrays is not None}
 
 
 def _told(cells: list[Cell], results: Iterable[Arrays]) -> dict[Cell, Arrays]:

@@ -28,18 +28,30 @@ Arrays = dict[str, np.ndarray]
 
 def kept(kind: str, key: object, make: Callable[[], Arrays], *, fresh: bool = False) -> Arrays:
     """The arrays that are kept under this key; made, and kept from now on, if there are none (or `fresh`)."""
-    name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]
-    path = FOLDER / kind / f"{name}.npz"
-    if path.exists() and not fresh:
-        with np.load(path) as stored:
-            return dict(stored)
-    made = make()
+    found = None if fresh else finished(kind, key)
+    if found is not None:
+        return found
+    made, path = make(), _path(kind, key)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}")
     with part.open("wb") as file:
         np.savez(file, **made)
     part.replace(path)  # whole or not at all, whoever else runs
     return made
+
+
+def finished(kind: str, key: object) -> Arrays | None:
+    """The arrays that are kept under this key, if there are any."""
+    path = _path(kind, key)
+    if not path.exists():
+        return None
+    with np.load(path) as stored:
+        return dict(stored)
+
+
+def _path(kind: str, key: object) -> Path:
+    name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]
+    return FOLDER / kind / f"{name}.npz"
 
 
 def code(*patterns: str) -> str:

@@ -225,6 +225,9 @@ def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
     if all(step.method == "eliminate" for step in stage.steps):
         raise ConfigError(f"{where}: a stage needs a step that is not 'eliminate'")
     for step in stage.steps:
+        if unknown := set(step.rates) - set(step.group):
+            other = unknown.pop()
+            raise ConfigError(f"{where}: rates: no '{other}' in the group; {nearest(other, step.group)}")
         for name in step.group:
             if name not in problem.fields:
                 raise ConfigError(f"{where}: no unknown '{name}'; {nearest(name, problem.fields)}")

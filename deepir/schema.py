@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -67,6 +67,7 @@ class StepConfig(_Strict):
     group: list[str] = Field(min_length=1)
     method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
     lr: float = Field(1e-2, gt=0)
+    rates: dict[str, Annotated[float, Field(gt=0)]] = {}  # for unknowns whose lr is another
     every: int = Field(1, ge=1)
     average: float = Field(0.0, ge=0, lt=1)  # of adam's iterates: the decay
 

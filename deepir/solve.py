@@ -30,6 +30,7 @@ class Step:
     group: tuple[str, ...]
     method: str = "lbfgs"
     lr: float = 1e-2  # adam only
+    rates: Mapping[str, float] = field(default_factory=dict)  # in its place, for unknowns of the group
     every: int = 1  # the step is taken at every n-th iteration
     average: float = 0.0  # adam only: decay of the average of the iterates, see `deepir.optimisers.adam`
 
@@ -208,7 +209,11 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
 def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
     evaluate = objective(problem, stage)
     steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
-    found = [(OPTIMISERS[s.method](problem, s.group, evaluate, lr=s.lr, average=s.average), s) for s in steps]
+    found = []
+    for step in steps:
+        rates = {name: step.rates.get(name, step.lr) for name in step.group}
+        optimiser = OPTIMISERS[step.method](problem, step.group, evaluate, lr=rates, average=step.average)
+        found.append((optimiser, step))
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, step in found:
         if step.method == "lbfgs":

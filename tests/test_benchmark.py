@@ -133,7 +133,7 @@ def test_the_report_says_what_it_found():
 
 
 def test_what_is_finished_is_not_worked_on_again_until_the_code_changes():
-    from cells import worked
+    from cells import done, worked
 
     asked = []
 
@@ -147,6 +147,7 @@ def test_what_is_finished_is_not_worked_on_again_until_the_code_changes():
         found = worked("test", cells, measure, code=code)
         assert [float(found[cell]["psnr"]) for cell in cells] == [10.0, 20.0, 20.0]
         assert len(asked) == more
+        assert done("test", [*cells, ("tv", 3)], code=code) == found
 
 
 def test_the_papers_bursts_are_as_noisy_as_it_says(monkeypatch):

@@ -44,6 +44,19 @@ def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name
         assert losses[-1] <= losses[0]
 
 
+@pytest.mark.parametrize("name", [name for name in shipped_names() if name.startswith("paper/")])
+def test_the_2021_formulation_is_one_descent_that_draws_its_scene_once_an_iteration(name, tiny):
+    config = load(name, ["scene.width=4", "solver.max_iterations=3"])
+    problem, _ = build(config, *tiny)
+    definition = lookup("problem", config.problem)()
+    definition.initialise(problem, seed=0)
+    before = {unknown: value.detach() for unknown, value in problem.values().items()}
+    solution = solve(problem, plan(problem, definition, config))
+    assert solution.evaluations == solution.iterations == 3
+    moved = {unknown for unknown, value in solution.values.items() if not torch.equal(value, before[unknown])}
+    assert moved == {"scene", "gain", "offset", "motion"}
+
+
 @pytest.mark.parametrize("path", sorted(SHIPPED.rglob("*.yaml")), ids=lambda path: path.stem)
 def test_a_shipped_file_says_in_its_first_line_what_it_is(path):
     assert 10 < len(headline(path)) <= 120

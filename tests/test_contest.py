@@ -9,7 +9,7 @@ from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.contest import Contest
-from deepir.errors import DeepIRError
+from deepir.errors import ConfigError, DeepIRError
 from deepir.joint import plan
 from deepir.problems.definition import Generic
 from deepir.registry import lookup
@@ -107,3 +107,9 @@ def test_any_problem_with_a_scene_takes_a_prior(prior):
 def test_a_plan_of_ones_own_is_followed_by_the_priors_stage(run):
     plan = "solver.plan=[{name: mine, iterations: 3, steps: [{group: [scene], method: lbfgs}]}]"
     assert [row["stage"] for row in run("tgv", plan).history[:4]] == ["mine"] * 3 + ["prior"]
+
+
+def test_a_rate_is_of_an_unknown_in_the_group(run):
+    plan = "solver.plan=[{name: mine, steps: [{group: [scene], method: adam, rates: {motoin: 0.1}}]}]"
+    with pytest.raises(ConfigError, match=r"stage 'mine': rates: no 'motoin' in the group; allowed: scene"):
+        run("tv", plan)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
 from deepir.held_out import held_out_error
-from deepir.optimisers.optimiser import Evaluate, Optimiser
+from deepir.optimisers.optimiser import Evaluate, Optimiser, Rate, free_parameters
 from deepir.problem import Problem
 
 LOOK = 10  # iterations between two looks at the held-out samples
@@ -23,10 +23,12 @@ class Adam(Optimiser):
     """
 
     def __init__(
-        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float, average: float = 0.0
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
         super().__init__(problem, group, evaluate, lr=lr, average=average)
-        self.torch = torch.optim.Adam(self.parameters, lr=lr)
+        rates = lr if isinstance(lr, Mapping) else dict.fromkeys(group, lr)
+        each = [{"params": free_parameters(problem, [name]), "lr": rates[name]} for name in group]
+        self.torch = torch.optim.Adam(each)
         copies = 2 if average else 0
         #: The average, and the best one.
         self.averages = [[p.detach().clone() for p in self.parameters] for _ in range(copies)]

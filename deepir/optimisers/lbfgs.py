@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from deepir.optimisers.optimiser import Evaluate, Optimiser
+from deepir.optimisers.optimiser import Evaluate, Optimiser, Rate
 from deepir.problem import Problem
 
 MEMORY = 10
@@ -24,7 +24,7 @@ class LBFGS(Optimiser):
     """
 
     def __init__(
-        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float, average: float = 0.0
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
         super().__init__(problem, group, evaluate, lr=lr, average=average)
         self.x = self._flat(self.parameters)

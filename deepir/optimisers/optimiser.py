@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +11,8 @@ from deepir.curvature import Curvature
 from deepir.problem import Problem, Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
+#: How far a step goes, of those whose steps have a length: one number, or one for each unknown.
+Rate = float | Mapping[str, float]
 
 
 def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter]:
@@ -25,7 +27,7 @@ class Optimiser:
     """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields."""
 
     def __init__(
-        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: float, average: float = 0.0
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
         self.problem, self.average = problem, average
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr

@@ -62,6 +62,17 @@ def test_every_optimiser_gets_to_every_minimum(method, name):
     assert optimiser.value < 0.05
 
 
+def test_adams_first_step_is_as_long_as_its_rate_says_for_each_unknown():
+    point = Point([-1.2, 1.0])
+    point.fields["y"] = other = Point([3.0]).fields["x"]
+
+    def both(group):
+        return rosenbrock(point.x) + other.x.sum(), {}
+
+    OPTIMISERS["adam"](point, ["x", "y"], both, lr={"x": 0.05, "y": 0.2}).step(fresh=False)
+    assert [point.x[0].item(), other.x.item()] == pytest.approx([-1.15, 2.8])
+
+
 def test_lbfgs_never_goes_up_and_counts_its_evaluations():
     point, optimiser = make("lbfgs", rosenbrock)
     values = [float(rosenbrock(point.x).detach())]
