@@ -147,6 +147,8 @@ def mean(rows: list[Row], name: str, half: str) -> str:
 
 def worst(rows: list[Row], half: str, name: str) -> str:
     """The row with the largest median."""
+    if not rows:
+        return "-"
     row = max(rows, key=lambda row: row.median(name, half))
     return f"{row.median(name, half):.1f} ({row.regime}, n = {row.n})"
 

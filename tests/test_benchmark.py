@@ -113,8 +113,8 @@ def test_the_report_says_what_it_found():
     from nuc_table import Case, Row, summary
 
     good, refused = (
-        Case(20, 25, 26, 35, 36, 0.5, 1.0),
-        Case(20, 25, 26, 20, 36, np.nan, np.nan, ["REFUSED: no"]),
+        Case(20, 25, 26, 35, 35.5, 36, 0.5, 1.0),
+        Case(20, 25, 26, 20, 32, 36, np.nan, np.nan, ["REFUSED: no"]),
     )
     rows = [
         Row("counts", 3, "", {"A": [good], "B": [refused]}),
