@@ -237,8 +237,8 @@ def update_parts(problem: Problem) -> None:
 def less_slow(values: Tensor) -> Tensor:
     """Lines' values (2, K) less what is slow along them: that may as well be the scene's, and is no measure of them."""
     count = values.shape[1]
-    powers = torch.linalg.vander(torch.linspace(-1, 1, count).to(values), N=min(SLOW, count // 8) + 1)
-    basis = torch.linalg.qr(powers).Q
+    along = torch.linspace(-1, 1, count, dtype=values.dtype, device=values.device)
+    basis = torch.linalg.qr(torch.linalg.vander(along, N=min(SLOW, count // 8) + 1)).Q
     return values - values @ basis @ basis.T
 
 
