@@ -36,7 +36,7 @@ from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.slow import SMOOTH, Slow, Variances, expected, variances
 
-LINES = 0.15  # standard deviation of lines' gains up to which they are taken for additive
+LINES = 0.05  # standard deviation of lines' gains up to which they are taken for additive
 PLACES = 5  # along each axis, at which the motion is taken
 RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
