@@ -98,9 +98,7 @@ def summary(rows: list[Row], halves: str) -> Iterator[str]:
         yield "\nRows marked * are left out of the figures that follow.\n"
         yield "| | " + " | ".join(f"half {half}" for half in halves) + " |\n|---|" + "---|" * len(halves)
         yield line("mean gap, dB", halves, lambda half: f"**{mean(possible, 'gap', half)}**")
-        for n in sorted({row.n for row in possible}):
-            those = [row for row in possible if row.n == n]
-            yield line(f"mean gap, n = {n}", halves, lambda half, those=those: mean(those, "gap", half))  # type: ignore[misc]
+        yield from by_frames("mean gap", possible, halves, "gap")
         yield line("worst row's gap, dB", halves, lambda half: worst(possible, half, "gap"))
         yield line(
             f"mean gap of rows that the motion leaves open by {OPEN:g} dB at most",
@@ -112,9 +110,7 @@ def summary(rows: list[Row], halves: str) -> Iterator[str]:
             "of the mean gap, left open by the motion, dB", halves, lambda half: mean(possible, "open", half)
         )
         yield line("of the mean gap, lost, dB", halves, lambda half: f"**{mean(possible, 'lost', half)}**")
-        for n in sorted({row.n for row in possible}):
-            those = [row for row in possible if row.n == n]
-            yield line(f"lost, n = {n}", halves, lambda half, those=those: mean(those, "lost", half))  # type: ignore[misc]
+        yield from by_frames("lost", possible, halves, "lost")
         yield line("worst row's loss, dB", halves, lambda half: worst(possible, half, "lost"))
         yield line("mean gain over the average, dB", halves, lambda half: mean(possible, "gain", half))
         yield line("mean radiometric error, %", halves, lambda half: mean(possible, "radiometric", half))
@@ -127,6 +123,13 @@ def summary(rows: list[Row], halves: str) -> Iterator[str]:
             numbers = [row.n for row in rows if (row.regime, row.forbidden) == (regime, reason)]
             yield f"- {regime}, n = {', '.join(map(str, numbers))}: {reason}."
     yield from messages(rows)
+
+
+def by_frames(title: str, rows: list[Row], halves: str, name: str) -> Iterator[str]:
+    """A line of means for each number of frames."""
+    for n in sorted({row.n for row in rows}):
+        those = [row for row in rows if row.n == n]
+        yield line(f"{title}, n = {n}", halves, lambda half: mean(those, name, half))  # noqa: B023 - called at once
 
 
 def closed(rows: list[Row], half: str) -> list[Row]:
