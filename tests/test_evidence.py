@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from deepir.evidence import likeliest
+from deepir.strengths import less_slow
 
 COUNT = 4000
 
@@ -53,3 +54,13 @@ def test_a_few_outliers_change_little():
 
 def test_it_stays_below_its_bound():
     assert likeliest(*burst((0.3, 2.0)), ONE, torch.tensor([9.0, 1.5]).double(), [0, 1])[1] <= 1.5 + 1e-9
+
+
+@pytest.mark.parametrize("count", [16, 40, 160])
+def test_a_slope_of_the_scene_is_no_strength_of_its_rows(count):
+    generator = torch.Generator().manual_seed(count)
+    white = 0.01 * torch.randn(2, count, dtype=torch.float64, generator=generator)
+    slope = 0.3 * torch.linspace(-1, 1, count, dtype=torch.float64)
+    left = less_slow(white + slope)
+    assert torch.allclose(left, less_slow(white), atol=1e-12)
+    assert float(left.std()) == pytest.approx(float(white.std()), rel=0.2)
