@@ -290,7 +290,7 @@ def _slow(
         unit[mine] = float(each.step)
         if isinstance(each, Terms):
             whole[mine, mine] += _rest(problem, slow, each, found)
-    spread = expected(found, slow.frame) + found[SMOOTH]
+    spread = expected(found, slow.frame) + found[SMOOTH] * slow.frame.share.square()
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _stiffness(problem, slow)
     pattern = torch.arange(len(whole), device=whole.device)
