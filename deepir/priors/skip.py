@@ -12,8 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from deepir.priors.half_rows import risen
+
 Pad = Literal["reflect", "zeros"]
 SLOPE = 0.2  # of the leaky rectifier
+WIDE = 128  # channels from which on half the products are worth what they cost
 
 
 class Padded(nn.Conv2d):
@@ -64,7 +67,7 @@ class Skip(nn.Module):
         self, inputs: int, widths: Sequence[int], *, skip: int = 4, up: str = "bilinear", pad: Pad = "reflect"
     ) -> None:
         super().__init__()
-        self.up = up
+        self.up, self.pad = up, pad
         below = [*widths[1:], widths[-1]]
         before = [inputs, *widths[:-1]]
         self.down = nn.ModuleList(
@@ -86,10 +89,21 @@ class Skip(nn.Module):
             levels.append(down(levels[-1]))
         deep = levels.pop()
         for i in reversed(range(len(levels))):
-            joined = self.join[i](torch.cat((self.skips[i](levels[i]), self._doubled(deep)), 1))
-            deep = self.rise[i](joined)
+            deep = self._risen(i, self.skips[i](levels[i]), deep)
         picture: Tensor = self.last(deep)
         return picture
+
+    def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
+        """What the scale `i` makes of the one below, doubled, with its own skip connection beside it."""
+        (convolution, *after), mixed = self.rise[i]
+        if self.up == "bilinear" and self.pad == "reflect" and deep.shape[1] >= WIDE:
+            convolved = risen(beside, deep, self.join[i], convolution)
+        else:
+            convolved = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
+        for layer in after:
+            convolved = layer(convolved)
+        result: Tensor = mixed(convolved)
+        return result
 
     def _doubled(self, x: Tensor) -> Tensor:
         """`x` with twice the height and width, in its own precision."""
