@@ -12,11 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.priors.half_rows import risen
+from deepir.priors.risen import risen
 
 Pad = Literal["reflect", "zeros"]
 SLOPE = 0.2  # of the leaky rectifier
-WIDE = 128  # channels from which on half the products are worth what they cost
+WIDE, LARGE = 128, 1024  # channels and px from which on fewer products are worth what they cost
 
 
 class Padded(nn.Conv2d):
@@ -96,7 +96,7 @@ class Skip(nn.Module):
     def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
         """What the scale `i` makes of the one below, doubled, with its own skip connection beside it."""
         (convolution, *after), mixed = self.rise[i]
-        if self.up == "bilinear" and self.pad == "reflect" and deep.shape[1] >= WIDE:
+        if self._is_worth_it(deep):
             convolved = risen(beside, deep, self.join[i], convolution)
         else:
             convolved = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
@@ -104,6 +104,10 @@ class Skip(nn.Module):
             convolved = layer(convolved)
         result: Tensor = mixed(convolved)
         return result
+
+    def _is_worth_it(self, deep: Tensor) -> bool:
+        published = self.up == "bilinear" and self.pad == "reflect"
+        return published and deep.shape[1] >= WIDE and deep[0, 0].numel() >= LARGE
 
     def _doubled(self, x: Tensor) -> Tensor:
         """`x` with twice the height and width, in its own precision."""

@@ -10,7 +10,7 @@ from deepir.build import build_scene
 from deepir.config import load
 from deepir.priors.dip import DIP
 from deepir.priors.grid import Grid
-from deepir.priors.half_rows import risen
+from deepir.priors.risen import risen
 from deepir.priors.network import Network
 from deepir.priors.siren import Sine, Siren
 from deepir.priors.skip import Padded, Skip
