@@ -81,7 +81,7 @@ class _Rimmed(torch.autograd.Function):
     def forward(ctx: Any, picture: Tensor, *rim: Tensor) -> Tensor:
         ctx.mark_dirty(picture)
         for part, more in zip(_outermost(picture), rim, strict=True):
-            part += more
+            part.add_(more)
         return picture
 
     @staticmethod

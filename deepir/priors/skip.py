@@ -95,15 +95,15 @@ class Skip(nn.Module):
 
     def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
         """What the scale `i` makes of the one below, doubled, with its own skip connection beside it."""
-        (convolution, *after), mixed = self.rise[i]
+        first, mixed = self.rise[i].children()
+        convolution, *after = first.children()
         if self._is_worth_it(deep):
-            convolved = risen(beside, deep, self.join[i], convolution)
+            x = risen(beside, deep, self.join[i], convolution)  # type: ignore[arg-type]
         else:
-            convolved = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
-        for layer in after:
-            convolved = layer(convolved)
-        result: Tensor = mixed(convolved)
-        return result
+            x = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
+        for layer in (*after, mixed):
+            x = layer(x)
+        return x
 
     def _is_worth_it(self, deep: Tensor) -> bool:
         published = self.up == "bilinear" and self.pad == "reflect"

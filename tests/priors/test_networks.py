@@ -10,8 +10,8 @@ from deepir.build import build_scene
 from deepir.config import load
 from deepir.priors.dip import DIP
 from deepir.priors.grid import Grid
-from deepir.priors.risen import risen
 from deepir.priors.network import Network
+from deepir.priors.risen import risen
 from deepir.priors.siren import Sine, Siren
 from deepir.priors.skip import Padded, Skip
 from deepir.priors.wire import Gabor
