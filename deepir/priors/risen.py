@@ -70,7 +70,7 @@ def _rim(deep: Tensor, kernel: Tensor) -> list[Tensor]:
             beyond = F.pad(second, (1, 1, 0, 0), "reflect") - F.pad(first, (1, 1, 0, 0), "replicate")
         else:
             beyond = F.pad(second - first, (1, 1, 0, 0))
-        rim.append(F.conv2d(beyond, weights))
+        rim.append((weights.flatten(1) @ F.unfold(beyond, (1, 3)))[:, :, None])
     return [*rim[:2], *(each.mT for each in rim[2:])]
 
 
