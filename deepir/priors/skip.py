@@ -16,7 +16,7 @@ from deepir.priors.risen import risen
 
 Pad = Literal["reflect", "zeros"]
 SLOPE = 0.2  # of the leaky rectifier
-WIDE, LARGE = 128, 1024  # channels and px from which on fewer products are worth what they cost
+WIDE, LARGE = 128, 1024  # channels and px from which on, on a CPU, fewer products are worth what they cost
 
 
 class Padded(nn.Conv2d):
@@ -107,7 +107,8 @@ class Skip(nn.Module):
 
     def _is_worth_it(self, deep: Tensor) -> bool:
         published = self.up == "bilinear" and self.pad == "reflect"
-        return published and deep.shape[1] >= WIDE and deep[0, 0].numel() >= LARGE
+        large = deep.shape[1] >= WIDE and deep[0, 0].numel() >= LARGE
+        return published and large and deep.device.type == "cpu"
 
     def _doubled(self, x: Tensor) -> Tensor:
         """`x` with twice the height and width, in its own precision."""
