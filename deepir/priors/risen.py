@@ -47,10 +47,11 @@ def risen(beside: Tensor, deep: Tensor, norm: nn.BatchNorm2d, convolution: nn.Co
 def _moments(deep: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and variance of each channel of the doubled picture."""
     dtype = torch.promote_types(deep.dtype, torch.float32)
-    twice = _filtered(F.pad(deep, [1] * 4, mode="replicate"), TWICE)
     count = deep.numel() // deep.shape[1]
     mean = deep.sum((0, 2, 3), dtype=dtype) / count
-    return mean, (deep * twice).sum((0, 2, 3), dtype=dtype) / count - mean.square()
+    centred = deep - mean.detach().to(deep)[:, None, None]  # else, in bfloat16, the variance could be below zero
+    twice = _filtered(F.pad(centred, [1] * 4, mode="replicate"), TWICE)
+    return mean, (centred * twice).sum((0, 2, 3), dtype=dtype) / count
 
 
 def _filtered(x: Tensor, weights: tuple[float, ...]) -> Tensor:

@@ -97,6 +97,14 @@ def test_rows_that_are_doubled_after_the_convolution_give_what_they_give_before_
     torch.testing.assert_close(*gradients)
 
 
+def test_a_channel_that_is_constant_has_no_variance_in_bfloat16():
+    net = Skip(2, [6, 6], skip=3)
+    (convolution, *_), norm = net.rise[0][0], net.join[0]
+    deep = torch.rand(6, 1, 1).bfloat16().expand(1, 6, 4, 4)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert risen(torch.rand(1, 3, 8, 8).bfloat16(), 3 * deep, norm, convolution).isfinite().all()
+
+
 def test_perturbed_input_is_drawn_anew_for_each_gradient_and_never_for_a_result():
     field = DIP((1, 1, 11, 9), width=4, scales=2, inputs=2, perturb=0.1)
     assert not torch.equal(field(), field())
