@@ -49,7 +49,8 @@ def _moments(deep: Tensor) -> tuple[Tensor, Tensor]:
     dtype = torch.promote_types(deep.dtype, torch.float32)
     count = deep.numel() // deep.shape[1]
     mean = deep.sum((0, 2, 3), dtype=dtype) / count
-    centred = deep - mean.detach().to(deep)[:, None, None]  # else, in bfloat16, the variance could be below zero
+    # Of what is not centred, the variance could be below zero in bfloat16.
+    centred = deep - mean.detach().to(deep)[:, None, None]
     twice = _filtered(F.pad(centred, [1] * 4, mode="replicate"), TWICE)
     return mean, (centred * twice).sum((0, 2, 3), dtype=dtype) / count
 
