@@ -86,8 +86,10 @@ def measure(run: str, name: str, seed: int) -> Arrays:
 class Plain(Skip):
     """The network as torch computes it if it is left to it."""
 
-    def _doubled(self, x: Tensor) -> Tensor:
-        return F.interpolate(x, scale_factor=2, mode=self.up)
+    def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
+        doubled = F.interpolate(deep, scale_factor=2, mode=self.up)
+        risen: Tensor = self.rise[i](self.join[i](torch.cat((beside, doubled), 1)))
+        return risen
 
 
 def times() -> dict[str, float]:

@@ -65,7 +65,7 @@ class DIP(Network):
         self.register_buffer("drawn", torch.tensor(0))
         self.net = Skip(inputs + picture, [width] * scales, skip=skip, up=up, pad=pad)
         self.begin_at_start(self.net.last)
-        self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def draw(self) -> Tensor:
         """What the network makes of its input."""

@@ -12,8 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from deepir.priors.risen import risen
+
 Pad = Literal["reflect", "zeros"]
 SLOPE = 0.2  # of the leaky rectifier
+WIDE, LARGE = 128, 1024  # channels and px from which on, on a CPU, fewer products are worth what they cost
 
 
 class Padded(nn.Conv2d):
@@ -64,7 +67,7 @@ class Skip(nn.Module):
         self, inputs: int, widths: Sequence[int], *, skip: int = 4, up: str = "bilinear", pad: Pad = "reflect"
     ) -> None:
         super().__init__()
-        self.up = up
+        self.up, self.pad = up, pad
         below = [*widths[1:], widths[-1]]
         before = [inputs, *widths[:-1]]
         self.down = nn.ModuleList(
@@ -86,10 +89,26 @@ class Skip(nn.Module):
             levels.append(down(levels[-1]))
         deep = levels.pop()
         for i in reversed(range(len(levels))):
-            joined = self.join[i](torch.cat((self.skips[i](levels[i]), self._doubled(deep)), 1))
-            deep = self.rise[i](joined)
+            deep = self._risen(i, self.skips[i](levels[i]), deep)
         picture: Tensor = self.last(deep)
         return picture
+
+    def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
+        """What the scale `i` makes of the one below, doubled, with its own skip connection beside it."""
+        first, mixed = self.rise[i].children()
+        convolution, *after = first.children()
+        if self._is_worth_it(deep):
+            x = risen(beside, deep, self.join[i], convolution)  # type: ignore[arg-type]
+        else:
+            x = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
+        for layer in (*after, mixed):
+            x = layer(x)
+        return x
+
+    def _is_worth_it(self, deep: Tensor) -> bool:
+        published = self.up == "bilinear" and self.pad == "reflect"
+        large = deep.shape[1] >= WIDE and deep[0, 0].numel() >= LARGE
+        return published and large and deep.device.type == "cpu"
 
     def _doubled(self, x: Tensor) -> Tensor:
         """`x` with twice the height and width, in its own precision."""

@@ -11,6 +11,7 @@ from deepir.config import load
 from deepir.priors.dip import DIP
 from deepir.priors.grid import Grid
 from deepir.priors.network import Network
+from deepir.priors.risen import risen
 from deepir.priors.siren import Sine, Siren
 from deepir.priors.skip import Padded, Skip
 from deepir.priors.wire import Gabor
@@ -76,6 +77,32 @@ def test_in_bfloat16_nothing_of_the_skip_network_is_padded_or_doubled_in_float32
         net(torch.rand(1, 4, 16, 16)).sum().backward()
     assert seen.count(torch.float32) == 1  # the input of the first
     assert len(seen) == 8
+
+
+@pytest.mark.parametrize("height", [1, 2, 5])
+def test_rows_that_are_doubled_after_the_convolution_give_what_they_give_before_it(height):
+    skip = Skip(2, [6, 6], skip=3).double()
+    (convolution, *_), norm = skip.rise[0][0], skip.join[0]
+    nn.init.normal_(norm.weight)
+    nn.init.normal_(norm.bias)
+    beside = torch.randn(2, 3, 2 * height, 8, dtype=torch.float64, requires_grad=True)
+    deep = torch.randn(2, 6, height, 4, dtype=torch.float64, requires_grad=True)
+    doubled = nn.functional.interpolate(deep, scale_factor=2, mode="bilinear")
+    plain = convolution(norm(torch.cat((beside, doubled), 1)))
+    quick = risen(beside, deep, norm, convolution)
+    torch.testing.assert_close(quick, plain)
+    into = (beside, deep, *norm.parameters(), *convolution.parameters())
+    weights = torch.randn_like(plain)
+    gradients = [torch.autograd.grad((each * weights).sum(), into) for each in (quick, plain)]
+    torch.testing.assert_close(*gradients)
+
+
+def test_a_channel_that_is_constant_has_no_variance_in_bfloat16():
+    net = Skip(2, [6, 6], skip=3)
+    (convolution, *_), norm = net.rise[0][0], net.join[0]
+    deep = torch.rand(6, 1, 1).bfloat16().expand(1, 6, 4, 4)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert risen(torch.rand(1, 3, 8, 8).bfloat16(), 3 * deep, norm, convolution).isfinite().all()
 
 
 def test_perturbed_input_is_drawn_anew_for_each_gradient_and_never_for_a_result():
