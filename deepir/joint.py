@@ -20,7 +20,6 @@ from deepir.errors import ConfigError, DataError, nearest
 from deepir.geometry import Geometry
 from deepir.levels import drift_message
 from deepir.noise import typical_noise
-from deepir.operators import Add, Sensor
 from deepir.operators.points import displacements, homographies
 from deepir.order import bridge_message, bridged
 from deepir.priors.parts import Part
@@ -29,7 +28,7 @@ from deepir.problems.definition import Definition
 from deepir.registration import register as register_frames
 from deepir.registry import components, lookup, register
 from deepir.result import Result, neutral, to_gauge
-from deepir.slow_strengths import shading_message
+from deepir.slow_strengths import added_flux, shading_message
 from deepir.solve import Progress, Solution, Stage, Step, solve
 from deepir.strengths import hold_out
 from deepir.uncertainty import pattern_cost, uncertainty
@@ -284,13 +283,6 @@ def _result(
         "strengths": strengths(problem),
     }
     return result
-
-
-def added_flux(problem: Problem) -> list[str]:
-    """The unknowns that are added to the scene's flux in front of the sensor."""
-    *before, (_, last) = problem.operator.named()
-    added = {name for name, stage in before if isinstance(stage, Add) and isinstance(last, Sensor)}
-    return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in added]
 
 
 def cost_message(cost: float, n_frames: int) -> list[str]:

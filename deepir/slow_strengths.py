@@ -94,11 +94,17 @@ def _unknown(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]
     )
 
 
+def added_flux(problem: Problem) -> list[str]:
+    """The unknowns that are added to the scene's flux in front of the sensor."""
+    *before, (_, last) = problem.operator.named()
+    added = {name for name, stage in before if isinstance(stage, Add) and isinstance(last, Sensor)}
+    return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in added]
+
+
 def strays(problem: Problem) -> list[Terms]:
-    """Free maps that are added before the sensor."""
-    stages = dict(problem.operator.named())
-    added = {name for slot, name in problem.slots.items() if isinstance(stages[slot.rpartition(".")[0]], Add)}
-    fields = [problem.fields[name] for name in problem.free() if name in added]
+    """Those of them that are free maps of few terms."""
+    free = problem.free()
+    fields = [problem.fields[name] for name in added_flux(problem) if name in free]
     return [field for field in fields if isinstance(field, Terms)]
 
 

@@ -19,7 +19,7 @@ from deepir.penalties.penalty import squared_gradient
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
-from deepir.slow_strengths import estimate_slow
+from deepir.slow_strengths import added_flux, estimate_slow
 from deepir.thin import thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
@@ -136,7 +136,8 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
 @torch.no_grad()
 def measure_roughness(problem: Problem) -> None:
     """Note the mean gradient of the scene, found under next to no penalty, in standard deviations of its noise."""
-    seen = problem.flux(problem.values())[:1]  # frame 0 is not interpolated
+    stray = dict.fromkeys(added_flux(problem), torch.zeros((), device=problem.data.device))
+    seen = problem.flux(problem.values() | stray)[:1]  # frame 0 is not interpolated
     precision = problem.precision.sum(0)
     gradient = squared_gradient(seen).sqrt().mean() * precision[precision > 0].median().sqrt()
     problem.roughness.copy_(gradient.clamp(min=LEAST))

@@ -14,7 +14,7 @@ from deepir.priors.constant import Constant
 from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.problems.definition import start_precision, start_scene
-from deepir.problems.nuc import NUC, WEAK
+from deepir.problems.nuc import NUC, WEAK, finish, update
 from deepir.registration import register as register_frames
 from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
@@ -31,6 +31,9 @@ ALONE = (
 
 #: Times the iterations where the sensor is known: no pattern is eliminated, which takes stray flux with it.
 PATIENCE = 3
+#: Turns of the scene's own stage: strong stray flux has noise that its prior smooths far, and the scene's curvature
+#: changes with that.
+TURNS = 3
 
 
 @register("problem", "narcissus")
@@ -62,15 +65,15 @@ class Narcissus(NUC):
         """Scene and stray flux; then as in `nuc`."""
         if len(problem.data) == 1:
             return [Stage("scene", (Step(("scene",)),), 60, prepare=weigh_scene, use_held_out=True)]
-        first, *others = super().plan(problem)
+        *rounds, scene = super().plan(problem)
         closed = problem.closed_form()
         still = tuple(name for name in problem.free() if name not in closed and name != "motion")
         offset = [Step((name,), "eliminate") for name in closed if name == "offset"]
         stages = [
             Stage("stray 1", (Step(still), *offset), 20),
             Stage("stray 2", (Step(still), *offset), 20, prepare=_register),
-            replace(first, prepare=_sensor),
-            *others,
+            *(replace(each, prepare=_update if i else _sensor) for i, each in enumerate(rounds)),
+            *(replace(scene, name=f"scene {i + 1}", prepare=None if i else finish) for i in range(TURNS)),
         ]
         return [replace(each, iterations=each.iterations * (1 if closed else PATIENCE)) for each in stages]
 
@@ -94,8 +97,14 @@ def _register(problem: Problem) -> None:
 
 
 def _sensor(problem: Problem) -> None:
+    _register(problem)
     estimate_slow(problem)
     weigh_scene(problem, WEAK)
+
+
+def _update(problem: Problem) -> None:
+    _register(problem)
+    update(problem)
 
 
 def _demand_terms(problem: Problem) -> None:

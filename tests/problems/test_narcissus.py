@@ -5,12 +5,17 @@ import pytest
 import torch
 
 import deepir
+from deepir.build import build
+from deepir.burst import Burst
+from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.metrics import scores
 from deepir.one_frame import flattest
 from deepir.priors.terms import DCT, Radial
+from deepir.problems.definition import start_scene
 from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
+from deepir.strengths import measure_roughness
 
 CAMERA = {
     "shape": (64, 80), "max_shift": 8.0, "shading": 0.0, "photons": 1000.0, "read_noise": 0.002, "dead_pixels": 0.0,
@@ -53,6 +58,20 @@ def test_without_stray_flux_none_is_found():
     result = deepir.run("narcissus", frames=sim.frames, threads=1)
     assert np.abs(result.extra["stray"]).max() < 0.02
     assert psnr(result, sim) > psnr(deepir.run("nuc", frames=sim.frames, threads=1), sim) - 0.5
+
+
+def test_a_scene_is_as_plain_behind_a_steep_stray_flux_as_without():
+    sim = record("radial", stray=4.0)
+    burst = Burst(sim.frames, np.ones(sim.frames.shape, bool), sim.truth.bad_pixels)
+    problem, _ = build(load("narcissus"), burst, torch.from_numpy(sim.truth.motion))
+    start_scene(problem)
+    found = []
+    for strength in (0.0, 1.0):
+        problem.fields["stray"].sigma.fill_(strength)
+        problem.fields["stray"].init_from(torch.from_numpy(sim.truth.stray).float())
+        measure_roughness(problem)
+        found.append(float(problem.roughness))
+    assert found[0] == found[1]
 
 
 def test_behind_a_known_gain_stray_flux_is_told_from_the_offset_by_the_gain_alone(tmp_path):
