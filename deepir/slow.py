@@ -123,7 +123,8 @@ def variances(problem: Problem, eliminated: Collection[str], faint: float = math
     Gains of lines are left out if their standard deviation is above `faint`.
     """
     data, precision = thinned(problem.data, problem.precision)
-    level = float(data[precision > 0].square().mean().sqrt())
+    counts = precision > 0
+    level = float(((data.square() * counts).sum() / counts.sum()).sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
