@@ -36,7 +36,7 @@ from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.slow import SMOOTH, Slow, Variances, expected, variances
 
-LINES = 0.05  # standard deviation of lines' gains up to which they are taken for additive
+LINES = 0.15  # standard deviation of lines' gains up to which they are taken for additive
 PLACES = 5  # along each axis, at which the motion is taken
 RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
@@ -93,7 +93,7 @@ class Curvature:
         terms = (self.basis.of_y, self.basis.of_x)
         slow = torch.cat([(in_y @ scene @ in_x.T)[terms], *(given[i] for i in self.others)]).double()
         sizes = [len(terms[0]), *(self.sizes[i] for i in self.others)]
-        slow, *others = (self.tensors["slow"].double() @ slow).split(sizes)
+        slow, *others = (self.tensors["slow"] @ slow).split(sizes)
         table = scene.new_zeros(len(in_y), len(in_x))
         table[terms] = slow.to(scene)
         torch.addmm(waves, in_y.T, table @ in_x, out=into[self.scene].view(scene.shape))
@@ -301,7 +301,7 @@ def _slow(
         unit[mine] = float(each.step)
         if isinstance(each, Terms):
             whole[mine, mine] += _rest(problem, slow, each, found)
-    spread = expected(found, slow.frame) + found[SMOOTH]
+    spread = expected(found, slow.frame) + found[SMOOTH] * slow.frame.share.square()
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _stiffness(problem, slow)
     pattern = torch.arange(len(whole), device=whole.device)
@@ -311,8 +311,7 @@ def _slow(
     unit = unit[~pattern]
     system = unit[:, None] * system * unit
     system.diagonal().add_(RIDGE * system.diagonal().mean())
-    # Of sums of products the last digits depend on where they lie in memory: without them, runs repeat to the bit.
-    return torch.linalg.inv(system).float().contiguous()
+    return torch.linalg.inv(system)
 
 
 def _rest(problem: Problem, slow: Slow, field: Terms, variance: Variances) -> Tensor:

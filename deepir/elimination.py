@@ -71,7 +71,7 @@ class Eliminated:
         """
         return [
             [
-                (part.sigma.square() * self.solved[kind].variance(i)).reshape(part.white.shape)
+                part.scales.square() * self.solved[kind].variance(i).reshape(part.white.shape)
                 for kind, part in mine.items()
             ]
             for i, mine in enumerate(self.parts)
@@ -178,7 +178,7 @@ class _Smooth:
             self.to_rows, self.to_columns = (sigma.new_zeros(0, 2 * side) for side in self.size)
             self.root, self.rhs, self.sigma = sigma.new_zeros(0, 0), sigma[:0], sigma[:0]
             return
-        self.sigma = sigma[self.of].repeat_interleave(len(shading.white))
+        self.sigma = torch.outer(sigma[self.of], shading.share).flatten()
         down = shading.down(pixels.maps)
         by_column = self._blocks(shading.by_column(down[:3]))
         to_columns = (columns.root * (columns.sigma * by_column)[:, None]).sum(2).flatten(1)

@@ -19,9 +19,9 @@ from deepir.slow import Slow, expected, variances
 from deepir.thin import thinned
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
-ENOUGH, ENOUGH_STRAY = 4, 3  # frames to tell shading from the scene, and stray flux, which is mostly stronger
-CERTAIN = 5  # nats by which shading or drift have to make the frames likelier
-RARE = 15  # the same of a drift where it may be shading, which is far more common
+ENOUGH = 3  # frames to tell shading and stray flux from the scene
+CERTAIN = 3  # nats by which shading or drift have to make the frames likelier
+RARE = 5  # the same of a drift where it may be shading, which is far more common
 
 
 @torch.no_grad()
@@ -37,7 +37,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
     # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
     sure = not (start and stray)
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
-    if smooth and len(problem.data) < _enough(stray):  # then a drift is not told from it either
+    if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
         smooth = drift = 0.0
     step = problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5 if start else None
     for part in shadings:
@@ -63,7 +63,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
 def shading_message(problem: Problem) -> list[str]:
     """Say so if too few frames are shaded."""
     shadings, stray, drifts = _unknown(problem)
-    if not (shadings or stray) or len(problem.data) >= _enough(stray):
+    if not (shadings or stray) or len(problem.data) >= ENOUGH:
         return []
     evidence = _Evidence(problem, problem.closed_form(), stray)
     smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
@@ -71,12 +71,8 @@ def shading_message(problem: Problem) -> list[str]:
         return []
     return [
         f"the frames are shaded, which {len(problem.data)} of them do not tell from the scene: it is left in. "
-        f"Take {_enough(stray)} or more"
+        f"Take {ENOUGH} or more"
     ]
-
-
-def _enough(stray: Sequence[Terms]) -> int:
-    return ENOUGH_STRAY if stray else ENOUGH
 
 
 def _unknown(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
@@ -115,7 +111,7 @@ class _Evidence:
         variance = variances(problem, eliminated)
         self.expected = expected(variance, self.slow.frame)
         #: Variances of the polynomials for a strength of one.
-        self.shape = torch.ones_like(self.expected)
+        self.shape = self.slow.frame.share.square()
         if strays:
             self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
                 0

@@ -26,6 +26,7 @@ HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
 LEAST = 1.77  # mean gradient of noise alone, in its standard deviations: sqrt(π)
+SLOW = 8  # degree of what is slow along the lines, of 64 and more
 ROUNDS = 2  # of the parts' strengths at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
 #: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
@@ -226,10 +227,19 @@ def update_parts(problem: Problem) -> None:
                 for name in ("sigma", "most")
             )
             free = [i for i, part in enumerate(parts) if part and not part.given]
-            for part, found in zip(parts, likeliest(information, means, sigma, most, free), strict=True):
+            quick = less_slow(means) if any(part and part.along for part in parts) else means
+            for part, found in zip(parts, likeliest(information, quick, sigma, most, free), strict=True):
                 if part and not part.given:
                     part.sigma.copy_(found)
     estimate_slow(problem)
+
+
+def less_slow(values: Tensor) -> Tensor:
+    """Lines' values (2, K) less what is slow along them: that may as well be the scene's, and is no measure of them."""
+    count = values.shape[1]
+    along = torch.linspace(-1, 1, count, dtype=values.dtype, device=values.device)
+    basis = torch.linalg.qr(torch.linalg.vander(along, N=min(SLOW, count // 8) + 1)).Q
+    return values - values @ basis @ basis.T
 
 
 def _all_parts(problem: Problem, slot: str) -> list[Part]:

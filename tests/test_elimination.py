@@ -42,7 +42,7 @@ def dense(z, y, w, gain, offset):
     """Whitened design matrix and right-hand side of the whole least-squares problem."""
     weights, flux = w.sqrt().numpy().ravel()[:, None], z.numpy().ravel()[:, None]
     columns = [
-        weights * flux**power * np.tile(spread(part), (len(z), 1)) * float(part.sigma)
+        weights * flux**power * np.tile(spread(part), (len(z), 1)) * part.scales.numpy()
         for power, parts in ((1, gain), (0, offset))
         for part in parts
     ]
@@ -106,7 +106,7 @@ def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_den
     )
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
         if isinstance(part, Shading):
-            assert variance.numpy() == pytest.approx(wanted * float(part.sigma) ** 2, rel=1e-6)
+            assert variance.numpy() == pytest.approx(wanted * part.scales.numpy() ** 2, rel=1e-6)
 
 
 def test_variances_come_in_the_order_of_the_parts_and_lie_between_nothing_and_the_prior():

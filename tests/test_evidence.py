@@ -7,6 +7,7 @@ from torch.autograd.functional import hessian, jacobian
 from deepir.evidence import likeliest
 from deepir.loops import spread
 from deepir.loops.evidence import nats
+from deepir.strengths import less_slow
 
 COUNT = 4000
 
@@ -75,3 +76,13 @@ def test_slope_and_curvature_are_those_of_the_likelihood():
     (uu, uv), (_, vv) = hessian(exact, at)
     wanted = torch.stack((exact(at), *jacobian(exact, at), uu, uv, vv))
     assert sums.tolist() == pytest.approx(wanted.tolist(), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [16, 40, 160])
+def test_a_slope_of_the_scene_is_no_strength_of_its_rows(count):
+    generator = torch.Generator().manual_seed(count)
+    white = 0.01 * torch.randn(2, count, dtype=torch.float64, generator=generator)
+    slope = 0.3 * torch.linspace(-1, 1, count, dtype=torch.float64)
+    left = less_slow(white + slope)
+    assert torch.allclose(left, less_slow(white), atol=1e-12)
+    assert float(left.std()) == pytest.approx(float(white.std()), rel=0.2)

@@ -40,3 +40,12 @@ def test_shading_stronger_than_the_pixels_pattern_is_taken_out():
     assert np.ptp(sim.truth.offset) > 1000
     error = result.scene - sim.truth.scene
     assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
+
+
+@pytest.mark.parametrize(("n_frames", "seed"), [(3, 2), (3, 6), (5, 2), (5, 5)])
+def test_a_slope_of_the_sensor_is_told_from_a_drift_and_from_the_scene(n_frames, seed):
+    tones = {"counts": False, "photons": 1000.0, "read_noise": 0.002}
+    result, sim = run(n_frames, seed, shading=0.2, **tones)
+    error = result.scene - sim.truth.scene
+    assert not result.level.any()
+    assert (error - error.mean()).std() < 0.015

@@ -45,9 +45,14 @@ class Part(Field):
         return (self.neutral + self.values).to(self.center.dtype).expand(self.shape)
 
     @property
+    def scales(self) -> Tensor:
+        """Prior standard deviation of what the white values stand for, broadcast against them."""
+        return self.sigma
+
+    @property
     def values(self) -> Tensor:
         """The deviation from neutral, float64, of length one along `along`."""
-        return self.sigma * self.white
+        return self.scales * self.white
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:

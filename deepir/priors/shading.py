@@ -10,13 +10,16 @@ from deepir.priors.field import Shape, counted
 from deepir.priors.parts import Part
 from deepir.registry import register
 
+DECAY = 0.1  # of the variance of a term, from a degree to the next
+
 
 @register("field", "shading")
 class Shading(Part):
-    """A polynomial over the frame, without a constant; `sigma` is that of each of its terms, root mean square.
+    """A polynomial over the frame, without a constant; `sigma` is that of each of its two slopes, root mean square.
 
     The terms are products of Legendre polynomials in y and x, orthogonal over the pixels, of a total degree up to
-    `degree`.
+    `degree`: what optics and housing do is mostly a slope and a bowl, and each degree has a tenth of the variance of
+    the one before.
     """
 
     #: The polynomials along each axis, (degree + 1, side), and which of them each term has, (terms,).
@@ -29,6 +32,8 @@ class Shading(Part):
     products_x: Tensor
     of_y: Tensor
     of_x: Tensor
+    #: Standard deviation of each term, in `sigma`, (terms,).
+    share: Tensor
 
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None, degree: int = 4
@@ -47,14 +52,20 @@ class Shading(Part):
             self.register_buffer(
                 f"of_{axis}", torch.tensor([each[k] for each in orders], dtype=torch.long), persistent=False
             )
+        self.register_buffer("share", DECAY ** ((self.of_y + self.of_x - 1).double() / 2), persistent=False)
         self.white = nn.Parameter(torch.zeros(len(orders), dtype=torch.float64))
+
+    @property
+    def scales(self) -> Tensor:
+        """Standard deviation of each term, (terms,)."""
+        return self.sigma * self.share
 
     @property
     def values(self) -> Tensor:
         """The deviation from neutral, float64, (1, 1, h, w); without a strength, (1, 1, 1, 1)."""
         if not self.sigma > 0:
             return self.white.new_zeros(1, 1, 1, 1)
-        return self.spread(self.sigma * self.white)[None, None]
+        return self.spread(self.scales * self.white)[None, None]
 
     def in_rows(self, terms: Tensor) -> Tensor:
         """In each row a combination (..., h, degree + 1) of the polynomials `in_x`; of coefficients (..., terms)."""
@@ -87,7 +98,7 @@ class Shading(Part):
             powers, place = (
                 torch.linalg.vander(each, N=len(polynomials)) for each in (pixels, 2 * at / (side - 1))
             )
-            coefficients = torch.linalg.lstsq(powers, polynomials.T).solution
+            coefficients = torch.linalg.lstsq(powers, polynomials.T, driver="gels").solution
             along.append((place @ coefficients)[..., order])
         return along[0] * along[1]
 
@@ -115,7 +126,7 @@ class Shading(Part):
         """Set the deviation from neutral to the polynomial nearest to `values`, a map."""
         whole = values.expand(self.shape)[0, 0]
         terms = self.sums(whole) / whole.numel()
-        self.white.copy_(terms / self.sigma if self.sigma > 0 else torch.zeros_like(terms))
+        self.white.copy_(terms / self.scales if self.sigma > 0 else torch.zeros_like(terms))
 
     @classmethod
     def example(cls) -> Shading:
