@@ -311,7 +311,8 @@ def _slow(
     unit = unit[~pattern]
     system = unit[:, None] * system * unit
     system.diagonal().add_(RIDGE * system.diagonal().mean())
-    return torch.linalg.inv(system)
+    # As it lies in a checkpoint: the order of the sums of its products follows from it.
+    return torch.linalg.inv(system).contiguous()
 
 
 def _rest(problem: Problem, slow: Slow, field: Terms, variance: Variances) -> Tensor:
