@@ -17,7 +17,7 @@ dense system.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any
 
 import torch
@@ -128,11 +128,12 @@ def unsureness(problem: Problem, eliminated: Collection[str], weak: float = 1.0)
     """
     if not modelled(problem):
         return None
-    pattern = variances(problem, eliminated, LINES)
-    found = []
-    for common in _common(problem) if eliminated else (None,):
-        here = _waves(problem, pattern, common, weak)
-        found.append(here.clamp_(min=RIDGE * float(here.mean())).reciprocal_())
+    precision = typical_noise(problem.precision) ** -2
+    common = _common(problem) if eliminated else (None,)
+    found = [
+        here.clamp_(min=RIDGE * float(here.mean())).reciprocal_()
+        for here in _waves(problem, precision, variances(problem, eliminated, LINES), common, weak)
+    ]
     return sum(found[1:], found[0]) / len(found)
 
 
@@ -157,7 +158,7 @@ def _tensors(
     value = problem.fields["scene"]()
     precision = typical_noise(problem.precision) ** -2
     pattern, additive = variances(problem, eliminated), variances(problem, eliminated, LINES)
-    waves, mean = _floored(problem, additive, FLOOR)
+    waves, mean = _floored(problem, precision, additive, FLOOR)
     slopes = float(squared_gradient(problem.operator.image(value)).mean()) / 2
     scales = []
     for field, parameter in zip(fields, parameters, strict=True):
@@ -168,16 +169,17 @@ def _tensors(
     found = {"waves": waves.reciprocal().to(value), "even": _even(problem, precision)}
     found["scales"] = torch.tensor(scales)
     if pattern != additive:
-        lines = _floored(problem, pattern, FLOOR_OF_LINES)[0].reciprocal_() - waves.reciprocal_()
+        lines = _floored(problem, precision, pattern, FLOOR_OF_LINES)[0].reciprocal_() - waves.reciprocal_()
         found |= {"lines": lines.to(value), "bright": value[0, 0] / value.square().mean().sqrt()}
     return found | ({"slow": _slow(problem, slow, others, eliminated)} if slow else {})
 
 
-def _floored(problem: Problem, pattern: Variances, floor: float) -> tuple[Tensor, float]:
+def _floored(problem: Problem, precision: float, pattern: Variances, floor: float) -> tuple[Tensor, float]:
     """Curvature along each wave of the scene's parameters, none far below the mean; and the mean."""
     scene: Any = problem.fields["scene"]
     common = sum(_common(problem), torch.zeros(())) / PLACES**2 if any(pattern.values()) else None
-    found = float(scene.scale) ** 2 * _waves(problem, pattern, common)
+    (found,) = _waves(problem, precision, pattern, [common])
+    found *= float(scene.scale) ** 2
     mean = float(found.mean())
     found.clamp_(min=floor * mean)[0, 0] = mean  # the level, which no burst shows, is to stay where it is
     return found, mean
@@ -210,21 +212,30 @@ def _measured(problem: Problem, parameter: nn.Parameter) -> float:
     return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
 
 
-def _waves(problem: Problem, pattern: Variances, common: Tensor | None, weak: float = 1.0) -> Tensor:
+def _waves(
+    problem: Problem,
+    precision: float,
+    pattern: Variances,
+    commons: Iterable[Tensor | None],
+    weak: float = 1.0,
+) -> Iterator[Tensor]:
     """Curvature along each wave of a real Fourier transform, (H, W / 2 + 1), in units of the scene.
 
-    `common`: what the frames share, see `_common`; None where no pattern is free.
+    For samples of this `precision`, and each of what the frames may share, see `_common`; None where no pattern is
+    free.
     """
-    scene, precision = problem.fields["scene"](), typical_noise(problem.precision) ** -2
+    scene, count = problem.fields["scene"](), len(problem.data)
     y, x = _frequencies(scene.shape[-2:], scene.device)
-    told = torch.full((), float(len(problem.data)), device=scene.device)
-    if common is not None:
-        told = told - common / _shared(pattern, precision, len(problem.data), scene.shape[-2:], y, x)
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
     of_value, of_gradient = (weak * sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
+    share = _shared(pattern, precision, count, scene.shape[-2:], y, x).reciprocal_()
     y, x = y.float(), x.float()
-    return precision * _response(y, x) * told + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+    told = precision * _response(y, x)
+    whole = count * told + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+    share *= told
+    for common in commons:
+        yield whole if common is None else torch.addcmul(whole, common, share, value=-1)
 
 
 def _response(y: Tensor, x: Tensor) -> Tensor:
@@ -300,7 +311,8 @@ def _slow(
     unit = unit[~pattern]
     system = unit[:, None] * system * unit
     system.diagonal().add_(RIDGE * system.diagonal().mean())
-    return torch.linalg.inv(system)
+    # As it lies in a checkpoint: the order of the sums of its products follows from it.
+    return torch.linalg.inv(system).contiguous()
 
 
 def _rest(problem: Problem, slow: Slow, field: Terms, variance: Variances) -> Tensor:

@@ -200,7 +200,7 @@ class _Smooth:
 
     def in_rows(self) -> tuple[Tensor, Tensor]:
         """The values in each row as a combination (2, h, n) of functions of x, (n, w)."""
-        if self.shading is None:
+        if self.shading is None or not self.of:
             return self.root.new_zeros(2, self.size[0], 0), self.root.new_zeros(0, self.size[1])
         return self.shading.in_rows(self._spread(self.sigma * self.found)), self.shading.in_x
 

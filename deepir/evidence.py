@@ -10,9 +10,11 @@ all else held, say `½ x' A x - s' x` nats. With `x` integrated out, minus the l
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 import torch
-from scipy.optimize import minimize
 from torch import Tensor
 
 ENOUGH = 8_000  # of the pixels are asked
@@ -22,6 +24,11 @@ OUTLIER, MEDIANS = 20.0, 12.0
 SHARE, GAIN = 0.05, 0.02
 PASSES = 2
 LEAST = 1e-3  # a strength changes by no more than such a factor, downwards
+#: Newton's steps: the most, how far at once, and how short the last, of which the square is left.
+STEPS, LONGEST, PRECISE = 50, 1.0, 1e-2
+
+#: A function's value, slope (K,) and curvature (K, K).
+Known = tuple[float, np.ndarray, np.ndarray]
 
 
 def likeliest(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, free: list[int]) -> Tensor:
@@ -39,48 +46,64 @@ def likeliest(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, f
     step = max(information.shape[1] // ENOUGH, 1)
     (aa, ab, bb), (x, y) = information[:, ::step], means[:, ::step]
     prior = torch.where(sigma > 0, sigma.square().reciprocal(), 0.0)
-    values = aa, ab, bb, aa * x + ab * y + prior[0] * x, ab * x + bb * y + prior[1] * y
-    low, high = LEAST * sigma, most.clamp(min=LEAST * sigma)
-    found = sigma.clamp(max=high)
+    score = aa * x + ab * y + prior[0] * x, ab * x + bb * y + prior[1] * y
+    values = torch.stack((aa, ab, bb, *score)).cpu()  # so few that a GPU would be no faster
+    found, high = sigma.cpu().numpy().copy(), most.cpu().numpy()
+    low = LEAST * found[free]
+    high = high[free].clip(min=low)
+    found[free] = found[free].clip(max=high)
     for _ in range(PASSES):  # who is an outlier depends on the strengths
-        typical = _typical(values, *found.square().unbind())
-        some = tuple(each[typical] for each in values)
+        typical = _typical(values, *found**2)
 
-        def cost(
-            logarithms: np.ndarray, some: tuple[Tensor, ...] = some, found: Tensor = found
-        ) -> tuple[float, np.ndarray]:
-            trial = found.clone()
-            trial[free] = torch.from_numpy(np.exp(logarithms)).to(found)
-            nats, slope = _nats(some, *trial.square().unbind())
-            u = trial[0].square()
-            nats, slope = nats.mean(), slope.mean(1)
-            if 0 in free:
-                nats, slope[0] = (
-                    nats + SHARE * (u.log() + GAIN**2 / u),
-                    slope[0] + SHARE * (1 / u - (GAIN / u) ** 2),
-                )
-            return float(nats), (2 * trial.square() * slope)[free].numpy()
+        def cost(logarithms: np.ndarray, typical: Tensor = typical) -> Known:
+            found[free] = np.exp(logarithms)
+            nats, slope, curvature = _nats(values, typical, found)
+            return nats, slope[free], curvature[np.ix_(free, free)]
 
-        bounds = torch.stack((low, high), 1)[free].log().tolist()
-        best = minimize(cost, found[free].log().numpy(), jac=True, method="L-BFGS-B", bounds=bounds).x
-        found = found.clone()
-        found[free] = torch.from_numpy(np.exp(best)).to(found)
-    return found
+        found[free] = np.exp(_least(cost, np.log(found[free]), np.log(low), np.log(high)))
+    return torch.from_numpy(found).to(sigma)
 
 
-def _nats(values: tuple[Tensor, ...], u: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
-    """`log det(1 + A V) - s' V (1 + A V)^-1 s` of each value (aa, ab, bb, s), and its slope in V, (2, K)."""
-    aa, ab, bb, s, t = values
-    whole = aa * bb - ab * ab
-    system = 1 + u * aa + v * bb + u * v * whole
-    by_u, by_v = (1 + v * bb) * s - v * ab * t, (1 + u * aa) * t - u * ab * s
-    gained = (u * s * by_u + v * t * by_v) / system
-    # That of the second term is the square of (1 + A V)^-1 s.
-    slope = torch.stack((aa + v * whole, bb + u * whole)) / system
-    return system.log() - gained, slope - (torch.stack((by_u, by_v)) / system).square()
+def _nats(values: Tensor, typical: Tensor, sigma: np.ndarray) -> Known:
+    """Twice minus the mean logarithm of the likelihood of strengths, with what is known before; in their logarithms."""
+    from deepir.loops import spread
+    from deepir.loops.evidence import nats
+
+    sums, (u, v) = torch.empty(6, dtype=torch.float64), sigma**2
+    spread(nats, 1, values, typical, u, v, sums)
+    value, *slope, uu, uv, vv = (sums / typical.sum()).tolist()
+    if u > 0:
+        value, slope[0] = value + SHARE * (math.log(u) + GAIN**2 / u), slope[0] + SHARE * (u - GAIN**2) / u**2
+        uu += SHARE * (2 * GAIN**2 - u) / u**3
+    by = 2 * np.array((u, v))  # of the variances by the logarithms
+    return value, by * slope, by[:, None] * by * ((uu, uv), (uv, vv)) + np.diag(2 * by * slope)
 
 
-def _typical(values: tuple[Tensor, ...], u: Tensor, v: Tensor) -> Tensor:
+def _least(
+    cost: Callable[[np.ndarray], Known], start: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Where a function between two bounds is least: by Newton's steps, along the slope where it curves downwards."""
+    x, (value, slope, curvature) = start, cost(start)
+    for _ in range(STEPS):
+        free = ~((x <= low) & (slope > 0) | (x >= high) & (slope < 0))
+        if not (free.any() and np.isfinite(curvature).all()):
+            break
+        sizes, axes = np.linalg.eigh(curvature[np.ix_(free, free)])
+        way = np.zeros_like(x)
+        way[free] = -axes @ ((slope[free] @ axes) / np.abs(sizes).clip(min=1e-9))
+        trial = (x + way.clip(-LONGEST, LONGEST)).clip(low, high)
+        while not (new := cost(trial))[0] <= value and np.abs(trial - x).max() > PRECISE:
+            trial = x + (trial - x) / 4
+        if not new[0] <= value:
+            break
+        last = np.abs(trial - x).max() < PRECISE
+        x, (value, slope, curvature) = trial, new
+        if last:
+            break
+    return x
+
+
+def _typical(values: Tensor, u: float, v: float) -> Tensor:
     """Those whose posterior means are not too many of their prior standard deviations."""
     aa, ab, bb, s, t = values
     system = 1 + u * aa + v * bb + u * v * (aa * bb - ab * ab)

@@ -93,7 +93,7 @@ class Problem(nn.Module):
 
     def fitted(self) -> Tensor:
         """The precision, zero at held-out samples."""
-        return self.precision * ~self.held_out
+        return self.precision.masked_fill(self.held_out, 0)
 
     def losses(
         self, values: Values, eliminated: Collection[str] = (), *, precision: Tensor | None = None

@@ -11,6 +11,7 @@ constant. All that the data say of them is a matrix `M_j` and a vector `q_j` for
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -44,9 +45,7 @@ class Slow:
         device = problem.data.device
         height, width = problem.data.shape[-2:]  # what the warp shows may be larger, by a blur's reach
         self.problem = problem
-        self.scene, self.frame = (
-            Shading((1, 1, *size)).to(device) for size in (canvas[-2:], (height, width))
-        )
+        self.scene, self.frame = (_basis(*size, device) for size in (canvas[-2:], (height, width)))
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
         motion = problem.fields[problem.slots["warp.motion"]]().double()
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
@@ -104,6 +103,12 @@ class Slow:
         return torch.cat([each.expand(count, size, -1) for each in (self.carried, one, *more)], 2)
 
 
+@functools.lru_cache(maxsize=8)  # a solve asks for the same ones each time that its strengths are estimated
+def _basis(height: int, width: int, device: torch.device) -> Shading:
+    """The polynomials over a map."""
+    return Shading((1, 1, height, width)).to(device)
+
+
 def late(problem: Problem, seen: Tensor) -> Tensor:
     """What a lag makes of (instants, ...) values for each frame, (N, ...); the same if there is none."""
     for name, stage in problem.operator.named():
@@ -123,7 +128,8 @@ def variances(problem: Problem, eliminated: Collection[str], faint: float = math
     Gains of lines are left out if their standard deviation is above `faint`.
     """
     data, precision = thinned(problem.data, problem.precision)
-    level = float(data[precision > 0].square().mean().sqrt())
+    counts = precision > 0
+    level = float(((data.square() * counts).sum() / counts.sum()).sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")

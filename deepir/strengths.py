@@ -79,21 +79,21 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
     large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
     the noise. It is taken in bins of the signal, from medians, which leave outliers out.
     """
-    some, data, precision, held = thinned(prediction, problem.data, problem.precision, problem.held_out)
-    counts = precision > 0
-    residual, signal, held = (some - data)[counts].abs(), some[counts].clamp(min=0), held[counts]
+    frames = thinned(prediction, problem.data, problem.precision, problem.held_out)
+    some, data, precision, held = (each.flatten() for each in frames)
+    counts, residual, signal = precision > 0, (some - data).abs_(), some.clamp(min=0)
     # By bin, the fitted samples and those held out: each group's lie side by side, which spares twenty masks.
-    group = (2 * _bins(signal) + held).to(torch.uint8).cpu().numpy()
+    group = (2 * _bins(signal, counts) + held).where(counts, 2 * BINS).to(torch.uint8).cpu().numpy()
     order = torch.from_numpy(np.argsort(group, kind="stable")).to(residual.device)
-    sizes = np.bincount(group, minlength=2 * BINS).tolist()
-    residuals, signals = residual[order].split(sizes), signal[order].split(sizes)
+    sizes = np.bincount(group, minlength=2 * BINS + 1).tolist()
+    residuals, totals = residual[order].split(sizes), np.bincount(group, signal.cpu().numpy(), 2 * BINS)
     # Data that are rounded more coarsely than they are noisy may leave no residual at all.
-    rounding = (torch.finfo(problem.data.dtype).eps * float(signal.max())) ** 2
+    rounding = (torch.finfo(problem.data.dtype).eps * float((signal * counts).max())) ** 2
     rows, seen = [], []
-    for i in range(BINS):
-        fitted, new = residuals[2 * i : 2 * i + 2]
+    for i in range(0, 2 * BINS, 2):
+        fitted, new = residuals[i : i + 2]
         if len(new) >= 20:
-            rows.append((1.0, float(torch.cat(signals[2 * i : 2 * i + 2]).mean())))
+            rows.append((1.0, sum(totals[i : i + 2]) / sum(sizes[i : i + 2])))
             seen.append(float(MAD**2 * fitted.median() * new.median()) + rounding)
     if not rows:
         return None
@@ -105,9 +105,9 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
     return float(read), float(photon), 0.1 * float(variance.min())
 
 
-def _bins(values: Tensor) -> Tensor:
-    """Number of the quantile bin of each value."""
-    some = values[:: max(1, len(values) // 20_000)]
+def _bins(values: Tensor, counts: Tensor) -> Tensor:
+    """Number of the quantile bin of each value, of those that count."""
+    some = values[:: max(1, len(values) // 20_000)][counts[:: max(1, len(values) // 20_000)]]
     edges = torch.quantile(some, torch.linspace(0, 1, BINS + 1).to(some))
     return torch.bucketize(values, edges[1:-1])
 

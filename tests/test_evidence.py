@@ -2,8 +2,11 @@
 
 import pytest
 import torch
+from torch.autograd.functional import hessian, jacobian
 
 from deepir.evidence import likeliest
+from deepir.loops import spread
+from deepir.loops.evidence import nats
 from deepir.strengths import less_slow
 
 COUNT = 4000
@@ -54,6 +57,25 @@ def test_a_few_outliers_change_little():
 
 def test_it_stays_below_its_bound():
     assert likeliest(*burst((0.3, 2.0)), ONE, torch.tensor([9.0, 1.5]).double(), [0, 1])[1] <= 1.5 + 1e-9
+
+
+def test_slope_and_curvature_are_those_of_the_likelihood():
+    information, means = burst((0.3, 2.0))
+    (aa, ab, bb), (x, y) = information[:, :37], means[:, :37]
+    system = torch.stack((aa, ab, ab, bb), 1).unflatten(1, (2, 2))
+    score = torch.stack((aa * x + ab * y + x, ab * x + bb * y + y), 1)
+    counts = torch.arange(37) % 5 > 0
+
+    def exact(variance):
+        whole = torch.eye(2) + system * variance
+        width, shown = torch.logdet(whole), torch.linalg.solve(whole, score)
+        return (width - (score * variance * shown).sum(1))[counts].sum()
+
+    at, sums = torch.tensor([0.2, 3.0], dtype=torch.float64), torch.empty(6, dtype=torch.float64)
+    spread(nats, 1, torch.stack((aa, ab, bb, *score.T)), counts, *at.tolist(), sums)
+    (uu, uv), (_, vv) = hessian(exact, at)
+    wanted = torch.stack((exact(at), *jacobian(exact, at), uu, uv, vv))
+    assert sums.tolist() == pytest.approx(wanted.tolist(), rel=1e-9)
 
 
 @pytest.mark.parametrize("count", [16, 40, 160])

@@ -138,10 +138,11 @@ def _within(f, step, most):
 
 
 @compiled
-def _weights(f, out):
-    """The spline's weights `out` (4, n) of the coefficients around points that are `f` beyond the second."""
+def _weights(f, out, start=0):
+    """The spline's weights `out` (4, start + n ..) of the coefficients around points that are `f` beyond the second."""
     sixth = f.dtype.type(1 / 6)
-    first, second, third, fourth = out[0], out[1], out[2], out[3]
+    # Slices of rows, and not rows of a slice, of which the compiler does not know that their elements lie side by side.
+    first, second, third, fourth = out[0, start:], out[1, start:], out[2, start:], out[3, start:]
     for j in range(len(f)):
         t = f[j]
         s = ONE - t
@@ -221,7 +222,7 @@ def push(first, last, gradient, motion, scene):
             if high < first - 3 or low > last + 2:
                 continue  # the whole row looks elsewhere
             _locate(t, y, height, width, at, ends, fx, fy)
-            _weights(fx, wx[:, 3 : w + 3])
+            _weights(fx, wx, 3)
             _weights(fy, wy)
             for c in range(channels):
                 flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
