@@ -7,8 +7,9 @@ import math
 import torch
 from torch import Tensor
 
-from deepir.registration.align import Aligned, align, pull
+from deepir.registration.align import Aligned, align
 from deepir.registration.motion import identity
+from deepir.registration.pull import pull
 from deepir.registration.pyramid import Level
 from deepir.registration.refine import tukey
 from deepir.registration.search import match, search
@@ -87,7 +88,7 @@ def agreement(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:
     Tukey's weights, things that move by themselves do not count.
     """
     pulled = pull(level, pattern, motion)
-    expected, known = pulled.others(slice(None))
+    expected, known = pulled.others()
     seen, expected, known = (image.flatten(1) for image in (pulled.frames, expected, known))
     weight = tukey(seen - expected, known)
     power = (weight * (expected.square() + seen.square())).sum(1).clamp_min(1e-12)
