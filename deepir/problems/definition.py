@@ -107,7 +107,7 @@ def start_scene(problem: Problem, *, again: bool = False) -> None:
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
-    """Replace unknown pixels by the nearest known one of the row, in rows without by that of the column, (S, C, H, W)."""
+    """Replace unknown pixels (S, C, H, W) by the nearest known one of the row, or, where none is, of the column."""
     for axis in (-1, -2):
         side = image.shape[axis]
         at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
