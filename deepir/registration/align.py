@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-import deepir.loops.registration as loops
-from deepir.loops import spread
 from deepir.registration.motion import PARAMETERS, increment, relative
 from deepir.registration.pull import pull
 from deepir.registration.pyramid import Level
@@ -83,6 +81,9 @@ def fixed_pattern(level: Level, picture: Tensor, motion: Tensor) -> tuple[Tensor
     n-th part of the residual's variance (James & Stein 1961). Two frames with a free pattern for each pixel would
     fit any motion: they have lines only.
     """
+    from deepir.loops import registration as loops
+    from deepir.loops import spread
+
     count, mean, rest = (torch.empty_like(level.weight) for _ in range(3))
     power = torch.empty(len(mean), dtype=torch.float64)
     given = level.frames, level.weight, level.whole, picture, level.indexed(motion)

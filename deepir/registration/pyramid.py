@@ -10,9 +10,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-import deepir.loops.registration as loops
-from deepir.loops import spread
-
 FINE = 0.8  # px of the level: Gaussian low-pass
 SHRINK, BROAD = 4, 1.5  # shading and drift are broader than a Gaussian of BROAD px after shrinking
 
@@ -114,6 +111,9 @@ def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
 
 def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]:
     """Images `(1 or N, h, w)` at the level's pixels moved by `(N, 3, 3)`, and where they are known."""
+    from deepir.loops import registration as loops
+    from deepir.loops import spread
+
     values, known = (torch.empty(len(motion), *level.weight.shape) for _ in range(2))
     spread(
         loops.pull, len(values[0]), images, level.weight, level.whole, level.indexed(motion), values, known

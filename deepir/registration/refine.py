@@ -5,8 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-import deepir.loops.registration as loops
-from deepir.loops import spread
 from deepir.registration.motion import generators
 from deepir.registration.pull import Pulled
 from deepir.registration.pyramid import Level
@@ -21,6 +19,9 @@ def step(pulled: Pulled, level: Level, model: str) -> Tensor:
 
     Gain and level of each frame are solved along, under Tukey's weights.
     """
+    from deepir.loops import registration as loops
+    from deepir.loops import spread
+
     stride = 2 if level.weight.numel() > DENSE else 1
     ax, ay = generators(model, level.points(stride), max(level.shape) / 2)
     few = pulled.thinned(stride * FEW)
