@@ -39,7 +39,7 @@ def step(pulled: Pulled, level: Level, model: str) -> Tensor:
 
 def tukey(residual: Tensor, mask: Tensor) -> Tensor:
     """Tukey's biweight `(N, M)` of what a mask lets through."""
-    middle, limit = spread_of(residual[:, :: FEW**2], mask[:, :: FEW**2])
+    middle, limit = spread_of(residual, mask)
     return mask * (1 - ((residual - middle[:, None]) / limit[:, None]).square()).clamp_min(0) ** 2
 
 
