@@ -26,12 +26,12 @@ def deviating(pattern: Tensor, known: Tensor) -> Tensor:
     apart = pattern
     for axis in (-2, -1):
         apart = apart - apart.where(known, torch.nan).nanmedian(axis, keepdim=True).values.nan_to_num()
-    apart = apart - _median(apart)
+    apart = apart - median(apart)
     differ = apart[known & (apart != 0)].abs()
     if differ.numel() < apart.numel() / 4:  # most pixels are exactly alike: nothing to compare with
         return torch.zeros_like(known)
     apart = apart.abs()
-    return known & (apart > DEVIATION * MAD * differ.median()) & (apart > LONELY * _median(apart))
+    return known & (apart > DEVIATION * MAD * differ.median()) & (apart > LONELY * median(apart))
 
 
 @torch.no_grad()
@@ -42,13 +42,13 @@ def defective(misfit: Tensor, usable: Tensor) -> Tensor:
     """
     count = usable.sum(0, keepdim=True)
     mean = misfit.clamp(max=MOST).sum(0, keepdim=True) / count.clamp(min=1)
-    return (count > 0) & (mean > MISFIT) & (mean > LONELY * _median(mean))
+    return (count > 0) & (mean > MISFIT) & (mean > LONELY * median(mean))
 
 
 @torch.no_grad()
 def lonely(misfit: Tensor, times: float = 1.5) -> Tensor:
     """Pixels (h, w), bool, that misfit so many times more than their neighbourhood."""
-    return misfit > times * _median(misfit[None, None])[0, 0]
+    return misfit > times * median(misfit[None, None])[0, 0]
 
 
 @torch.no_grad()
@@ -61,18 +61,7 @@ def crowded(misfit: Tensor, usable: Tensor) -> Tensor:
     return total.div_(share.clamp_(min=0.1 * WINDOW**2)).sub_(CROWD).clamp_(min=0)
 
 
-def _around(images: Tensor) -> Tensor:
-    """The sum over each window: of shifted images, twenty times as fast as torch's pooling."""
-    for axis in (-2, -1):
-        side, pad = images.shape[axis], WINDOW // 2
-        padded = F.pad(images, (pad, pad, 0, 0) if axis == -1 else (0, 0, pad, pad))
-        images = padded.narrow(axis, 0, side).clone()
-        for shift in range(1, WINDOW):
-            images += padded.narrow(axis, shift, side)
-    return images
-
-
-def _median(image: Tensor) -> Tensor:
+def median(image: Tensor) -> Tensor:
     """The median of each 3 x 3 neighbourhood, (1, 1, h, w): its columns are put in order, then those of a rank."""
     padded = F.pad(image, (1, 1, 1, 1), mode="replicate")
     above, here, below = (padded[..., i : i + image.shape[-2], :] for i in range(3))
@@ -85,6 +74,17 @@ def _median(image: Tensor) -> Tensor:
     most = torch.maximum(torch.maximum(low_ones[0], low_ones[1]), low_ones[2])
     least = torch.minimum(torch.minimum(high_ones[0], high_ones[1]), high_ones[2])
     return _middle(most, _middle(*middles), least)
+
+
+def _around(images: Tensor) -> Tensor:
+    """The sum over each window: of shifted images, twenty times as fast as torch's pooling."""
+    for axis in (-2, -1):
+        side, pad = images.shape[axis], WINDOW // 2
+        padded = F.pad(images, (pad, pad, 0, 0) if axis == -1 else (0, 0, pad, pad))
+        images = padded.narrow(axis, 0, side).clone()
+        for shift in range(1, WINDOW):
+            images += padded.narrow(axis, shift, side)
+    return images
 
 
 def _middle(a: Tensor, b: Tensor, c: Tensor) -> Tensor:

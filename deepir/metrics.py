@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 Array = np.ndarray[Any, Any]
 
@@ -18,6 +17,8 @@ def scores(scene: Array, truth: Array) -> dict[str, float]:
     `residual_columns` and `residual_pixels` are what is left of a fixed pattern then, see `pattern`.
     Truth that is not finite is left out, and filled with the scene for SSIM.
     """
+    from skimage.metrics import peak_signal_noise_ratio  # a quarter of a second, and few runs have a truth
+
     known = np.isfinite(truth)
     truth, scene = np.where(known, truth, scene).astype(float), scene.astype(float)
     span = float(np.ptp(truth[known])) or 1.0
@@ -69,6 +70,8 @@ def motion_error(motion: Array, truth: Array, size: tuple[int, int]) -> float:
 
 def _similarity(truth: Array, scene: Array, span: float) -> float:
     """SSIM, the mean over the frames."""
+    from skimage.metrics import structural_similarity
+
     pairs = zip(*(each.reshape(-1, *each.shape[-2:]) for each in (truth, scene)), strict=True)
     return float(np.mean([structural_similarity(*pair, data_range=span) for pair in pairs]))
 

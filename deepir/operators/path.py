@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 
@@ -42,5 +41,7 @@ def _weights(path: Path, n_frames: int) -> Tensor:
     """Of each frame at each instant, (instants, N)."""
     if n_frames == 1:
         return torch.ones(path.count(1), 1, dtype=torch.float64)
+    from scipy.interpolate import CubicSpline  # most runs need none
+
     at = (np.arange(path.count(n_frames)) - path.lead) / path.steps
     return torch.from_numpy(CubicSpline(np.arange(n_frames), np.eye(n_frames))(at))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 
 from deepir.noise import sample_noise
@@ -109,14 +107,13 @@ def start_scene(problem: Problem, *, again: bool = False) -> None:
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
-    """Replace unknown pixels by the nearest known one, (S, C, H, W)."""
-    if len(image) > 1:  # scenes know nothing of each other
-        return torch.cat([filled(*each) for each in zip(image.split(1), known.split(1), strict=True)])
-    holes = (~known).cpu().numpy()
-    if not holes.any() or holes.all():
-        return image
-    index = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
-    nearest = np.ravel_multi_index(tuple(each[holes] for each in index), holes.shape)
-    source, into = (torch.from_numpy(each).to(known.device) for each in (nearest, np.flatnonzero(holes)))
-    whole = image.flatten()
-    return whole.index_copy(0, into, whole[source]).reshape(image.shape)
+    """Replace unknown pixels (S, C, H, W) by the nearest known one of the row, or, where none is, of the column."""
+    for axis in (-1, -2):
+        side = image.shape[axis]
+        at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
+        before = at.where(known, -side).cummax(axis).values
+        after = at.where(known, 2 * side).flip(axis).cummin(axis).values.flip(axis)
+        nearest = before.where(at - before <= after - at, after)
+        image = image.gather(axis, nearest.clamp(0, side - 1))
+        known = known.any(axis, keepdim=True).expand(known.shape)
+    return image

@@ -2,9 +2,9 @@
 
 `register` in `burst` is the one entry. The other files, in the order in which the work is done: `flatten` (logarithm,
 stuck pixels), `pyramid` (band-passed levels), `group` (which frames show one scene), `search` (correlation over all
-shifts and some rotations), `align` (scene, fixed pattern and motions, alternately), `refine` (a Gauss-Newton step),
-`vote` (residuals or likelihood), `even` (a pattern as strong in the bright as in the dark), `likelihood` (of shifts),
-`motion` (the motion models).
+shifts and some rotations), `align` (scene, fixed pattern and motions, alternately), `pull` (frames on the grid of the
+first), `refine` (a Gauss-Newton step), `vote` (residuals or likelihood), `even` (a pattern as strong in the bright as
+in the dark), `likelihood` (of shifts), `motion` (the motion models).
 """
 
 from deepir.registration.burst import Registration, register

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from deepir.registration.motion import PARAMETERS, increment, relative
-from deepir.registration.pyramid import Level, sample
+from deepir.registration.pull import pull
+from deepir.registration.pyramid import Level
 from deepir.registration.refine import step
 
-BATCH = 400_000  # px worked on at a time: temporaries stay small, and in the cache
 AHEAD = 4  # passes over scene and pattern before the motions, where the pattern is the stronger
 SHORTEST, LONGEST = 0.5, 3.0  # times a Gauss-Newton step
 SETTLED = 5e-3  # px of the level: a smaller step ends the rounds
@@ -45,9 +45,8 @@ def align(level: Level, motion: Tensor, model: str, rounds: int) -> Aligned:
     before = torch.zeros(n, PARAMETERS[model], dtype=torch.float64)
     length = torch.full((PARAMETERS[model],), 1 - 1 / n, dtype=torch.float64)
     for _ in range(rounds):
-        seen, delta = pull(level, pattern, motion), torch.zeros_like(before)
-        for k in batches(level, n):
-            delta[k] = step(seen.frames[k], *seen.others(k), level, model)
+        seen = pull(level, pattern, motion)
+        delta = step(seen, level, model)
         length = secant(length, delta, before)
         before = delta
         motion = relative(increment(model, length * delta, size) @ motion)
@@ -75,41 +74,6 @@ def secant(length: Tensor, delta: Tensor, before: Tensor) -> Tensor:
     return (length / (1 - left).clamp_min(0.3)).clamp(SHORTEST, LONGEST)
 
 
-@dataclass(frozen=True)
-class Pulled:
-    """Frames `(N, h, w)` on the grid of the first, and where they are known."""
-
-    frames: Tensor
-    known: Tensor
-    total: Tensor
-    count: Tensor
-
-    @property
-    def mean(self) -> Tensor:
-        """The scene `(h, w)`."""
-        return self.total / self.count.clamp_min(1)
-
-    def others(self, k: slice) -> tuple[Tensor, Tensor]:
-        """For frames `k` the mean of all others, and where both are known."""
-        count = self.count - self.known[k]
-        return (self.total - self.frames[k]) / count.clamp_min(1), self.known[k] * (count > 0.5)
-
-
-def pull(level: Level, pattern: Tensor, motion: Tensor) -> Pulled:
-    """Frames less the pattern, pulled back."""
-    back = torch.linalg.inv(motion)
-    frames, known = torch.empty_like(level.frames), torch.empty_like(level.frames)
-    for k in batches(level, len(motion)):
-        frames[k], known[k] = sample(level.frames[k] - pattern, back[k], level)
-    return Pulled(frames, known, frames.sum(0), known.sum(0))
-
-
-def batches(level: Level, n: int) -> list[slice]:
-    """Slices of `n` frames, few enough at a time."""
-    size = max(1, BATCH // level.weight.numel())
-    return [slice(k, min(k + size, n)) for k in range(0, n, size)]
-
-
 def fixed_pattern(level: Level, picture: Tensor, motion: Tensor) -> tuple[Tensor, float]:
     """What stands still `(h, w)` and is not the scene: lines, and pixels as far as they are clear; the misfit.
 
@@ -117,22 +81,18 @@ def fixed_pattern(level: Level, picture: Tensor, motion: Tensor) -> tuple[Tensor
     n-th part of the residual's variance (James & Stein 1961). Two frames with a free pattern for each pixel would
     fit any motion: they have lines only.
     """
-    count, total, square, power = (torch.zeros_like(level.weight) for _ in range(4))
-    for k in batches(level, len(motion)):
-        expected, seen = sample(picture, motion[k], level)
-        residual = seen * level.frames[k] - expected
-        count += seen.sum(0)
-        total += residual.sum(0)
-        square += residual.square().sum(0)
-        power += (seen * level.frames[k]).square().sum(0)
-    n = count.clamp_min(1)
-    mean = total / n
-    rest = square - n * mean**2
+    from deepir.loops import registration as loops
+    from deepir.loops import spread
+
+    count, mean, rest = (torch.empty_like(level.weight) for _ in range(3))
+    power = torch.empty(len(mean), dtype=torch.float64)
+    given = level.frames, level.weight, level.whole, picture, level.indexed(motion)
+    spread(loops.differ, len(mean), *given, count, mean, rest, power)
     lines = mean.mean(0, keepdim=True) + mean.mean(1, keepdim=True) - mean.mean()
-    misfit = float(rest.sum() / power.sum().clamp_min(1e-12))
+    misfit = float(rest.double().sum() / power.sum().clamp_min(1e-12))
     if len(motion) < 3:
         return lines, misfit
     pixels = (mean - lines) * (count > 0)
-    chance = rest / (n * (n - 1).clamp_min(1))
+    chance = rest / (count * (count - 1)).clamp_min(1)
     keep = (1 - chance.mean() / pixels.square().mean().clamp_min(1e-12)).clamp(0, 1)
     return lines + keep * pixels, misfit

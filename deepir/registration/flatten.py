@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
 import scipy.ndimage
 import torch
 from torch import Tensor
 
+from deepir.defects import median
+from deepir.noise import MAD
+from deepir.thin import thinned
+
 STUCK = 10.0  # robust standard deviations beyond which a pixel of the mean frame is stuck
 WINDOW = 31  # px across the stripes: what is broader is none
-ENOUGH = 1_000_000  # values for a median
 
 
 def flatten(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -22,9 +24,9 @@ def flatten(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
     if not good.any():
         return torch.zeros(frames.shape), good.float()
     y = logarithm(frames, good)
-    mean = y.mean(0).numpy()
-    standing = torch.from_numpy(stripes(mean, 0) + stripes(mean, 1))
-    good &= ~stuck(mean - standing.numpy())
+    mean = y.mean(0)
+    standing = stripes(mean, 0) + stripes(mean, 1)
+    good &= ~stuck(mean - standing)
     if len(frames) < 3:
         y -= standing
     return y.mul_(good), good.float()
@@ -32,8 +34,8 @@ def flatten(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
 
 def logarithm(frames: Tensor, good: Tensor) -> Tensor:
     """Logarithm over the median, at least 0.05 of it; or what differs from it, if the frames are not positive."""
-    few = frames[:, good].flatten()
-    few = few[:: max(1, len(few) // ENOUGH)]
+    values, known = thinned(frames, good.expand_as(frames))
+    few = values[known]
     middle = float(few.median())
     positive = middle > 0 and float((few <= 0).double().mean()) <= 0.05
     y = torch.empty(frames.shape)
@@ -46,14 +48,14 @@ def logarithm(frames: Tensor, good: Tensor) -> Tensor:
     return y
 
 
-def stripes(image: np.ndarray, axis: int) -> np.ndarray:
+def stripes(image: Tensor, axis: int) -> Tensor:
     """Structure of lines along `axis`: their median of what differs from the mean over some px across them."""
-    broad = scipy.ndimage.uniform_filter1d(image, WINDOW, axis=1 - axis, mode="nearest")
-    return np.median(image - broad, axis=axis, keepdims=True)
+    broad = scipy.ndimage.uniform_filter1d(image.numpy(), WINDOW, axis=1 - axis, mode="nearest")
+    return (image - torch.from_numpy(broad)).median(axis, keepdim=True).values
 
 
-def stuck(image: np.ndarray) -> Tensor:
+def stuck(image: Tensor) -> Tensor:
     """Pixels `(H, W)` that differ from their 3 x 3 median by `STUCK` robust deviations."""
-    apart = np.abs(image - scipy.ndimage.median_filter(image, 3, mode="nearest"))
-    scale = 1.4826 * float(np.median(apart))
-    return torch.from_numpy(apart > STUCK * scale if scale > 0 else apart > np.inf)
+    apart = (image - median(image[None, None])[0, 0]).abs()
+    scale = MAD * float(thinned(apart[None])[0].median())
+    return apart > (STUCK * scale or torch.inf)

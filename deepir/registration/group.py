@@ -7,8 +7,9 @@ import math
 import torch
 from torch import Tensor
 
-from deepir.registration.align import Aligned, align, pull
+from deepir.registration.align import Aligned, align
 from deepir.registration.motion import identity
+from deepir.registration.pull import pull
 from deepir.registration.pyramid import Level
 from deepir.registration.refine import tukey
 from deepir.registration.search import match, search
@@ -16,7 +17,7 @@ from deepir.registration.search import match, search
 FAILED = 0.6  # agreement below which a frame is left out: other scenes reach 0.5, once aligned
 OVERLAP = 0.15  # share of the frame that must see what others see
 CLEARLY = 1.5  # times more unexplained: a worse motion
-SAME = 1.1  # times what is left with motions, for each degree of freedom: frames that do not move
+SAME = 2.0  # times what is left with motions, for each degree of freedom: frames that do not move
 #: Motions by more than this share of the frame explain frames that do not move, too, down to so many times less: what
 #: few frames see is easily explained.
 FAR, SAME_IF_FAR = 0.3, 4.0
@@ -87,7 +88,7 @@ def agreement(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:
     Tukey's weights, things that move by themselves do not count.
     """
     pulled = pull(level, pattern, motion)
-    expected, known = pulled.others(slice(None))
+    expected, known = pulled.others()
     seen, expected, known = (image.flatten(1) for image in (pulled.frames, expected, known))
     weight = tukey(seen - expected, known)
     power = (weight * (expected.square() + seen.square())).sum(1).clamp_min(1e-12)

@@ -36,11 +36,10 @@ def rotation(angle: Tensor) -> Tensor:
 def generators(model: str, points: Tensor, size: float) -> tuple[Tensor, Tensor]:
     """Derivative of a moved point with respect to the model's parameters, at the identity.
 
-    `points` are `(..., M)`-shaped x and y stacked as `(..., 2, M)`; `size` (px) scales the parameters to
-    pixels at the frame's edge, which keeps the normal equations well conditioned. Returns dx and dy, each
-    `(..., P, M)`.
+    `points` are x and y, `(2, ...)`; `size` (px) scales the parameters to pixels at the frame's edge, which keeps the
+    normal equations well conditioned. Returns dx and dy, each `(P, ...)`.
     """
-    x, y = points[..., 0, :] / size, points[..., 1, :] / size
+    x, y = points / size
     one, zero = torch.ones_like(x), torch.zeros_like(x)
     columns = {
         "shift": [(one, zero), (zero, one)],
@@ -48,7 +47,7 @@ def generators(model: str, points: Tensor, size: float) -> tuple[Tensor, Tensor]
     }.get(model, [(one, zero), (zero, one), (x, zero), (y, zero), (zero, x), (zero, y)])
     if model == "homography":
         columns = [*columns, (-x * x, -x * y), (-x * y, -y * y)]
-    return torch.stack([c[0] for c in columns], -2), torch.stack([c[1] for c in columns], -2)
+    return torch.stack([c[0] for c in columns]), torch.stack([c[1] for c in columns])
 
 
 def increment(model: str, delta: Tensor, size: float) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
@@ -31,6 +32,7 @@ class Level:
         """The level of some of the frames."""
         return replace(self, frames=self.frames[some])
 
+    @cached_property
     def place(self) -> Tensor:
         """From indices (x, y, 1) of the level to centred px of the full frame, `(3, 3)` float64.
 
@@ -41,12 +43,21 @@ class Level:
             [[f, 0, (f - width) / 2], [0, f, (f - height) / 2], [0, 0, 1]], dtype=torch.float64
         )
 
+    @cached_property
+    def index(self) -> Tensor:
+        """The inverse of `place`."""
+        return torch.linalg.inv(self.place)
+
+    def indexed(self, motion: Tensor) -> Tensor:
+        """Motions `(N, 3, 3)` of centred px as ones of indices, float32."""
+        return (self.index @ motion @ self.place).float()
+
     def points(self, stride: int) -> Tensor:
-        """Centred px `(2, M)` of every `stride`-th pixel along each axis."""
+        """Centred px `(2, rows, columns)` of every `stride`-th pixel along each axis, without the outermost."""
         h, w = self.weight.shape
-        y, x = torch.meshgrid(torch.arange(0, h, stride), torch.arange(0, w, stride), indexing="ij")
-        index = torch.stack((x.flatten(), y.flatten(), torch.ones(x.numel()))).double()
-        return (self.place() @ index)[:2].float()
+        y, x = torch.meshgrid(torch.arange(1, h - 1, stride), torch.arange(1, w - 1, stride), indexing="ij")
+        index = torch.stack((x, y, torch.ones_like(x))).double()
+        return torch.einsum("ij,jyx->iyx", self.place, index)[:2].float()
 
 
 def smooth(images: Tensor, sigma: float) -> Tensor:
@@ -98,26 +109,13 @@ def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
     return Level(factor, flat, known, bool(known.all()), (frames.shape[1], frames.shape[2]))
 
 
-def sample(image: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]:
-    """Images `(B, h, w)` (or one for all) at the level's pixels moved by `(B, 3, 3)`, and where they are known.
+def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]:
+    """Images `(1 or N, h, w)` at the level's pixels moved by `(N, 3, 3)`, and where they are known."""
+    from deepir.loops import registration as loops
+    from deepir.loops import spread
 
-    Bilinear: it is right for a ramp, as cubic convolution in torch is not, and enough for what is band-passed.
-    """
-    h, w = level.weight.shape
-    place = level.place()
-    index = torch.linalg.inv(place) @ motion @ place
-    unit = torch.tensor([[2 / w, 0, 1 / w - 1], [0, 2 / h, 1 / h - 1], [0, 0, 1]], dtype=torch.float64)
-    t = (unit @ index).float()[..., None, None]
-    x, y = torch.arange(w, dtype=torch.float32), torch.arange(h, dtype=torch.float32)[:, None]
-    px, py = (t[:, i, 0] * x + (t[:, i, 1] * y + t[:, i, 2]) for i in range(2))
-    if t[:, 2, :2].any():
-        depth = (t[:, 2, 0] * x + (t[:, 2, 1] * y + t[:, 2, 2])).clamp_min(1e-3)
-        px, py = px / depth, py / depth
-    grid = torch.stack((px, py), 1).permute(0, 2, 3, 1)
-    known = ((px.abs() <= 1 - 1 / w) & (py.abs() <= 1 - 1 / h)).float()
-    one = image.expand(len(motion), h, w)[:, None]
-    values = F.grid_sample(one, grid, mode="bilinear", align_corners=False)[:, 0]
-    if not level.whole:
-        weight = level.weight.expand_as(one)
-        known *= F.grid_sample(weight, grid, mode="nearest", align_corners=False)[:, 0]
-    return values * known, known
+    values, known = (torch.empty(len(motion), *level.weight.shape) for _ in range(2))
+    spread(
+        loops.pull, len(values[0]), images, level.weight, level.whole, level.indexed(motion), values, known
+    )
+    return values, known

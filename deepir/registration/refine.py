@@ -6,47 +6,45 @@ import torch
 from torch import Tensor
 
 from deepir.registration.motion import generators
+from deepir.registration.pull import Pulled
 from deepir.registration.pyramid import Level
 
 TUKEY = 4.0  # robust standard deviations beyond which a sample has no weight
+FEW = 3  # each so manieth sample along an axis is enough for a standard deviation
 DENSE = 40_000  # px: of larger levels every second pixel counts; what is band-passed is known from these
 
 
-def step(seen: Tensor, expected: Tensor, known: Tensor, level: Level, model: str) -> Tensor:
-    """Small motions `(B, P)` with `seen(p) = gain expected(inc p) + level`, as parameters of `generators`.
+def step(pulled: Pulled, level: Level, model: str) -> Tensor:
+    """Small motions `(N, P)` with `frame(p) = gain others(inc p) + level`, as parameters of `generators`.
 
-    seen, expected, known: `(B, h, w)`, on the grid of the first frame. Gain and level of each frame are solved
-    along, under Tukey's weights.
+    Gain and level of each frame are solved along, under Tukey's weights.
     """
-    h, w = seen.shape[1:]
-    stride = 2 if h * w > DENSE else 1
-    dy, dx = torch.gradient(expected, spacing=float(level.factor), dim=(1, 2))
-    images = (dx, dy, expected, seen, inner(known))
-    gx, gy, s, values, mask = (image[:, ::stride, ::stride].flatten(1) for image in images)
+    from deepir.loops import registration as loops
+    from deepir.loops import spread
+
+    stride = 2 if level.weight.numel() > DENSE else 1
     ax, ay = generators(model, level.points(stride), max(level.shape) / 2)
-    jacobian = torch.cat((gx[:, None] * ax + gy[:, None] * ay, s[:, None], torch.ones_like(s)[:, None]), 1)
-    weight = tukey(values - s, mask)
-    weighted = jacobian * weight[:, None]
-    normal = (weighted @ jacobian.transpose(1, 2)).double()
-    right = (weighted @ (values - s)[..., None]).double()
+    few = pulled.thinned(stride * FEW)
+    expected, known = few.others()
+    middle, limit = spread_of((few.frames - expected).flatten(1), known.flatten(1))
+    n, (p, rows, _) = len(few.frames), ax.shape
+    sums = torch.empty(rows, n, p + 2, p + 3)
+    images = pulled.frames, pulled.known, pulled.total, pulled.count
+    spread(loops.step, rows, *images, ax, ay, stride, float(level.factor), middle, limit, sums)
+    normal, right = sums.double().sum(0).split((p + 2, 1), 2)
     ridge = 1e-6 * normal.diagonal(dim1=1, dim2=2).mean(1) + 1e-12
-    normal = normal + ridge[:, None, None] * torch.eye(normal.shape[1], dtype=torch.float64)
-    return torch.linalg.solve(normal, right)[:, : len(ax), 0].nan_to_num(0.0)
-
-
-def inner(known: Tensor) -> Tensor:
-    """Where `(B, h, w)` the four neighbours are known too, and with them the gradient."""
-    out = known.clone()
-    out[:, 1:] *= known[:, :-1]
-    out[:, :-1] *= known[:, 1:]
-    out[:, :, 1:] *= known[:, :, :-1]
-    out[:, :, :-1] *= known[:, :, 1:]
-    return out
+    normal = normal + ridge[:, None, None] * torch.eye(p + 2, dtype=torch.float64)
+    return torch.linalg.solve(normal, right)[:, :p, 0].nan_to_num(0.0)
 
 
 def tukey(residual: Tensor, mask: Tensor) -> Tensor:
-    """Tukey's biweight `(B, M)` of what a mask lets through."""
-    residual = residual - (mask * residual).sum(1, keepdim=True) / mask.sum(1, keepdim=True).clamp_min(1)
-    few = torch.where(mask > 0, residual.abs(), torch.nan)[:, ::7]
-    spread = (1.4826 * few.nanmedian(1, keepdim=True).values).nan_to_num(1.0).clamp_min(1e-9)
-    return mask * (1 - (residual / (TUKEY * spread)).square()).clamp_min(0) ** 2
+    """Tukey's biweight `(N, M)` of what a mask lets through."""
+    middle, limit = spread_of(residual, mask)
+    return mask * (1 - ((residual - middle[:, None]) / limit[:, None]).square()).clamp_min(0) ** 2
+
+
+def spread_of(residual: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean `(N)` of what a mask lets through of `(N, M)`, and from where on a sample has no weight."""
+    middle = (mask * residual).sum(1) / mask.sum(1).clamp_min(1)
+    apart = torch.where(mask > 0, (residual - middle[:, None]).abs(), torch.nan).nanmedian(1).values
+    return middle, TUKEY * (1.4826 * apart).nan_to_num(1.0).clamp_min(1e-9)

@@ -57,7 +57,7 @@ def match(
     found = torch.eye(3, dtype=torch.float64).repeat(len(images), 1, 1)
     height = torch.zeros(len(images))
     for turn in turns:
-        turned, _ = sample(reference, turn[None], level)
+        turned, _ = sample(reference[None], turn[None], level)
         surface = correlation(turned[0], spectra, (h, w), standing)
         peak, at = surface.flatten(1).max(1)
         peak = peak / surface.std((1, 2)).clamp_min(1e-20)
