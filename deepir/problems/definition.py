@@ -9,12 +9,12 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.noise import sample_noise
+from deepir.noise import sample_noise, typical_noise
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
-from deepir.strengths import doubt_misfits, start_parts, weigh_scene
+from deepir.strengths import doubt_misfits, give_up_dead, start_parts, weigh_scene
 from deepir.thin import thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
@@ -87,10 +87,13 @@ def start_scene_and_parts(problem: Problem) -> None:
     what the others show.
     """
     start_scene(problem)
+    noise = typical_noise(problem.precision)
     start_parts(problem)
+    give_up_dead(problem, noise)
     doubt_misfits(problem)
     for turn in range(TURNS):
         start_scene(problem, again=turn > 0)  # not the first time: pixels have been given up
+        give_up_dead(problem, noise)
         doubt_misfits(problem)
 
 
