@@ -34,5 +34,5 @@ def flattest(frame: Tensor, usable: Tensor, field: Terms) -> Tensor:
     for _ in range(ROUNDS):
         left = (slopes[0] - found @ slopes[1:]).abs()
         weighted = slopes[1:] * (sure / left.clamp(min=noise))
-        found = torch.linalg.lstsq(weighted @ slopes[1:].T, weighted @ slopes[0][:, None]).solution[:, 0]
+        found = torch.linalg.pinv(weighted @ slopes[1:].T) @ (weighted @ slopes[0])
     return torch.tensordot(found, terms.double(), 1)

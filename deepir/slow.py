@@ -62,7 +62,7 @@ class Slow:
         self.step, self.terms = (step_y, step_x), terms
         seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))
         together = seen.transpose(0, 1).flatten(1)  # one system for all frames
-        carried = torch.linalg.lstsq(terms, together).solution
+        carried = torch.linalg.lstsq(terms, together, driver="gels").solution
         self.carried = carried.unflatten(1, seen.shape[::2]).transpose(0, 1)
         weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
         area = height * width / weights.shape[1]
@@ -94,7 +94,7 @@ class Slow:
     def of_terms(self, field: Terms) -> tuple[Tensor, Tensor]:
         """The slow part of each of the K terms of a map, (terms + 1, K), and what is not, (K, points y, points x)."""
         maps = field.sampled(*self.step).double()
-        slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T).solution
+        slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T, driver="gels").solution
         return slow, maps - (self.terms @ slow).T.reshape(maps.shape)
 
     def _maps(self, more: Sequence[Tensor]) -> Tensor:

@@ -36,6 +36,6 @@ def homographies(motion: Tensor) -> Tensor:
         of_v = torch.stack((zero, zero, zero, x, y, one, -v * x, -v * y), 1)
         unit = x.new_tensor([1, 1, 1, 1, 1, 1, 1 / size[0] ** 2, 1 / size[1] ** 2])
         rows = torch.cat((of_u, of_v)) * unit
-        solved = torch.linalg.lstsq(rows, torch.cat((u, v))[:, None]).solution[:, 0] * unit
+        solved = torch.linalg.lstsq(rows, torch.cat((u, v))[:, None], driver="gels").solution[:, 0] * unit
         found.append(torch.cat((solved, one[:1])).reshape(3, 3))
     return torch.stack(found).to(motion)

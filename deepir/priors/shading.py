@@ -87,7 +87,7 @@ class Shading(Part):
             powers, place = (
                 torch.linalg.vander(each, N=len(polynomials)) for each in (pixels, 2 * at / (side - 1))
             )
-            coefficients = torch.linalg.lstsq(powers, polynomials.T).solution
+            coefficients = torch.linalg.lstsq(powers, polynomials.T, driver="gels").solution
             along.append((place @ coefficients)[..., order])
         return along[0] * along[1]
 

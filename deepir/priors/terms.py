@@ -46,7 +46,9 @@ class Terms(Held):
         rest = (value.to(self.values).expand(self.shape) - self.neutral).flatten()
         terms = self.sampled().flatten(1)
         rest = terms @ (rest - rest.mean())
-        self.values.copy_(torch.linalg.lstsq(terms @ terms.T, rest[:, None]).solution[:, 0] / self.step)
+        self.values.copy_(
+            torch.linalg.lstsq(terms @ terms.T, rest[:, None], driver="gels").solution[:, 0] / self.step
+        )
 
     def sampled(self, step_y: int = 1, step_x: int = 1) -> Tensor:
         """All terms at each so manieth pixel, (terms, h / step_y, w / step_x)."""

@@ -9,6 +9,7 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
+from deepir.levels import start_jumps
 from deepir.noise import sample_noise, typical_noise
 from deepir.problem import Problem
 from deepir.registry import register
@@ -87,6 +88,10 @@ def start_scene_and_parts(problem: Problem) -> None:
     what the others show.
     """
     start_scene(problem)
+    for _ in range(TURNS):
+        if not start_jumps(problem):
+            break
+        start_scene(problem)
     noise = typical_noise(problem.precision)
     start_parts(problem)
     give_up_dead(problem, noise)
