@@ -47,12 +47,12 @@ def dead(frames: Tensor, pattern: Tensor, usable: Tensor, noise: float) -> Tenso
     mean = (frames * usable).sum(0, keepdim=True) / count.clamp(min=1)
     change = ((frames - mean).square() * usable).sum(0, keepdim=True)
     calm = (count > 1) & (change < (count - 1) * (CALM * noise) ** 2)
-    known = count > 0
-    far = torch.zeros_like(known)
+    live = (count > 0) & ~calm
+    far = torch.zeros_like(calm)
     for axis in (-2, -1):  # a dead column differs from all others in its rows
-        apart = pattern - pattern.where(known, torch.nan).nanmedian(axis, keepdim=True).values.nan_to_num()
-        apart = apart.abs()
-        far |= apart > OFF * MAD * apart[known].median()
+        usual = pattern.where(live, torch.nan).nanmedian(axis, keepdim=True).values.nan_to_num()
+        apart = (pattern - usual).abs()
+        far |= apart > OFF * MAD * apart[live].median()
     return calm & far
 
 
