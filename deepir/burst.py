@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import torch
 
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
@@ -56,7 +57,7 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
     if frames is not None:
         source, digest = "frames", ""
-        stack = to_float32(select_frames(stacked(np.asanyarray(frames), source), data.frames, source))
+        stack = to_float32(select_frames(stacked(_array(frames), source), data.frames, source))
     elif data.path is not None:
         read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
         stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
@@ -82,6 +83,18 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
     return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin)
+
+
+def _array(frames: Any) -> Array:
+    """NumPy's array of an array, a tensor, or a list of either; `DataError` where there is none."""
+    try:
+        if isinstance(frames, torch.Tensor):
+            frames = frames.detach().cpu()
+            return np.asarray(frames.float() if frames.dtype == torch.bfloat16 else frames)
+        return np.asanyarray(frames)
+    except (TypeError, ValueError, RuntimeError) as error:
+        why = str(error).splitlines()[0]
+        raise DataError(f"frames: no array (frames, height, width) can be made of them: {why}") from None
 
 
 def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:

@@ -41,6 +41,8 @@ def load(
     Raises:
         ConfigError: Unknown name, broken YAML, unknown key or wrong value; the message gives the key's path.
     """
+    if not isinstance(config, str | os.PathLike | Mapping):
+        raise ConfigError(f"configuration: {config!r}: a shipped name, a path or a mapping is needed")
     label = "configuration" if isinstance(config, Mapping) else str(config)
     base = _merge(
         label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {})
@@ -203,7 +205,11 @@ def _did_you_mean(name: str, known: Sequence[str]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Paths as text, for a caller in Python."""
+    """Paths as text and NumPy's numbers as Python's, for a caller in Python; `ConfigError` for an array."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
-    return os.fspath(value) if isinstance(value, os.PathLike) else value
+    if getattr(value, "ndim", 0) > 0:
+        raise ConfigError(
+            f"an array of shape {tuple(value.shape)} in the options: save it, and give the name of its file"
+        )
+    return os.fspath(value) if isinstance(value, os.PathLike) else getattr(value, "tolist", lambda: value)()

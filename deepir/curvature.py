@@ -301,6 +301,8 @@ def _slow(
         unit[mine] = float(each.step)
         if isinstance(each, Terms):
             whole[mine, mine] += _rest(problem, slow, each, found)
+        else:  # what all levels have in common is nothing, and would be all that the inverse has digits for
+            whole[mine, mine] += whole[mine, mine].diagonal().mean() / made.shape[-1]
     spread = expected(found, slow.frame) + found[SMOOTH] * slow.frame.share.square()
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _stiffness(problem, slow)

@@ -16,6 +16,8 @@ DEVIATION = 7.0  # robust standard deviations of the pattern beyond which a pixe
 MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, from which a pixel is defective
 MOST = 100.0  # squared misfit that counts of one sample: one frame does not condemn a pixel
 LONELY = 4.0  # how many times more a defective pixel misfits than its neighbourhood
+CALM = 0.3  # standard deviation over the frames, in that of the noise, below which a pixel does not change
+OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
 WINDOW = 5  # px: side of a neighbourhood
 CROWD = 2.0  # mean squared misfit of a neighbourhood from which it shows something else
 
@@ -32,6 +34,26 @@ def deviating(pattern: Tensor, known: Tensor) -> Tensor:
         return torch.zeros_like(known)
     apart = apart.abs()
     return known & (apart > DEVIATION * MAD * differ.median()) & (apart > LONELY * median(apart))
+
+
+@torch.no_grad()
+def dead(frames: Tensor, pattern: Tensor, usable: Tensor, noise: float) -> Tensor:
+    """Pixels (1, 1, h, w), bool, that do not even show noise, and whose pattern is far from the others'.
+
+    Whole lines and blocks of them too, which `deviating` takes for columns, or for something in the scene. What is
+    saturated or zero because the scene is has no pattern. frames, usable (N, 1, h, w); noise: of a sample.
+    """
+    count = usable.sum(0, keepdim=True)
+    mean = (frames * usable).sum(0, keepdim=True) / count.clamp(min=1)
+    change = ((frames - mean).square() * usable).sum(0, keepdim=True)
+    calm = (count > 1) & (change < (count - 1) * (CALM * noise) ** 2)
+    live = (count > 0) & ~calm
+    far = torch.zeros_like(calm)
+    for axis in (-2, -1):  # a dead column differs from all others in its rows
+        usual = pattern.where(live, torch.nan).nanmedian(axis, keepdim=True).values.nan_to_num()
+        apart = (pattern - usual).abs()
+        far |= apart > OFF * MAD * apart[live].median()
+    return calm & far
 
 
 @torch.no_grad()

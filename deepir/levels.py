@@ -6,11 +6,15 @@ import torch
 from torch import Tensor
 
 from deepir.noise import typical_noise
+from deepir.priors.drift import Drift
 from deepir.problem import Problem
 from deepir.thin import thinned
 
 #: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
 DRIFT = 0.25
+
+#: The same, in those of all that the average leaves, pattern most of it, that are no slope of anything.
+JUMP = 2.0
 
 
 @torch.no_grad()
@@ -19,6 +23,24 @@ def level_residuals(problem: Problem) -> Tensor:
     data, precision, expected = thinned(problem.data, problem.precision, problem.predict(problem.values()))
     rest = (data - expected).where(precision > 0, torch.nan)
     return rest.nanmedian(1).values.nan_to_num()[:, None, None, None]
+
+
+@torch.no_grad()
+def start_jumps(problem: Problem) -> bool:
+    """Take levels that stand out of the frames' pattern over into what is known of a drift; whether there are any.
+
+    In an average of frames whose levels are far apart, edges of the frames stand as edges of the scene.
+    """
+    fields = [problem.fields[name] for name in level_names(problem) if name in problem.free()]
+    drifts = [field for field in fields if isinstance(field, Drift) and not field.given]
+    level = level_residuals(problem)
+    level -= level.mean()
+    data, precision, expected = thinned(problem.data, problem.precision, problem.predict(problem.values()))
+    rest = (data - expected - level.flatten(1))[precision > 0]
+    if not drifts or not level.abs().max() > JUMP * rest.std():
+        return False
+    drifts[0].jumps.add_(level)
+    return True
 
 
 def drift_message(problem: Problem) -> list[str]:

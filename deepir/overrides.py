@@ -25,6 +25,8 @@ def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]
     """Keys with their values; `ConfigError` for one that is not `key=value`, or whose value is not YAML."""
     found = []
     for pair in pairs:
+        if not isinstance(pair, str):
+            raise ConfigError(f"{pair!r}: a setting is text, such as 'data.path=burst.npz'")
         key, equals, text = (part.strip() for part in pair.partition("="))
         if not equals or not all(key.split(".")):
             hint = (

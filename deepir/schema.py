@@ -57,8 +57,8 @@ class Data(_Strict):
 class Noise(_Strict):
     """Noise of a sample: variance `read² + y / photons`."""
 
-    read: float = Field(ge=0)  # standard deviation, in the data's units
-    photons: float | None = Field(None, gt=0)  # photons for each unit of data; None: no photon noise
+    read: float = Field(ge=0, le=1e15)  # standard deviation, in the data's units
+    photons: float | None = Field(None, ge=1e-15)  # photons for each unit of data; None: no photon noise
 
 
 class StepConfig(_Strict):

@@ -46,7 +46,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
         field.sigma.fill_(drift)
         if step is not None:
             field.step.copy_(step)
-            field.init_from(evidence.levels(smooth, drift))
+            field.init_from(field.jumps + evidence.levels(smooth, drift))
     for each in stray:
         if not each.given:
             known = bool(smooth) and bool(each.sigma > 0)
@@ -123,6 +123,8 @@ class _Evidence:
                 0
             )
         self.slow.doubt(self._chance(variance))
+        #: Levels that jump do drift.
+        self.jumps = bool(_jumps(problem).any())
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = thinned(residual[:, None])
         middle = some.median()
@@ -154,13 +156,15 @@ class _Evidence:
         """Strengths of shading and drift; zero for what makes the frames not by `CERTAIN` nats, or `RARE`, likelier."""
         data, precision = thinned(self.slow.problem.data, self.slow.problem.precision)
         grid = float(data[precision > 0].std()) * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
-        used = torch.cartesian_prod(*(torch.arange(1 + each) for each in (smooth, drift)))
+        used = torch.cartesian_prod(
+            torch.arange(1 + smooth), torch.arange(int(self.jumps and drift), 1 + drift)
+        )
         best = [
             self._best(each, torch.cartesian_prod(*(grid if one else grid.new_zeros(1) for one in each)))
             for each in used
         ]
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
-        shaded = nats.get((1, 0), math.inf) + CERTAIN < nats[0, 0]
+        shaded = nats.get((1, 0), math.inf) + CERTAIN < nats.get((0, 0), math.inf)
         asked = used @ torch.tensor([CERTAIN, RARE if shaded else CERTAIN], dtype=torch.long)
         found = best[int((torch.tensor(list(nats.values())) + asked).argmin())][1]
         return float(found[0]), float(found[1])
@@ -222,7 +226,13 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
             own = (values[name] - neutral)[0, 0].double()
             slow = own.mean() + frame.spread(frame.sums(own) / own.numel())
             quick[kind] = quick[kind] - slow.to(quick[kind])
-    return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"])[:, 0]
+    return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"] - _jumps(problem))[:, 0]
+
+
+def _jumps(problem: Problem) -> Tensor:
+    """Known levels of the frames, (N, 1, 1, 1) or as one."""
+    found = [field.jumps for field in problem.fields.values() if isinstance(field, Drift)]
+    return sum(found, problem.data.new_zeros(1, 1, 1, 1))
 
 
 def shifts(problem: Problem) -> Tensor:

@@ -11,7 +11,7 @@ import torch
 from scipy.optimize import nnls
 from torch import Tensor
 
-from deepir.defects import crowded, defective, deviating
+from deepir.defects import crowded, dead, defective, deviating
 from deepir.evidence import likeliest
 from deepir.noise import MAD
 from deepir.operators import Warp
@@ -149,9 +149,8 @@ def start_parts(problem: Problem) -> None:
 
     Pixels that are no part of it are left out.
     """
-    rest = problem.data - problem.predict(problem.values())
     usable = problem.precision > 0
-    pattern = (rest * usable).sum(0, keepdim=True) / usable.sum(0, keepdim=True).clamp(min=1)
+    pattern = pattern_left(problem, usable.to(problem.data))
     data, counts = thinned(problem.data, usable)
     level = float(data[counts].mean().abs())
     for slot, unit in (("gain", level), ("offset", 1.0)):
@@ -160,6 +159,20 @@ def start_parts(problem: Problem) -> None:
                 part.sigma.fill_(spread(share(pattern, part)) / 2**0.5 / unit)
                 part.most.copy_(MOST * part.sigma)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
+
+
+def pattern_left(problem: Problem, weight: Tensor) -> Tensor:
+    """What the frames are in the mean above the prediction, (1, 1, h, w), by the weight of their samples."""
+    rest = (problem.data - problem.predict(problem.values())) * weight
+    return rest.sum(0, keepdim=True) / weight.sum(0, keepdim=True).clamp(min=1e-6)
+
+
+@torch.no_grad()
+def give_up_dead(problem: Problem, noise: float) -> None:
+    """Give up pixels that are dead; from the edge of a block inwards, for its inside shows itself in the average."""
+    usable = problem.precision > 0
+    pattern = pattern_left(problem, usable.to(problem.data))
+    problem.precision.mul_(~dead(problem.data, pattern, usable, noise))
 
 
 @torch.no_grad()

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 import deepir
-from deepir.defects import crowded, defective, deviating
+from deepir.defects import crowded, dead, defective, deviating
 from deepir.simulate import Settings, simulate
 
 KNOWN = torch.ones(1, 1, 40, 50, dtype=torch.bool)
@@ -32,6 +32,34 @@ def test_a_saturated_half_is_not_dead():
     half = pattern()
     half[..., :25] = 0
     assert not deviating(half, KNOWN).any()
+
+
+def test_dead_lines_and_blocks_are_found_live_pixels_that_hardly_change_are_not():
+    frames, usable = 8000 + pattern() + 3 * torch.randn(6, 1, 40, 50), torch.ones(6, 1, 40, 50) > 0
+    frames[..., 7], frames[:, :, 21], frames[:, :, 30:36, 30:36] = 50.0, 16383.0, 0.0
+    found = dead(frames, frames.mean(0, keepdim=True) - 8000, usable, 3.0)
+    expected = torch.zeros_like(found)
+    expected[..., 7] = expected[:, :, 21] = expected[:, :, 30:36, 30:36] = True
+    assert torch.equal(found, expected)
+
+
+def test_what_is_saturated_as_the_scene_is_lives():
+    frames, usable = 8000 + pattern() + 3 * torch.randn(6, 1, 40, 50), torch.ones(6, 1, 40, 50) > 0
+    frames[:, :, :20] = 16383.0
+    left = frames.mean(0, keepdim=True) - torch.where(torch.arange(40)[:, None] < 20, 16383.0, 8000.0)
+    assert not dead(frames, left, usable, 3.0).any()
+
+
+def test_a_burst_with_dead_columns_and_a_dead_block_is_as_good_as_without():
+    camera = Settings(n_frames=5, shape=(64, 80), counts=True, shading=0.0, dead_pixels=0.0)
+    sim = simulate(None, camera, seed=5)
+    frames = sim.frames.copy()
+    frames[:, :, [20, 21, 60]], frames[:, 30:36, 40:46] = 57, 0
+    errors = [
+        deepir.run("nuc", frames=each, threads=1).scene - sim.truth.scene for each in (sim.frames, frames)
+    ]
+    whole, holed = (np.abs(error - np.median(error)).mean() for error in errors)
+    assert holed < 1.3 * whole
 
 
 def test_a_pixel_that_misfits_in_all_frames_is_given_up_one_that_does_so_once_is_not():

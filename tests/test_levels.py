@@ -23,6 +23,20 @@ def test_a_drift_is_found_but_for_a_slope_that_looks_the_same(n_frames, share):
     assert np.abs(error).max() < share * np.ptp(sim.truth.level)
 
 
+def test_a_jump_of_the_level_by_twice_the_scene_is_taken_out():
+    sim = simulate(None, dataclasses.replace(CAMERA, n_frames=6), seed=3)
+    jump = 2 * sim.settings.contrast * (np.arange(6) > 2)
+    result = deepir.run("nuc", frames=sim.frames + jump[:, None, None], threads=1)
+    assert np.abs(result.level - (jump - jump.mean())).max() < 0.01 * sim.settings.contrast
+    error = result.scene - sim.truth.scene
+    assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
+
+
+def test_a_run_whose_level_drifts_repeats_to_the_bit():
+    first, second = (run(n_frames=6, level_drift=0.3)[0] for _ in range(2))
+    np.testing.assert_array_equal(first.scene, second.scene)
+
+
 @pytest.mark.parametrize("n_frames", [3, 6])
 def test_a_burst_without_drift_has_none(n_frames):
     result, _ = run(n_frames)

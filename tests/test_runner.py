@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import deepir
+from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
 
@@ -83,6 +84,34 @@ def test_truth_of_another_size_is_an_error(frames, tmp_path):
 def test_frames_of_another_shape_are_an_error(wrong):
     with pytest.raises(DataError, match="frames"):
         deepir.run("nuc", frames=wrong)
+
+
+@pytest.mark.parametrize("kind", [torch.bfloat16, torch.float64, torch.float32])
+def test_frames_may_be_a_tensor_of_any_kind(frames, kind):
+    tensor = torch.from_numpy(frames.astype(np.float32)).to(kind).requires_grad_()
+    assert deepir.run("nuc", frames=tensor, **QUICK).scene.shape == (40, 48)
+
+
+def test_what_no_frames_can_be_made_of_is_an_error(frames):
+    for wrong in ([frames[0], frames[1][:20]], [frames[0], None], torch.empty(3, 40, 48, device="meta")):
+        with pytest.raises(DataError, match="frames: no array"):
+            deepir.run("nuc", frames=wrong)
+
+
+def test_configurations_and_settings_of_another_kind_are_errors(frames):
+    for config, settings, options in (
+        (None, (), {}),
+        (3, (), {}),
+        ("nuc", (3,), {}),
+        ("nuc", ({"seed": 3},), {}),
+        ("nuc", (), {"data": {"truth": np.zeros((40, 48))}}),
+    ):
+        with pytest.raises(ConfigError, match=r"is needed|is text|name of its file"):
+            deepir.run(config, *settings, frames=frames, **options)
+
+
+def test_options_may_be_numbers_of_numpy(frames):
+    assert load("nuc", (), {"seed": np.int64(3)}).seed == 3
 
 
 def test_a_misspelt_option_is_an_error(frames):

@@ -12,6 +12,9 @@ from deepir.errors import DataError
 SMALLEST = 16
 """Pixels on a side: below this there is nothing to register or to estimate a scene from."""
 
+LARGEST = 1e15
+"""Of a frame's values: squares of what is larger, or of one over it, are beyond float32."""
+
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
@@ -35,10 +38,16 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
                 "leave it out (data.frames), or mend the file"
             )
         values = frames[k][valid[k]]
-        if values.min() == values.max():
+        low, high = float(values.min()), float(values.max())
+        if low == high:
             raise DataError(
-                f"{source}: frame {k} is {values[0]:g} everywhere: a shutter or a lost frame? "
+                f"{source}: frame {k} is {low:g} everywhere: a shutter or a lost frame? "
                 "Leave it out (data.frames)"
+            )
+        if max(-low, high) > LARGEST or high - low < 1 / LARGEST:
+            raise DataError(
+                f"{source}: frame {k} is {low:g} to {high:g}, which is out of bounds (1e-15 to 1e15): damaged, or in "
+                "unusual units? Give counts, kelvin or [0, 1]"
             )
     return valid.mean(axis=0) < 0.5, valid
 

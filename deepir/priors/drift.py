@@ -15,27 +15,35 @@ class Drift(Held):
     """One Gaussian value for each frame, of mean zero; `sigma`, in data units, is found from the burst if not given.
 
     Without strength it is zero: over a burst that does not drift, a free level would take part of the scene's slope
-    away, for a camera that moves over a slope sees its level change.
+    away, for a camera that moves over a slope sees its level change. `jumps` are levels that are known, to which it is
+    added: no slope makes levels that differ by more than a frame's pattern does.
     """
+
+    jumps: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral, sigma=sigma)
         self.values = nn.Parameter(torch.zeros(self.shape))
+        self.register_buffer("jumps", torch.zeros(self.shape))
 
     def forward(self) -> Tensor:
         """The levels, (N, 1, 1, 1)."""
         levels = self.step * (self.sigma > 0) * self.values
-        return self.neutral + levels - levels.mean()
+        return self.neutral + self.jumps + levels - levels.mean()
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Take the levels over, less their mean."""
-        value = value.to(self.values).expand(self.shape) - self.neutral
+        value = value.to(self.values).expand(self.shape) - self.neutral - self.jumps
         self.values.copy_((value - value.mean()) / self.step)
 
     def penalty(self) -> Tensor | None:
         """`½ Σ level² / sigma²`."""
-        return ((self.forward() - self.neutral) / self.sigma).square().sum() / 2 if self.sigma > 0 else None
+        return (
+            ((self.forward() - self.neutral - self.jumps) / self.sigma).square().sum() / 2
+            if self.sigma > 0
+            else None
+        )
 
     @classmethod
     def example(cls) -> Drift:

@@ -7,15 +7,19 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from deepir.noise import sample_noise
+from deepir.levels import start_jumps
+from deepir.noise import sample_noise, typical_noise
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.solve import Stage, Step
-from deepir.strengths import doubt_misfits, start_parts, weigh_scene
+from deepir.strengths import doubt_misfits, give_up_dead, pattern_left, spread, start_parts, weigh_scene
 from deepir.thin import thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
+PASSES = 20  # over scene and pattern, at most
+STRONG = 1.5  # times as much as the frames' average shows: a pattern that is to be taken out before a solve
+SETTLED = 0.1  # of the noise: a change of the pattern that is little
 SEEN = 0.1  # frames that must show a pixel of the scene, for it to be known
 
 
@@ -85,11 +89,49 @@ def start_scene_and_parts(problem: Problem) -> None:
     what the others show.
     """
     start_scene(problem)
+    for _ in range(TURNS):
+        if not start_jumps(problem):
+            break
+        start_scene(problem)
+    noise = typical_noise(problem.precision)
     start_parts(problem)
+    give_up_dead(problem, noise)
+    strong = len(problem.data) > 1 and bool(problem.closed_form()) and pattern_is_strong(problem)
+    if strong:
+        take_pattern_out(problem, noise)
     doubt_misfits(problem)
     for turn in range(TURNS):
-        start_scene(problem, again=turn > 0)  # not the first time: pixels have been given up
+        if strong:
+            take_pattern_out(problem, noise)
+        else:
+            start_scene(problem, again=turn > 0)  # not the first time: pixels have been given up
+        give_up_dead(problem, noise)
         doubt_misfits(problem)
+
+
+@torch.no_grad()
+def pattern_is_strong(problem: Problem) -> bool:
+    """Whether what stands still is stronger than all that is in the average of the frames."""
+    scene, weight = problem.backproject(problem.values())
+    pattern = pattern_left(problem, (problem.precision > 0).to(problem.data))
+    return spread(pattern) > STRONG * spread(scene[weight > SEEN * weight.max()])
+
+
+@torch.no_grad()
+def take_pattern_out(problem: Problem, noise: float) -> None:
+    """Take out of the scene's start what stands still: the pattern, of what the scene leaves, and the scene by turns.
+
+    A pattern many times stronger than the scene is else all that there is in the average, and no solve gets away from
+    there.
+    """
+    frames = problem.data.clone()
+    for _ in range(PASSES):
+        pattern = pattern_left(problem, (problem.precision > 0).to(problem.data))
+        problem.data.sub_(pattern)
+        start_scene(problem)
+        if spread(pattern) < SETTLED * noise:
+            break
+    problem.data.copy_(frames)
 
 
 @torch.no_grad()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import typing
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -20,6 +21,10 @@ CHOICES = {
     "gain_distribution": ("normal", "uniform"),
     "stray_shape": ("smooth", "radial", "ring", "edge"),
 }
+
+#: Px at most: the scene is drawn as large, or the blur's kernel.
+LONGEST = {"max_shift": 2000, "psf_sigma": 50, "airy_radius": 50, "defocus_radius": 50, "motion_blur": 200}
+MOST = 2**30  # samples of all frames: what is held of them at once fits into a large memory
 
 #: Effects that exclude others.
 APART = {
@@ -105,6 +110,7 @@ class Settings:
             raise ConfigError(
                 "simulate: at least one frame (n_frames) of at least 8 x 8 px (shape) is needed"
             )
+        self._check_size()
         if not 1 <= self.factor <= 8:
             raise ConfigError(f"simulate.factor = {self.factor}: a whole number from 1 to 8 is needed")
         if self.scale is not None and self.scale < self.least_scale:
@@ -136,6 +142,16 @@ class Settings:
             other = next((each for each in others if getattr(self, each)), None)
             if getattr(self, key) and other:
                 raise ConfigError(f"simulate.{key}: not together with simulate.{other}")
+
+    def _check_size(self) -> None:
+        """Raise `ConfigError` for more than a memory holds."""
+        for key, most in LONGEST.items():
+            if (value := getattr(self, key)) > most:
+                raise ConfigError(f"simulate.{key} = {value}: at most {most} px")
+        if (samples := math.prod((self.n_frames, *self.shape))) > MOST:
+            raise ConfigError(
+                f"simulate: {samples:.3g} samples (n_frames times shape); at most {MOST:.3g} are simulated"
+            )
 
     @property
     def least_scale(self) -> float:

@@ -230,6 +230,8 @@ COMMANDS = {
     "simulate burst.npz": ["burst.npz exists", "--overwrite"],
     "simulate out.npz n_frame=3": ["simulate: no option 'n_frame'", "did you mean 'n_frames'"],
     "simulate out.npz n_frames=many": ["n_frames = 'many': a whole number"],
+    "simulate out.npz n_frames=100000000": ["simulate: 3.07e+12 samples", "at most"],
+    "simulate out.npz max_shift=1e9": ["simulate.max_shift = 1000000000.0: at most 2000 px"],
     "simulate out.npz motion=rigit": ["did you mean 'rigid'"],
     "simulate out.npz --scene none.png": ["none.png: no such file"],
     "--vresion": ["No such option: --vresion", "--version"],

@@ -45,6 +45,12 @@ def test_a_constant_frame_is_named(frames):
         validate(frames, "a")
 
 
+@pytest.mark.parametrize("scale", [1e18, 1e-30])
+def test_numbers_beyond_reason_are_refused(frames, scale):
+    with pytest.raises(DataError, match=r"^a: frame 0 is .* out of bounds"):
+        validate(frames * np.float32(scale), "a")
+
+
 def test_too_few_frames_say_how_many_are_needed(frames):
     with pytest.raises(DataError, match=r"3 frame\(s\), but this needs at least 8"):
         validate(frames, "a", needs=8)

@@ -61,3 +61,20 @@ def test_noise_that_is_given_as_it_was_made_does_next_to_as_well_as_that_which_i
     )
     found, told = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, told))
     assert told > found - 1
+
+
+def test_a_pattern_many_times_stronger_than_the_scene_is_taken_out():
+    camera = Settings(
+        n_frames=6,
+        shape=(64, 80),
+        counts=True,
+        contrast=300,
+        offset_pixel=6.0,
+        offset_column=4.0,
+        read_noise=0.02,
+        dead_pixels=0.0,
+    )
+    sim = simulate(None, camera, seed=4)
+    error = deepir.run("nuc", frames=sim.frames, threads=1).scene - sim.truth.scene
+    assert np.std(sim.truth.offset) > 5 * sim.settings.contrast
+    assert error.std() < 0.02 * sim.settings.contrast
