@@ -17,7 +17,7 @@ from deepir.registration.search import match, search
 FAILED = 0.6  # agreement below which a frame is left out: other scenes reach 0.5, once aligned
 OVERLAP = 0.15  # share of the frame that must see what others see
 CLEARLY = 1.5  # times more unexplained: a worse motion
-SAME = 2.0  # times what is left with motions, for each degree of freedom: frames that do not move
+SAME = 1.3  # times what is left with motions, for each degree of freedom: frames that do not move
 #: Motions by more than this share of the frame explain frames that do not move, too, down to so many times less: what
 #: few frames see is easily explained.
 FAR, SAME_IF_FAR = 0.3, 4.0
