@@ -66,7 +66,8 @@ def give_strengths(problem: Problem, sim: Simulation) -> None:
         for part in sorted(parts, key=lambda part: (not isinstance(part, Shading), -len(part.along))):
             part.sigma.fill_(1.0)
             part.init_from(rest + part.neutral)
-            share, terms = part.values.expand(rest.shape), len(part.white) if isinstance(part, Shading) else 1
+            share = part.values.expand(rest.shape)
+            terms = part.share.square().sum() if isinstance(part, Shading) else 1
             part.sigma.fill_(float(share.square().mean() / terms) ** 0.5)
             part.white.data.zero_()
             rest = rest - share
