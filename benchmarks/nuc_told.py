@@ -68,6 +68,6 @@ def give_strengths(problem: Problem, sim: Simulation) -> None:
             part.init_from(rest + part.neutral)
             share = part.values.expand(rest.shape)
             terms = part.share.square().sum() if isinstance(part, Shading) else 1
-            part.sigma.fill_(float(share.square().mean() / terms) ** 0.5)
+            part.sigma.fill_(float(share.detach().square().mean() / terms) ** 0.5)
             part.white.data.zero_()
             rest = rest - share
