@@ -46,7 +46,7 @@ class Regime:
         return self.pictures["AB".index(half)]
 
 
-FEW = {3: "three frames do not tell shading from the scene"}
+FEW = {3: "three frames tell shading from the scene only in part"}
 STILL = dict.fromkeys((3, 5, 10), "nothing moves along y: a row's pattern is the scene's as well")
 
 REGIMES: dict[str, Regime] = {
