@@ -147,17 +147,19 @@ def measure_roughness(problem: Problem) -> None:
 def start_parts(problem: Problem) -> None:
     """First strengths of gain and offset, split evenly, from the pattern: the frames less their registered average.
 
-    Pixels that are no part of it are left out.
+    Pixels that are no part of it are left out. Gains are by the rms of the data: a dark frame with bright spots shows
+    next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean.
     """
     usable = problem.precision > 0
     pattern = pattern_left(problem, usable.to(problem.data))
     data, counts = thinned(problem.data, usable)
-    level = float(data[counts].mean().abs())
-    for slot, unit in (("gain", level), ("offset", 1.0)):
+    level, rms = float(data[counts].mean().abs()), float(data[counts].square().mean().sqrt())
+    for slot, unit, most in (("gain", rms, level), ("offset", 1.0, 1.0)):
         for part in _all_parts(problem, slot):
             if not (part.given or isinstance(part, Shading)):
-                part.sigma.fill_(spread(share(pattern, part)) / 2**0.5 / unit)
-                part.most.copy_(MOST * part.sigma)
+                found = spread(share(pattern, part)) / 2**0.5
+                part.sigma.fill_(found / unit)
+                part.most.fill_(MOST * found / most)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
 
 
