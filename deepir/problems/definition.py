@@ -114,7 +114,8 @@ def pattern_is_strong(problem: Problem) -> bool:
     """Whether what stands still is stronger than all that is in the average of the frames."""
     scene, weight = problem.backproject(problem.values())
     pattern = pattern_left(problem, (problem.precision > 0).to(problem.data))
-    return spread(pattern) > STRONG * spread(scene[weight > SEEN * weight.max()])
+    # By the standard deviation: before a black sky the bulk has next to none.
+    return spread(pattern) > STRONG * float(scene[weight > SEEN * weight.max()].std())
 
 
 @torch.no_grad()
