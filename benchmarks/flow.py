@@ -36,7 +36,8 @@ from deepir.problem import Problem
 from deepir.registration import register
 from deepir.report.panels import write_panels
 from deepir.simulate import Settings, Simulation, simulate
-from deepir.solve import Stage, Step, solve
+from deepir.solve import solve
+from deepir.stage import Stage, Step
 from deepir.strengths import update_noise
 
 PICTURES = ("coffee", "rocket", "procedural 40")

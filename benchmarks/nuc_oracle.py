@@ -17,7 +17,8 @@ from deepir.config import Config, load
 from deepir.metrics import scores
 from deepir.problems.definition import start_scene
 from deepir.simulate import Settings, Simulation, render
-from deepir.solve import Stage, Step, solve
+from deepir.solve import solve
+from deepir.stage import Stage, Step
 
 VERSION = 2  # to be raised with a change, here or of deepir's warp, that gives other figures
 ITERATIONS, TOLERANCE = 100, 1e-6  # 300 iterations change the best PSNR by 0.05 dB at most

@@ -19,7 +19,8 @@ from deepir.problem import Problem
 from deepir.problems.definition import start_scene
 from deepir.problems.nuc import WEAK
 from deepir.simulate import Simulation
-from deepir.solve import Stage, Step, solve
+from deepir.solve import solve
+from deepir.stage import Stage, Step
 from deepir.strengths import measure_roughness, weigh_scene
 
 VERSION = 1  # to be raised with a change, here or of deepir's solve, that gives other figures

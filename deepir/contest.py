@@ -20,7 +20,7 @@ from deepir.config import Config
 from deepir.problem import Problem
 from deepir.problems.definition import filled
 from deepir.schema import Fit
-from deepir.solve import Stage, Step
+from deepir.stage import Stage, Step
 from deepir.strengths import weigh_scene
 
 ROUNDS = 30  # of the registered average

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepir.problem import Problem
-from deepir.solve import Stage, Step
+from deepir.stage import Stage, Step
 from deepir.strengths import weigh_scene
 
 TRIALS = 7

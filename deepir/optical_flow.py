@@ -18,7 +18,8 @@ from deepir.operators import Chain, Warp
 from deepir.priors.constant import Constant
 from deepir.priors.flow import Flow
 from deepir.problem import Problem
-from deepir.solve import Stage, Step, solve
+from deepir.solve import solve
+from deepir.stage import Stage, Step
 
 FACTORS = (8, 4, 2)  # by which the pictures are coarser
 LEAST = 16  # px of a picture's shorter side

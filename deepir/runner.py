@@ -23,10 +23,10 @@ from deepir.build import build
 from deepir.comparison import compared
 from deepir.config import Config, load
 from deepir.errors import ConfigError
-from deepir.joint import plan
 from deepir.method import chosen
 from deepir.metrics import roughness
 from deepir.order import demand_order
+from deepir.planned import plan
 from deepir.registry import lookup
 from deepir.result import Result
 from deepir.solve import Progress

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from deepir.drawing import Canvas, Point
+from deepir.drawing import Canvas
+from deepir.objects import car, deer, house, person, tree, window, wires
 
 
 def procedural(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray:
@@ -43,7 +42,7 @@ def sky(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray:
     horizon = c.vary(0.85, 0.88)
     mast = c.aspect * c.vary(0.2, 0.8)
     c.rod((mast, 0.95), (mast, horizon - c.vary(0.15, 0.25)), 0.008, 0.8, taper=0.5, limb=0.1)
-    _tree(c, c.aspect * c.vary(0.1, 0.9), horizon + 0.03, 0.12, 0.6)
+    tree(c, c.aspect * c.vary(0.1, 0.9), horizon + 0.03, 0.12, 0.6)
     c.ground(horizon, 0.7, hills=0.008, warmer=0.3, rough=0.03)
     return _stretched(c.image)
 
@@ -53,136 +52,30 @@ def _stretched(image: np.ndarray) -> np.ndarray:
     return (image - low) / (high - low)
 
 
-def _person(c: Canvas, x: float, y: float, h: float, stride: float) -> None:
-    """Feet at (x, y); skin is hotter than clothes, a coat cooler than legs."""
-    coat = c.vary(0.7, 0.82)
-    for side in (-1, 1):
-        hip, foot = (x + 0.035 * side * h, y - 0.48 * h), (x + side * stride * h, y - 0.02 * h)
-        c.rod(hip, foot, 0.058 * h, 0.76, taper=0.55, limb=0.1)
-        c.rod(foot, (foot[0] + 0.05 * h, foot[1] + 0.01 * h), 0.025 * h, 0.6)
-        hand = (x - side * (0.08 + 0.8 * stride) * h, y - 0.45 * h)
-        c.disc(*hand, 0.026 * h, 0.93)
-        c.rod(
-            (x - side * 0.07 * h, y - 0.78 * h),
-            (hand[0], hand[1] - 0.02 * h),
-            0.038 * h,
-            coat,
-            taper=0.75,
-            limb=0.08,
-        )
-    c.rod((x, y - 0.85 * h), (x, y - 0.8 * h), 0.035 * h, 0.92)
-    c.rod((x, y - 0.75 * h), (x, y - 0.5 * h), 0.098 * h, coat + 0.02, taper=0.85, limb=0.09)
-    c.rod((x, y - 0.94 * h), (x + 0.006 * h, y - 0.9 * h), 0.055 * h, 0.97, taper=0.85, limb=0.07)
-    c.rod((x - 0.008 * h, y - 0.965 * h), (x - 0.03 * h, y - 0.94 * h), 0.036 * h, 0.86, taper=0.6)
-
-
-def _deer(c: Canvas, x: float, y: float, h: float, way: int) -> None:
-    """Feet at height y, looking left (-1) or right (1)."""
-    for leg, lean in ((-0.46, -0.06), (-0.36, 0.05), (0.27, -0.05), (0.4, 0.08)):
-        c.rod((x + way * leg * h, y - 0.45 * h), (x + way * (leg + lean) * h, y), 0.05 * h, 0.8, taper=0.4)
-    c.rod((x - way * 0.36 * h, y - 0.56 * h), (x + way * 0.34 * h, y - 0.57 * h), 0.18 * h, 0.9, limb=0.18)
-    c.rod(
-        (x + way * 0.4 * h, y - 0.6 * h),
-        (x + way * 0.58 * h, y - 0.95 * h),
-        0.1 * h,
-        0.9,
-        taper=0.5,
-        limb=0.1,
-    )
-    c.rod((x + way * 0.58 * h, y - 0.97 * h), (x + way * 0.76 * h, y - 0.9 * h), 0.075 * h, 0.96, taper=0.5)
-    c.rod((x + way * 0.55 * h, y - h), (x + way * 0.47 * h, y - 1.1 * h), 0.03 * h, 0.84, taper=0.5)
-
-
-def _tree(c: Canvas, x: float, y: float, h: float, value: float) -> None:
-    c.rod((x, y), (x + 0.04 * h, y - 0.7 * h), 0.035 * h, value + 0.14, taper=0.5, limb=0.06)
-    for _ in range(14):
-        dx, dy = c.vary(-0.27, 0.27) * h, c.vary(-0.27, 0.25) * h
-        c.blob(x + dx, y - 0.7 * h + dy, 0.15 * h, 0.12 * h, value + 0.25 * dy / h + c.vary(-0.04, 0.04))
-
-
-def _window(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """A pane in its frame: a cold mirror of the sky or a warm room, with or without blind and bar."""
-    pane = c.vary(0.66, 0.85) if c.vary(0, 1) < 0.35 else c.vary(0.16, 0.34)
-    c.box(x - 0.1 * w, y - 0.06 * h, 1.2 * w, 1.14 * h, c.vary(0.53, 0.64))
-    c.box(x, y, w, h, pane, warmer=c.vary(-0.08, 0.14), rough=0.004)
-    if c.vary(0, 1) < 0.4:
-        c.box(x, y, w, h * c.vary(0.2, 0.8), c.vary(0.4, 0.55))
-    if c.vary(0, 1) < 0.7:
-        c.box(x + w * c.vary(0.4, 0.55), y, 0.07 * w, h, 0.5)
-
-
-def _house(c: Canvas, x: float, y: float, w: float, h: float) -> None:
-    """Storeys of windows under a cold roof with a hot chimney; (x, y) is the lower left corner."""
-    top, chimney = y - h, x + w * c.vary(0.2, 0.7)
-    c.box(chimney, top - 0.13, 0.025, 0.12, 0.5)
-    c.box(chimney - 0.004, top - 0.14, 0.033, 0.012, 0.9)
-    peak = (x + w * c.vary(0.3, 0.7), top - c.vary(0.06, 0.11))
-    c.polygon([(x - 0.01, top), peak, (x + w + 0.01, top)], c.vary(0.2, 0.3), warmer=0.12, rough=0.02)
-    c.box(x, top, w, h, c.vary(0.36, 0.54), warmer=0.08, rough=0.02)
-    c.box(x - 0.01, top - 0.004, w + 0.02, 0.01, 0.6)
-    columns, floors = max(2, round(w / 0.085)), max(2, round(h / 0.13))
-    for i in range(columns):
-        for j in range(floors):
-            left, upper = (
-                x + w / columns * (i + c.vary(0.2, 0.32)),
-                top + h / floors * (j + c.vary(0.2, 0.28)),
-            )
-            _window(c, left, upper, 0.48 * w / columns, h / floors * c.vary(0.45, 0.58))
-    c.glow(x + w * c.vary(0, 1), top + h * c.vary(0.3, 0.9), 0.05, 0.03, 0.12)
-
-
-def _car(c: Canvas, x: float, y: float, s: float) -> None:
-    """Seen from the side, wheels at height y, its hot engine at the right; s is its length."""
-
-    def panel(points: Sequence[Point], value: float, warmer: float) -> None:
-        c.polygon([(x + u * s, y - v * s) for u, v in points], value, warmer=warmer)
-
-    c.glow(x + 0.5 * s, y, 0.45 * s, 0.025 * s, 0.18)
-    panel([(0.12, 0.23), (0.27, 0.38), (0.57, 0.38), (0.74, 0.23)], 0.4, 0.05)
-    panel([(0.19, 0.24), (0.29, 0.355), (0.41, 0.355), (0.42, 0.24)], 0.2, 0.1)
-    panel([(0.45, 0.24), (0.44, 0.355), (0.56, 0.355), (0.68, 0.24)], 0.22, 0.1)
-    panel([(0.0, 0.08), (0.01, 0.21), (0.12, 0.25), (0.7, 0.25), (0.97, 0.18), (1.0, 0.08)], 0.45, 0.08)
-    c.glow(x + 0.84 * s, y - 0.17 * s, 0.11 * s, 0.045 * s, 0.36)
-    c.rod((x + 0.3 * s, y - 0.19 * s), (x + 0.33 * s, y - 0.19 * s), 0.006 * s, 0.32)
-    c.disc(x + 0.965 * s, y - 0.15 * s, 0.022 * s, 0.8)
-    for wheel in (0.19, 0.8):
-        c.disc(x + wheel * s, y - 0.075 * s, 0.1 * s, 0.26)
-        c.disc(x + wheel * s, y - 0.075 * s, 0.085 * s, 0.55, limb=0.1)
-        c.disc(x + wheel * s, y - 0.075 * s, 0.045 * s, 0.8, limb=0.12)
-    c.rod((x - 0.01 * s, y - 0.06 * s), (x + 0.03 * s, y - 0.06 * s), 0.011 * s, 0.97)
-
-
-def _wires(c: Canvas, y: float, n: int) -> None:
-    t = np.linspace(0, 1, 24)
-    for _ in range(n):
-        line = y + c.vary(-0.08, 0.08) * (1 - t) + c.vary(-0.08, 0.08) * t + c.vary(0.16, 0.4) * t * (1 - t)
-        c.path(list(zip(t * c.aspect, line, strict=True)), 0.0016, c.vary(0.3, 0.42))
-
-
 def _street(c: Canvas) -> None:
     c.sky(0.05, 0.22, 0.55, 0.025)
     c.ground(0.45, 0.25, hills=0.015, warmer=0.1)
-    _wires(c, 0.12, 4)
+    wires(c, 0.12, 4)
     x = -c.vary(0.02, 0.15)
     while x < c.aspect:
         w, gap = c.vary(0.2, 0.38), float(c.rng.choice([0.0, 0.03, 0.13]))
         if gap > 0.1:
-            _tree(c, x + w + 0.07, 0.7, c.vary(0.25, 0.36), 0.34)
-        _house(c, x, 0.68, w, c.vary(0.25, 0.42))
+            tree(c, x + w + 0.07, 0.7, c.vary(0.25, 0.36), 0.34)
+        house(c, x, 0.68, w, c.vary(0.25, 0.42))
         x += w + gap
     c.ground(0.675, 0.46, hills=0.001, warmer=-0.05)
     c.ground(0.738, 0.58, rough=0.01)
     c.ground(0.747, 0.33, warmer=0.1, rough=0.025)
     for track in (0.81, 0.9):
         c.glow(c.aspect * c.vary(0.3, 0.7), track, 0.7, 0.008, 0.07)
-    _tree(c, c.aspect * c.vary(0.85, 0.98), 0.76, 0.42, 0.36)
+    tree(c, c.aspect * c.vary(0.85, 0.98), 0.76, 0.42, 0.36)
     c.rod((0.62 * c.aspect, 0.76), (0.62 * c.aspect, 0.3), 0.007, 0.5, taper=0.6, limb=0.1)
     c.rod((0.62 * c.aspect, 0.3), (0.56 * c.aspect, 0.28), 0.004, 0.5)
     c.rod((0.56 * c.aspect, 0.283), (0.53 * c.aspect, 0.283), 0.008, 0.9)
-    _car(c, c.aspect * c.vary(0.06, 0.18), 0.88, 0.45)
+    car(c, c.aspect * c.vary(0.06, 0.18), 0.88, 0.45)
     for i, place in enumerate((0.56, 0.7, 0.78, 0.93)):
         near = 0.76 + 0.055 * i + c.vary(-0.02, 0.02)
-        _person(c, c.aspect * (place + c.vary(-0.03, 0.03)), near, 0.42 * (near - 0.36), c.vary(0.05, 0.15))
+        person(c, c.aspect * (place + c.vary(-0.03, 0.03)), near, 0.42 * (near - 0.36), c.vary(0.05, 0.15))
 
 
 def _front(c: Canvas) -> None:
@@ -193,7 +86,7 @@ def _front(c: Canvas) -> None:
         for y, h in ((0.06, 0.17), (0.33, 0.2), (0.63, 0.2)):
             if c.vary(0, 1) < 0.85:
                 c.glow(x + w / 2, y + h + 0.05, 0.06, 0.025, c.vary(0.05, 0.3))
-                _window(c, x, y + c.vary(-0.01, 0.02), w * c.vary(0.85, 1.0), h)
+                window(c, x, y + c.vary(-0.01, 0.02), w * c.vary(0.85, 1.0), h)
         x += w + c.vary(0.08, 0.14)
     for y in (0.285, 0.585):
         c.rod((0, y), (c.aspect, y + c.vary(-0.005, 0.005)), 0.007, 0.62, limb=0.08)
@@ -208,9 +101,9 @@ def _front(c: Canvas) -> None:
     c.box(door + 0.03, 0.65, 0.1, 0.09, 0.75)
     c.disc(door + 0.145, 0.79, 0.007, 0.3)
     c.glow(door + 0.08, 0.61, 0.12, 0.025, 0.2)
-    _person(c, door + 0.05, 0.975, 0.33, 0.06)
-    _person(c, c.aspect * c.vary(0.12, 0.2), 0.98, 0.35, 0.12)
-    _deer(c, c.aspect * c.vary(0.84, 0.9), 0.975, 0.1, -1)  # at this size, a dog
+    person(c, door + 0.05, 0.975, 0.33, 0.06)
+    person(c, c.aspect * c.vary(0.12, 0.2), 0.98, 0.35, 0.12)
+    deer(c, c.aspect * c.vary(0.84, 0.9), 0.975, 0.1, -1)  # at this size, a dog
 
 
 def _machinery(c: Canvas) -> None:
@@ -255,7 +148,7 @@ def _machinery(c: Canvas) -> None:
     for r, value in ((0.06, 0.55), (0.045, 0.3), (0.012, 0.6)):
         c.disc(0.66 * c.aspect, 0.36, r, value, limb=0.08)
     c.path([(0.66 * c.aspect - 0.035, 0.34), (0.66 * c.aspect + 0.04, 0.38)], 0.005, 0.56)
-    _person(c, c.aspect * c.vary(0.3, 0.34), 0.95, 0.5, 0.08)
+    person(c, c.aspect * c.vary(0.3, 0.34), 0.95, 0.5, 0.08)
 
 
 def _landscape(c: Canvas) -> None:
@@ -264,9 +157,9 @@ def _landscape(c: Canvas) -> None:
         c.ground(edge, 0.27 + 0.045 * i, hills=0.035 - 0.006 * i, warmer=0.12, rough=0.012 + 0.012 * i)
     x = 0.0
     while x < c.aspect:
-        _tree(c, x, 0.53 + c.vary(-0.01, 0.02), c.vary(0.08, 0.19), 0.36)
+        tree(c, x, 0.53 + c.vary(-0.01, 0.02), c.vary(0.08, 0.19), 0.36)
         x += c.vary(0.03, 0.12)
-    _house(c, c.aspect * c.vary(0.66, 0.72), 0.56, 0.2, 0.14)
+    house(c, c.aspect * c.vary(0.66, 0.72), 0.56, 0.2, 0.14)
     c.ground(0.55, 0.4, hills=0.008, warmer=0.12, rough=0.045)
     lake = c.aspect * c.vary(0.2, 0.35)
     c.blob(lake, 0.66, 0.33, 0.05, 0.24, ragged=0.06)
@@ -287,9 +180,9 @@ def _landscape(c: Canvas) -> None:
     for i, place in enumerate((0, 4, 2, 5, 1, 3)):
         y = 0.74 + 0.035 * i + c.vary(-0.01, 0.01)
         way = int(c.rng.choice([-1, 1]))
-        _deer(c, c.aspect * (0.08 + 0.11 * place + c.vary(-0.02, 0.02)), y, 0.3 * (y - 0.42), way)
-    _tree(c, 0.97 * c.aspect, 0.88, 0.6, 0.33)
-    _person(c, 0.86 * c.aspect, 0.92, 0.26, 0.1)
+        deer(c, c.aspect * (0.08 + 0.11 * place + c.vary(-0.02, 0.02)), y, 0.3 * (y - 0.42), way)
+    tree(c, 0.97 * c.aspect, 0.88, 0.6, 0.33)
+    person(c, 0.86 * c.aspect, 0.92, 0.26, 0.1)
 
 
 KINDS = (_street, _front, _machinery, _landscape)

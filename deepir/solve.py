@@ -4,53 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from deepir import checkpoint as store
-from deepir.curvature import curvature
-from deepir.errors import DataError, SolverError
+from deepir.errors import SolverError
 from deepir.held_out import held_out_error
-from deepir.optimisers import OPTIMISERS, Optimiser, free_parameters
+from deepir.objective import objective, optimisers_of
+from deepir.optimisers import Optimiser
+from deepir.position import Position, keep, restore
 from deepir.problem import Problem, Values
+from deepir.stage import Stage, Step
 
 #: A solve has diverged whose objective is so many times what its stage began with (or a nat a sample).
 RISE = 1e3
-
-
-@dataclass(frozen=True)
-class Step:
-    """How a group of unknowns moves: `lbfgs`, `adam`, or `eliminate` (closed form, at every evaluation)."""
-
-    group: tuple[str, ...]
-    method: str = "lbfgs"
-    lr: float = 1e-2  # adam only
-    rates: Mapping[str, float] = field(default_factory=dict)  # in its place, for unknowns of the group
-    every: int = 1  # the step is taken at every n-th iteration
-    average: float = 0.0  # adam only: decay of the average of the iterates, see `deepir.optimisers.adam`
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Steps that alternate until the objective rests, or `iterations` are reached; what is in none is fixed.
-
-    `prepare` is called when the stage is entered, to set strengths from what the stages before it found: it
-    may change buffers of the problem, nothing else. `use_held_out`: fit the held-out samples too.
-    """
-
-    name: str
-    steps: tuple[Step, ...]
-    iterations: int = 100
-    prepare: Callable[[Problem], None] | None = None
-    use_held_out: bool = False
-    tolerance: float = 1e-5  # stop when ten iterations gain less than this, in nats for each sample
-    #: Called before `prepare` to put a field in another's place; and again when a later solve goes on from here.
-    change: Callable[[Problem], None] | None = None
 
 
 @dataclass
@@ -82,15 +53,6 @@ class Solution:
         return next((row["held_out"] for row in reversed(self.history) if "held_out" in row), math.nan)
 
 
-@dataclass
-class _Position:
-    stage: int = 0
-    iteration: int = 0
-    evaluations: int = 0
-    total: int = 0
-    history: list[dict[str, Any]] = field(default_factory=list)
-
-
 def solve(
     problem: Problem,
     plan: Sequence[Stage],
@@ -113,16 +75,16 @@ def solve(
         SolverError: The objective is not a number, or far above where the stage began. The last good state is
             in the problem, and saved.
     """
-    at, optimisers, saved, reason = _Position(), None, time.monotonic(), "converged"
+    at, optimisers, saved, reason = Position(), None, time.monotonic(), "converged"
 
     def save(*, now: bool = False) -> None:
         nonlocal saved
         if checkpoint is not None and (now or time.monotonic() - saved > every):
-            _save(problem, optimisers or [], at, checkpoint)
+            keep(problem, optimisers or [], at, checkpoint)
             saved = time.monotonic()
 
     if checkpoint is not None and checkpoint.exists():
-        at, optimisers = _restore(problem, plan, checkpoint)
+        at, optimisers = restore(problem, plan, checkpoint)
     while at.stage < len(plan):
         stage = plan[at.stage]
         if optimisers is None:
@@ -130,7 +92,7 @@ def solve(
                 stage.change(problem)
             if stage.prepare is not None:
                 stage.prepare(problem)
-            optimisers = _optimisers(problem, stage)
+            optimisers = optimisers_of(problem, stage)
         reason = _run(problem, plan, optimisers, at, callbacks, save)
         for optimiser, _ in optimisers:
             optimiser.finish()
@@ -149,7 +111,7 @@ def _run(
     problem: Problem,
     plan: Sequence[Stage],
     optimisers: list[tuple[Optimiser, Step]],
-    at: _Position,
+    at: Position,
     callbacks: Sequence[Callable[[Progress], None]],
     save: Callable[..., None],
 ) -> str:
@@ -174,7 +136,7 @@ def _run(
     return "stopped as planned"
 
 
-def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: _Position) -> None:
+def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: Position) -> None:
     """One step of each group, and its row of the history."""
     alternate = len(optimisers) > 1
     loss = at.history[-1]["loss"] if at.iteration else math.nan
@@ -190,38 +152,7 @@ def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, S
     at.history.append(row)
 
 
-def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
-    """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
-    eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
-    precision = problem.precision if stage.use_held_out else problem.fitted()
-
-    with torch.no_grad():  # once: gain and offset of several parts are not free
-        fixed = problem.values(without={name for step in stage.steps for name in step.group})
-
-    def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
-        values = fixed | problem.values(free, without=[*eliminated, *fixed])
-        terms = problem.losses(values, eliminated, precision=precision)
-        return torch.stack([term.double() for term in terms.values()]).sum(), values
-
-    return evaluate
-
-
-def _optimisers(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
-    evaluate = objective(problem, stage)
-    steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
-    found = []
-    for step in steps:
-        rates = {name: step.rates.get(name, step.lr) for name in step.group}
-        optimiser = OPTIMISERS[step.method](problem, step.group, evaluate, lr=rates, average=step.average)
-        found.append((optimiser, step))
-    eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
-    for optimiser, step in found:
-        if step.method == "lbfgs":
-            optimiser.curvature = curvature(problem, optimiser.parameters, eliminated)
-    return found
-
-
-def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:
+def _rests(at: Position, stage: Stage, problem: Problem) -> bool:
     """Whether the last ten iterations gained next to nothing; Adam, whose steps go up and down, takes them all."""
     if at.iteration <= 10 or any(step.method == "adam" for step in stage.steps):
         return False
@@ -229,7 +160,7 @@ def _rests(at: _Position, stage: Stage, problem: Problem) -> bool:
     return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()
 
 
-def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position) -> Progress:
+def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: Position) -> Progress:
     loss = at.history[-1]["loss"]
     before = sum(each.iterations for each in plan[: at.stage])
     done = (before + at.iteration) / max(sum(each.iterations for each in plan), 1)
@@ -245,7 +176,7 @@ def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: _Position
 
 
 @torch.no_grad()
-def _check(problem: Problem, start: Sequence[Tensor], stage: Stage, at: _Position) -> None:
+def _check(problem: Problem, start: Sequence[Tensor], stage: Stage, at: Position) -> None:
     """Raise `SolverError` if the solve is lost; one that only rose goes back to where it began."""
     first, last = at.history[-at.iteration]["loss"], at.history[-1]["loss"]
     if math.isfinite(last) and last <= RISE * max(abs(first), problem.data.numel()):
@@ -258,39 +189,3 @@ def _check(problem: Problem, start: Sequence[Tensor], stage: Stage, at: _Positio
         f"the objective {what} at iteration {at.iteration} of stage '{stage.name}': the solve diverged. "
         "The last good state is kept. Check the data's range, the penalties' weights, or lower the step (lr)."
     )
-
-
-def _save(problem: Problem, optimisers: list[tuple[Optimiser, Step]], at: _Position, path: Path) -> None:
-    tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
-    for i, (optimiser, _) in enumerate(optimisers):
-        tensors |= {f"optimiser{i}.{name}": value for name, value in optimiser.state().items()}
-    store.save(path, tensors, asdict(at))
-
-
-def _restore(
-    problem: Problem, plan: Sequence[Stage], path: Path
-) -> tuple[_Position, list[tuple[Optimiser, Step]] | None]:
-    tensors, position = store.load(path)
-    try:
-        at = _Position(**position)
-        for stage in plan[: at.stage + 1]:
-            if stage.change is not None:
-                stage.change(problem)
-        for name, value in _state(problem).items():
-            value.copy_(tensors[f"problem.{name}"])
-        if at.stage >= len(plan):
-            return at, None
-        optimisers = _optimisers(problem, plan[at.stage])
-        for i, (optimiser, _) in enumerate(optimisers):
-            prefix = f"optimiser{i}."
-            optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
-    except (KeyError, TypeError, RuntimeError) as error:
-        raise DataError(
-            f"{path}: the state of another problem ({error}); delete it to start again"
-        ) from error
-    return at, optimisers
-
-
-def _state(problem: Problem) -> Mapping[str, Tensor]:
-    """Parameters and buffers less the data, which a resumed run reads again."""
-    return {name: value.detach() for name, value in problem.state_dict().items() if name != "data"}

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.curvature import spline_response, unsureness
 from deepir.problem import Problem
+from deepir.waves import spline_response, unsureness
 
 Maps = dict[str, np.ndarray]
 

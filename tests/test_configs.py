@@ -7,7 +7,7 @@ import torch
 from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import SHIPPED, headline, load, priors, shipped_names
-from deepir.joint import plan
+from deepir.planned import plan
 from deepir.registry import lookup
 from deepir.solve import solve
 

@@ -10,7 +10,7 @@ from deepir.burst import Burst
 from deepir.config import load
 from deepir.contest import Contest
 from deepir.errors import ConfigError, DeepIRError
-from deepir.joint import plan
+from deepir.planned import plan
 from deepir.problems.definition import Generic
 from deepir.registry import lookup
 from deepir.solve import solve

@@ -9,11 +9,13 @@ from deepir.burst import Burst
 from deepir.config import load
 from deepir.curvature import Curvature
 from deepir.elimination import COLUMN
+from deepir.objective import objective
 from deepir.penalties.ridge import Ridge
 from deepir.problems.definition import start_scene
 from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
-from deepir.solve import Stage, Step, objective, solve
+from deepir.solve import solve
+from deepir.stage import Stage, Step
 
 SIGMA = 0.5  # of the pixels' pattern
 
@@ -71,7 +73,7 @@ def test_it_saves_iterations(problem, monkeypatch):
     for known in (True, False):
         problem.load_state_dict(start)
         if not known:
-            monkeypatch.setattr("deepir.solve.curvature", lambda *_: None)
+            monkeypatch.setattr("deepir.objective.curvature", lambda *_: None)
         reached[known] = solve(problem, [stage]).history[-1]["loss"]
     assert reached[True] < reached[False]
 
@@ -116,7 +118,7 @@ def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
         fields["value"].init_from(torch.zeros(maps))
         fields["scene"].init_from(data[:1].mean().expand(1, 1, *canvas))
         if not known:
-            monkeypatch.setattr("deepir.solve.curvature", lambda *_: None)
+            monkeypatch.setattr("deepir.objective.curvature", lambda *_: None)
         solve(problem, [Stage("stray", (Step(("scene", "value")),), 15, tolerance=0.0)])
         reached[known] = float((fields["value"]().detach() - stray).std())
     assert reached[True] < 0.2
@@ -136,7 +138,7 @@ def test_strong_columns_leave_open_the_scene_times_a_wave_rather_than_a_wave(see
     free = Step(("scene",)), Step(("gain", "offset"), "eliminate")
     reached = {}
     for strong in (0.05, 9.0):
-        monkeypatch.setattr("deepir.curvature.LINES", strong)
+        monkeypatch.setattr("deepir.waves.LINES", strong)
         made, _ = build(load("nuc"), burst, torch.from_numpy(sim.truth.motion))
         made.precision.fill_(1e3)
         for name in ("gain", "offset"):

@@ -154,7 +154,7 @@ def test_a_burst_that_moves_along_one_axis_only_is_warned_of():
 
 
 def test_a_burst_that_moves_along_a_slanted_line_is_warned_of():
-    from deepir.joint import _along_a_line
+    from deepir.registered import _along_a_line
 
     line = torch.tensor([[0.0, 0.0], [-10.0, -7.2], [-7.8, -5.8]])
     (message,) = _along_a_line(line)

@@ -28,8 +28,13 @@ class Drift(Held):
 
     def forward(self) -> Tensor:
         """The levels, (N, 1, 1, 1)."""
+        return self.neutral + self.jumps + self.levels
+
+    @property
+    def levels(self) -> Tensor:
+        """What is added to the known jumps, of mean zero."""
         levels = self.step * (self.sigma > 0) * self.values
-        return self.neutral + self.jumps + levels - levels.mean()
+        return levels - levels.mean()
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
@@ -39,11 +44,7 @@ class Drift(Held):
 
     def penalty(self) -> Tensor | None:
         """`½ Σ level² / sigma²`."""
-        return (
-            ((self.forward() - self.neutral - self.jumps) / self.sigma).square().sum() / 2
-            if self.sigma > 0
-            else None
-        )
+        return (self.levels / self.sigma).square().sum() / 2 if self.sigma > 0 else None
 
     @classmethod
     def example(cls) -> Drift:

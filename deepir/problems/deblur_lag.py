@@ -15,7 +15,8 @@ from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.registry import register
 from deepir.slow import late
-from deepir.solve import Stage, solve
+from deepir.solve import solve
+from deepir.stage import Stage
 
 FAST = 1.0  # px from instant to instant, above which the flux in between is a guess
 FINEST = 16  # sub-steps, above which a camera does not move smoothly but jumps

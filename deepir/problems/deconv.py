@@ -16,8 +16,8 @@ from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene, start_scene_and_parts
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
-from deepir.solve import Stage, Step
 from deepir.spectrum import fit_psf, spectral_noise
+from deepir.stage import Stage, Step
 from deepir.strengths import HELD_OUT as LEAST
 from deepir.strengths import hold_out, update_noise, update_strengths, weigh_scene
 

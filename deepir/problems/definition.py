@@ -12,7 +12,7 @@ from deepir.noise import sample_noise, typical_noise
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
-from deepir.solve import Stage, Step
+from deepir.stage import Stage, Step
 from deepir.strengths import doubt_misfits, give_up_dead, pattern_left, spread, start_parts, weigh_scene
 from deepir.thin import thinned
 

@@ -15,7 +15,7 @@ from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_scene
 from deepir.registry import register
-from deepir.solve import Stage, Step
+from deepir.stage import Stage, Step
 from deepir.strengths import weigh_scene
 from deepir.unregistered import find_pattern
 

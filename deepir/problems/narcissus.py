@@ -19,7 +19,7 @@ from deepir.registration import register as register_frames
 from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.slow_strengths import estimate_slow, strays
-from deepir.solve import Stage, Step
+from deepir.stage import Stage, Step
 from deepir.strengths import doubt_misfits, hold_out, start_parts, weigh_scene
 
 ALONE = (

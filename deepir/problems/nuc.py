@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
-from deepir.curvature import modelled
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
-from deepir.solve import Stage, Step
+from deepir.stage import Stage, Step
 from deepir.strengths import (
     hold_out,
     measure_roughness,
@@ -18,6 +17,7 @@ from deepir.strengths import (
     update_strengths,
     weigh_scene,
 )
+from deepir.waves import modelled
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05

@@ -3,7 +3,8 @@
 import torch
 
 from deepir.held_out import held_out_error
-from deepir.solve import Stage, Step, solve
+from deepir.solve import solve
+from deepir.stage import Stage, Step
 
 
 def test_the_average_that_adam_leaves_is_the_one_that_tells_the_held_out_samples_best(small_nuc):

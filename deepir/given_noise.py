@@ -1,0 +1,40 @@
+"""Noise that the configuration gives, in place of what the samples show."""
+
+from __future__ import annotations
+
+import math
+
+from torch.nn.functional import avg_pool2d
+
+from deepir.config import Config
+from deepir.errors import ConfigError
+from deepir.problem import Problem
+
+#: Standard deviation that rounding to whole numbers makes.
+ROUNDED = 0.29
+#: Side of the windows, in px, whose mean stands for a sample's signal.
+AROUND = 5
+#: Least variance of a sample, in the usual one, where noise is given: an offset is no light, and low samples are not
+#: as sure as they look.
+LEAST = 0.3
+
+
+def given_noise(problem: Problem, config: Config) -> list[str]:
+    """Take the noise that the configuration gives, if it does; a message where whole counts cannot have so little."""
+    if config.noise == "auto":
+        return []
+    read, photon = config.noise.read**2, 1 / (config.noise.photons or math.inf)
+    # Until there is a prediction, the mean of the neighbours: of single samples the low ones would seem the surest.
+    signal = avg_pool2d(problem.data, AROUND, stride=1, padding=AROUND // 2, count_include_pad=False)
+    variance = read + photon * signal.clamp_(min=0)
+    if not variance.min() > 0:
+        raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
+    least = LEAST * float(variance.median())
+    problem.precision.copy_((problem.precision > 0) / variance.clamp_(min=least))
+    problem.noise = read, photon, least
+    if variance.max() > ROUNDED**2 / 10 or problem.data.max() <= 1 or (problem.data % 1).any():
+        return []
+    return [
+        f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes {ROUNDED}: is "
+        "the configuration meant for frames in [0, 1]?"
+    ]

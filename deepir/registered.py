@@ -1,0 +1,89 @@
+"""The motion that a problem starts from: registered frames, and what to say of how they move."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.errors import DataError
+from deepir.problems.definition import Definition
+from deepir.registration import register
+from deepir.registry import components
+
+#: Motion, in px at the frame's edge, below which a burst counts as still.
+STILL = 0.5
+#: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
+LITTLE = 3.0
+
+
+def registered(
+    burst: Burst, config: Config, definition: Definition
+) -> tuple[Tensor | None, np.ndarray, list[str]]:
+    """Motion (N, 3, 3) of each frame, which frames are used, and messages; no motion if no slot wants it.
+
+    Raises:
+        DataError: Too few frames register, or the burst is still and the problem needs motion.
+    """
+    everything = np.ones(len(burst.frames), bool)
+    model = _motion_model(config)
+    if model is None or len(burst.frames) == 1:
+        return None, everything, []
+    ignore = torch.from_numpy(burst.bad_pixels)
+    found = register(torch.from_numpy(burst.frames), model=model, ignore=ignore)
+    used = found.used.numpy().astype(bool)
+    if used.sum() < max(definition.frames, 1):
+        raise DataError(
+            f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
+            f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
+        )
+    messages = list(found.messages)
+    if definition.motion:
+        messages += _demand_motion(found.motion[torch.from_numpy(used)], burst)
+    return found.motion, used, messages
+
+
+def _motion_model(config: Config) -> str | None:
+    """The type of the first motion that starts where the frames are registered: each does, unless it says otherwise."""
+    for stage in config.physics.values():
+        slot = (stage or {}).get("motion")
+        settings = slot if isinstance(slot, dict) else {"type": slot}
+        kind = settings.get("type")
+        model = getattr(components("field").get(str(kind)), "model", None)
+        if settings.get("init", "register" if model else None) == "register":
+            return str(model or kind)
+    return None
+
+
+def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
+    """A message for each axis along which the burst moves little; `DataError` if it stands still."""
+    height, width = burst.size
+    corner = torch.tensor([width / 2, height / 2, 1.0], dtype=motion.dtype)
+    at = (motion @ corner)[:, :2]
+    moved = (at - corner[:2]).abs().amax()
+    if moved < STILL:
+        raise DataError(
+            f"{burst.source}: the frames do not move (at most {float(moved):.2f} px), so the scene and the sensor's "
+            "fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y"
+        )
+    few = [
+        f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
+        "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
+        for axis, lines, span in zip("xy", ("columns", "rows"), at.amax(0) - at.amin(0), strict=True)
+        if span < LITTLE
+    ]
+    return few or _along_a_line(at)
+
+
+def _along_a_line(at: Tensor) -> list[str]:
+    """A message if the places (N, 2) where the frames look lie on a slanted line."""
+    _, _, axes = torch.linalg.svd(at - at.mean(0), full_matrices=False)
+    along, beside = (at @ axis for axis in (axes[0], axes[-1]))
+    if len(axes) > 1 and beside.max() - beside.min() >= LITTLE / 2:
+        return []
+    return [
+        f"the frames move along one line, by {float(along.max() - along.min()):.1f} px: what is constant along it is "
+        "hard to tell from the scene. Move the camera at right angles to it too, by 3 to 10 px"
+    ]
