@@ -47,7 +47,9 @@ class Regime:
 
 
 FEW = {3: "three frames tell shading from the scene only in part"}
-DRIFT = dict.fromkeys((3, 5, 10), "a slope of scene and offset and levels that follow the shifts are the same frames")
+DRIFT = dict.fromkeys(
+    (3, 5, 10), "a slope of scene and offset and levels that follow the shifts are the same frames"
+)
 STILL = dict.fromkeys((3, 5, 10), "nothing moves along y: a row's pattern is the scene's as well")
 
 REGIMES: dict[str, Regime] = {
