@@ -135,7 +135,7 @@ def test_translations_are_px_of_the_scenes_grid_before_downsampling():
     assert torch.allclose(moved[..., :-1], still[..., 1:])
 
 
-@pytest.mark.parametrize("name", ["shift", "rigid", "affine", "homography"])
+@pytest.mark.parametrize("name", ["shift", "rigid", "affine", "homography", "auto"])
 def test_frame_0_is_the_reference_always(name):
     field = components("field")[name]((3, 3, 3), size=(60, 80))
     with torch.no_grad():

@@ -305,3 +305,16 @@ def test_frames_of_two_thousand_pixels_are_enough(seed):
     assert result.used.all()
     shift = result.motion.numpy()[:, :2, 2] - found.truth.motion[:, :2, 2]
     assert np.abs(shift).max() < 1.0  # a start; the solve goes on from there
+
+
+@pytest.mark.parametrize("name", ["camera", "gravel"])
+def test_frames_that_bend_are_registered_as_homographies(name):
+    frames, truth = simulated(name, n_frames=5, motion="homography", photons=1000.0)
+    assert errors(register(frames), truth).max() > 1
+    assert errors(register(frames, model="auto"), truth).max() < 0.3
+
+
+@pytest.mark.parametrize("frames", [2, 3, 5])
+def test_frames_that_do_not_bend_are_rigid_to_the_bit(frames):
+    frames, _ = simulated("camera", n_frames=frames, max_rotation=3.0, photons=1000.0)
+    assert torch.equal(register(frames, model="auto").motion, register(frames).motion)

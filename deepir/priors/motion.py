@@ -1,4 +1,4 @@
-"""Camera motion with few parameters: shift, rigid, affine, homography."""
+"""Camera motion with few parameters: shift, rigid, affine, homography, or what the frames ask for."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import torch
 from torch import Tensor, nn
 
 from deepir.priors.field import Field, Shape
+from deepir.registration.motion import nearest_rigid
 from deepir.registry import register
 
 #: What a parameter that all samples feel moves for a step of one, times the detector's side in its own px: see
 #: `Field`. The misfit's curvature in a shift is about their number times that in a pixel of the scene, weighted by
 #: the scene's squared gradient.
 STEP = 10.0
+#: What bends a frame by less, in px at its corners, is rigid.
+ROUNDING = 1e-3
 
 
 class Motion(Field):
@@ -86,14 +89,11 @@ class Rigid(Motion):
 
     def matrices(self, p: Tensor) -> Tensor:
         """`T p = R(angle) p + t`."""
-        angle = p[:, 2] / self.radius
-        cos, sin = angle.cos(), angle.sin()
-        return _matrix(cos, -sin, p[:, 0], sin, cos, p[:, 1])
+        return _rigid(p, self.radius)
 
     def parameters_of(self, t: Tensor) -> Tensor:
         """Translation, and the angle of the nearest rotation."""
-        angle = torch.atan2(t[:, 1, 0] - t[:, 0, 1], t[:, 0, 0] + t[:, 1, 1])
-        return torch.cat((t[:, :2, 2], self.radius * angle[:, None]), 1)
+        return _of_rigid(t, self.radius)
 
 
 @register("field", "affine")
@@ -128,6 +128,53 @@ class Homography(Motion):
         """All entries but the last, which is one."""
         linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
         return torch.cat((t[:, :2, 2], self.radius * linear, self.radius**2 * t[:, 2, :2]), 1)
+
+
+@register("field", "auto")
+class Auto(Homography):
+    """Rigid, or a homography where the motion that it begins with bends by more than rounding."""
+
+    model = "auto"
+    bends: Tensor
+
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
+    ) -> None:
+        super().__init__(shape, neutral, size=size, ratio=ratio)
+        self.register_buffer("bends", torch.tensor(False))
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take over `value` (N, 3, 3), relative to its frame 0, and whether it bends."""
+        value = value.double()
+        relative = torch.linalg.solve(value[:1], value[1:])
+        relative = relative / relative[:, 2:, 2:]
+        bend = (relative - nearest_rigid(relative)).abs()
+        bend[:, :, :2] *= self.radius
+        bend[:, 2] *= self.radius
+        self.bends.fill_(bool((bend > ROUNDING).any()))
+        super().init_from(value)
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """A homography; of rigid motion the last parameters are idle."""
+        return super().matrices(p) if self.bends else _rigid(p[:, :3], self.radius)
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """The inverse of `matrices`."""
+        if self.bends:
+            return super().parameters_of(t)
+        return torch.nn.functional.pad(_of_rigid(t, self.radius), (0, self.count - Rigid.count))
+
+
+def _rigid(p: Tensor, radius: float) -> Tensor:
+    angle = p[:, 2] / radius
+    cos, sin = angle.cos(), angle.sin()
+    return _matrix(cos, -sin, p[:, 0], sin, cos, p[:, 1])
+
+
+def _of_rigid(t: Tensor, radius: float) -> Tensor:
+    angle = torch.atan2(t[:, 1, 0] - t[:, 0, 1], t[:, 0, 0] + t[:, 1, 1])
+    return torch.cat((t[:, :2, 2], radius * angle[:, None]), 1)
 
 
 def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor, e: Tensor, f: Tensor, *last: Tensor) -> Tensor:

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from deepir.errors import DataError, nearest
 from deepir.registration.align import Aligned, align, standing
+from deepir.registration.bend import bent
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, left, one_scene
-from deepir.registration.motion import PARAMETERS, identity, relative
+from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
 from deepir.registration.pyramid import build_level
 from deepir.registration.vote import likelier
 
@@ -42,7 +43,8 @@ class Registration:
 def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = None) -> Registration:
     """Motion of every frame of a burst `(N, H, W)` relative to the first that is used, under strong fixed patterns.
 
-    model: shift, rigid, affine or homography. ignore: `(H, W)` bool, True where a pixel must not be used.
+    model: shift, rigid, affine, homography, or auto: rigid, and a homography where the frames bend. ignore:
+    `(H, W)` bool, True where a pixel must not be used.
     Raises DataError where the shapes or the model's name are wrong.
     """
     check(frames, model, ignore)
@@ -52,8 +54,11 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
     n, moved = len(frames), found.motion
     if used.sum() > 1:
         some = slice(None) if used.all() else used  # no copy of all
-        moved = fine(flat[some], weight, coarse.factor, moved, model)
-        moved = likelier(frames.detach().cpu()[some], weight, moved, model)
+        first = "rigid" if model == AUTO else model
+        moved = fine(flat[some], weight, coarse.factor, moved, first)
+        moved = likelier(frames.detach().cpu()[some], weight, moved, first)
+        if model == AUTO:
+            moved = bent(build_level(flat[some], weight, finest(weight)), moved, ROUNDS)
         found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
     still = at_rest(coarse, found)
     if still.any():
@@ -67,11 +72,16 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
 
 def fine(flat: Tensor, weight: Tensor, coarse: int, motion: Tensor, model: str) -> Tensor:
     """Motions `(N, 3, 3)` of flat frames `(N, H, W)` of least residuals, from those on a level of factor `coarse`."""
-    finest = halvings((weight.numel() / FINEST) ** 0.5)
-    factors = [2 * finest, finest] if 2 * finest < coarse else [finest]
+    last = finest(weight)
+    factors = [2 * last, last] if 2 * last < coarse else [last]
     for factor in factors:
         motion = align(build_level(flat, weight, factor), motion, model, ROUNDS // len(factors)).motion
     return motion
+
+
+def finest(weight: Tensor) -> int:
+    """The factor of the level on which frames are registered in the end."""
+    return halvings((weight.numel() / FINEST) ** 0.5)
 
 
 def verdict(motion: Tensor, confidence: Tensor) -> Registration:
@@ -111,8 +121,8 @@ def check(frames: Tensor, model: str, ignore: Tensor | None) -> None:
     """Raise DataError where the arguments of `register` cannot be used."""
     if frames.ndim != 3:
         raise DataError(f"registration wants frames (N, height, width), not {tuple(frames.shape)}")
-    if model not in PARAMETERS:
-        raise DataError(f"motion model '{model}' is not known; {nearest(model, PARAMETERS)}")
+    if model not in (known := [*PARAMETERS, AUTO]):
+        raise DataError(f"motion model '{model}' is not known; {nearest(model, known)}")
     if ignore is not None and ignore.shape != frames.shape[1:]:
         raise DataError(
             f"the bad-pixel mask is {tuple(ignore.shape)}, the frames are {tuple(frames.shape[1:])}"

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
+AUTO = "auto"  # rigid, or a homography where the frames bend
 
 
 def identity(n: int) -> Tensor:
@@ -30,6 +31,13 @@ def rotation(angle: Tensor) -> Tensor:
     out[..., 1, 0] = angle.sin()
     out[..., 0, 1] = -angle.sin()
     out[..., 2, 2] = 1
+    return out
+
+
+def nearest_rigid(motion: Tensor) -> Tensor:
+    """The translation of homographies `(..., 3, 3)` with `T[2, 2] = 1`, and the nearest rotation."""
+    out = rotation(torch.atan2(motion[..., 1, 0] - motion[..., 0, 1], motion[..., 0, 0] + motion[..., 1, 1]))
+    out[..., :2, 2] = motion[..., :2, 2]
     return out
 
 

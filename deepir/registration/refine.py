@@ -19,6 +19,11 @@ def step(pulled: Pulled, level: Level, model: str) -> Tensor:
 
     Gain and level of each frame are solved along, under Tukey's weights.
     """
+    return solved(sums(pulled, level, model))
+
+
+def sums(pulled: Pulled, level: Level, model: str) -> Tensor:
+    """What `step` solves, `(rows, N, P + 2, P + 3)`: of each row, the normal equations and their right side."""
     from deepir.loops import registration as loops
     from deepir.loops import spread
 
@@ -28,10 +33,16 @@ def step(pulled: Pulled, level: Level, model: str) -> Tensor:
     expected, known = few.others()
     middle, limit = spread_of((few.frames - expected).flatten(1), known.flatten(1))
     n, (p, rows, _) = len(few.frames), ax.shape
-    sums = torch.empty(rows, n, p + 2, p + 3)
+    found = torch.empty(rows, n, p + 2, p + 3)
     images = pulled.frames, pulled.known, pulled.total, pulled.count
-    spread(loops.step, rows, *images, ax, ay, stride, float(level.factor), middle, limit, sums)
-    normal, right = sums.double().sum(0).split((p + 2, 1), 2)
+    spread(loops.step, rows, *images, ax, ay, stride, float(level.factor), middle, limit, found)
+    return found
+
+
+def solved(rows: Tensor) -> Tensor:
+    """Motions `(N, P)` from the sums of some rows."""
+    p = rows.shape[2] - 2
+    normal, right = rows.double().sum(0).split((p + 2, 1), 2)
     ridge = 1e-6 * normal.diagonal(dim1=1, dim2=2).mean(1) + 1e-12
     normal = normal + ridge[:, None, None] * torch.eye(p + 2, dtype=torch.float64)
     return torch.linalg.solve(normal, right)[:, :p, 0].nan_to_num(0.0)

@@ -1,11 +1,13 @@
 """Motion models."""
 
+import math
+
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir.priors.motion import Affine, Homography, Motion, Rigid, Shift
+from deepir.priors.motion import Affine, Auto, Homography, Motion, Rigid, Shift
 
 MODELS = [Shift, Rigid, Affine, Homography]
 each_model = pytest.mark.parametrize("model", MODELS)
@@ -66,3 +68,18 @@ def test_a_model_must_say_how_it_moves():
 
     with pytest.raises(NotImplementedError):
         Nothing((2, 3, 3), size=(6, 7))()
+
+
+def test_auto_keeps_a_rigid_motion_rigid_and_follows_one_that_bends():
+    field = Auto((2, 3, 3), size=(60, 80))
+    turned = torch.eye(3, dtype=torch.float64).repeat(2, 1, 1)
+    turned[1, :2, :2] = torch.tensor([[math.cos(0.1), -math.sin(0.1)], [math.sin(0.1), math.cos(0.1)]])
+    field.init_from(turned)
+    with torch.no_grad():
+        field.values.normal_()
+    linear = field()[1, :2, :2]
+    assert torch.allclose(linear @ linear.T, torch.eye(2), atol=1e-6)
+    tilted = turned.clone()
+    tilted[1, 2, 0] = 1e-5  # 0.025 px at the corners
+    field.init_from(tilted)
+    assert torch.allclose(field().double(), tilted, atol=1e-6)
