@@ -54,6 +54,7 @@ def options_schema(component: Any) -> type[BaseModel]:
     return create_model(component.__name__, __config__=ConfigDict(extra="forbid"), **fields)
 
 
+@functools.cache
 def _arguments(component: Any) -> dict[str, inspect.Parameter]:
     """What a function or a constructor takes by name; `**options` stands for what the class's base takes."""
     bases = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.thin import thinned
+from deepir.thin import ENOUGH, thinned
 
 WINDOW = 15  # px: side of the windows in which noise is looked for
 FLATTEST = 0.885  # a tenth of such medians of nothing but noise are less, in its own
@@ -52,5 +52,5 @@ def _detail(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
 
 def typical_noise(precision: Tensor) -> float:
     """Median standard deviation of the samples (N, C, h, w) that count; NaN if none does."""
-    (some,) = thinned(precision)
+    (some,) = thinned(precision, enough=ENOUGH // len(precision))
     return float(some[some > 0].median().rsqrt())

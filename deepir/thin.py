@@ -9,10 +9,10 @@ from torch import Tensor
 ENOUGH = 40_000  # samples of each frame
 
 
-def thinned(*frames: Tensor) -> list[Tensor]:
-    """The same samples of each of the `frames` (N, C, h, w), as (N, m): all, or about `ENOUGH`, from all columns."""
+def thinned(*frames: Tensor, enough: int = ENOUGH) -> list[Tensor]:
+    """The same samples of each of the `frames` (N, C, h, w), as (N, m): all, or about `enough`, from all columns."""
     *_, height, width = frames[0].shape
-    step = max(1, height * width // ENOUGH)
+    step = max(1, height * width // enough)
     while math.gcd(step, width) > 1:  # it would meet the same columns again and again
         step += 1
     return [each.flatten(1)[:, ::step] for each in frames]

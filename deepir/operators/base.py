@@ -114,6 +114,17 @@ class Chain(Operator):
             x = stage(x, **own(slots, name))
         return x
 
+    def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
+        """Those of the stages, from the last to the first, where they do not depend on their input."""
+        if not self.affine:
+            return super().adjoint(y, x_shape, **slots)
+        shapes = [x_shape]
+        for _, stage in self.named()[:-1]:
+            shapes.append(stage.out_shape(shapes[-1], len(y)))
+        for (name, stage), shape in zip(reversed(self.named()), reversed(shapes), strict=True):
+            y = stage.adjoint(y, shape, **own(slots, name))
+        return y
+
     def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
         """Validity after the last stage."""
         for name, stage in self.named():

@@ -30,6 +30,11 @@ class Sensor(Operator):
         """Apply the sensor to the flux on each pixel."""
         return torch.addcmul(offset, gain, x) + level
 
+    @torch.no_grad()
+    def adjoint(self, y: Tensor, x_shape: Shape, *, gain: Tensor, **_: Tensor) -> Tensor:  # type: ignore[override]
+        """Of the linear part, the gain."""
+        return (gain * y).sum_to_size(x_shape)
+
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
         """Three frames of 4 x 5 px."""

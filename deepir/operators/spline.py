@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -47,13 +48,12 @@ class Pull(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
         """The gradients that are asked for; that in a homography is summed in float64."""
         from deepir.loops import spread
-        from deepir.loops.spline import push, shove, turn
+        from deepir.loops.spline import shove, turn
 
         scene, motion = ctx.saved_tensors
         gradient, to_scene, to_motion = gradient.contiguous(), None, None
         if ctx.needs_input_grad[0]:
-            to_scene = torch.zeros_like(scene)
-            spread(push, scene.shape[-2], gradient, motion, to_scene)
+            to_scene = pushed(gradient, motion, scene.shape)
         if ctx.needs_input_grad[1] and motion.ndim == 4:
             to_motion = torch.empty_like(motion)
             spread(shove, gradient.shape[-2], gradient, scene, motion, to_motion)
@@ -65,6 +65,16 @@ class Pull(torch.autograd.Function):
             one, by_x = sums.unbind(-1)
             to_motion = torch.stack((by_x.sum(1), y @ one, one.sum(1)), -1)
         return to_scene, to_motion, None
+
+
+def pushed(frames: Tensor, motion: Tensor, shape: Sequence[int]) -> Tensor:
+    """The adjoint of `Pull` in the coefficients, which have this shape."""
+    from deepir.loops import spread
+    from deepir.loops.spline import push
+
+    scene = frames.new_zeros(shape)
+    spread(push, shape[-2], frames.contiguous(), motion.contiguous(), scene)
+    return scene
 
 
 def sample(scene: Tensor, points: Tensor) -> Tensor:

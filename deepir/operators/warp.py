@@ -7,7 +7,7 @@ from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
 from deepir.operators.path import Path
-from deepir.operators.spline import LEAST, NOISE_GAIN, Pull, image, sample
+from deepir.operators.spline import LEAST, NOISE_GAIN, Pull, image, pushed, sample
 from deepir.registry import register
 
 #: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
@@ -82,12 +82,23 @@ class Warp(Operator):
             raise ValueError(f"warp: the canvas is {self.canvas}, but the scene {tuple(x.shape[-2:])}")
         return self._sampled(x, self.instants.through(motion))
 
+    @torch.no_grad()
+    def adjoint(self, y: Tensor, x_shape: Shape, *, motion: Tensor) -> Tensor:  # type: ignore[override]
+        """On the CPU by a loop of its own."""
+        if y.device.type != "cpu":
+            return super().adjoint(y, x_shape, motion=motion)
+        return pushed(y, self._looks(self.instants.through(motion), y.dtype), x_shape)
+
     def _sampled(self, x: Tensor, motion: Tensor) -> Tensor:
         if x.device.type != "cpu":
             return sample(x, self.points(motion).to(x.dtype))
+        return Pull.apply(x, self._looks(motion, x.dtype), self.size)
+
+    def _looks(self, motion: Tensor, dtype: torch.dtype) -> Tensor:
+        """Where the frames look, as the loops take it."""
         if motion.ndim == 4:
-            return Pull.apply(x, self.points(motion).to(x.dtype).permute(0, 3, 1, 2), self.size)
-        return Pull.apply(x, self.place @ _finite(motion).double(), self.size)
+            return self.points(motion).to(dtype).permute(0, 3, 1, 2)
+        return self.place @ _finite(motion).double()
 
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""

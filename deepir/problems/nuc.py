@@ -17,12 +17,13 @@ from deepir.strengths import (
     update_strengths,
     weigh_scene,
 )
+from deepir.unseen import smooth_unseen
 from deepir.waves import modelled
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
 #: Gain of ten iterations, in nats for each sample, below which a round of the sensor's ends: the first ones, the last.
-ROUGH, FINE = 5e-3, 3e-4
+ROUGH, FINE = 2e-3, 3e-4
 
 
 @register("problem", "nuc")
@@ -46,6 +47,7 @@ class NUC(Definition):
         start_precision(problem)
         start_scene_and_parts(problem)
         estimate_slow(problem, start=True)
+        smooth_unseen(problem)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
 
@@ -59,7 +61,7 @@ class NUC(Definition):
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        short, long, last = (30, 60, 20) if modelled(problem) else (25, 30, 35)
+        short, long, last = (30, 60, 17) if modelled(problem) else (25, 30, 35)
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
         return [
@@ -73,6 +75,7 @@ class NUC(Definition):
 def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
     update_strengths(problem)
+    smooth_unseen(problem)
     weigh_scene(problem, WEAK)
 
 
