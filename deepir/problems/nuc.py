@@ -8,6 +8,7 @@ from typing import ClassVar
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
+from deepir.shaded_gain import estimate_shaded_gain
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import (
@@ -65,7 +66,7 @@ class NUC(Definition):
         return [
             first,
             dataclasses.replace(first, name="sensor 2", prepare=update),
-            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine),
+            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update_last, tolerance=fine),
             Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
         ]
 
@@ -74,6 +75,12 @@ def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
     update_strengths(problem)
     weigh_scene(problem, WEAK)
+
+
+def update_last(problem: Problem) -> None:
+    """The same for the last round: what is found by then tells whether the gain is shaded."""
+    update(problem)
+    estimate_shaded_gain(problem)
 
 
 def finish(problem: Problem) -> None:

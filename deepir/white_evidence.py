@@ -1,0 +1,37 @@
+"""How likely variances of Gaussian unknowns are, when others may be anything."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+RIDGE = 1e-9  # of those without a prior, as a share of the mean: some look the same
+
+
+class Evidence:
+    """Of data that say `½ x' A x - b' x` nats of unknowns, of which the first `free` have no prior.
+
+    `system` and `score`: what is left of A and b for the others, once the first are integrated out.
+    """
+
+    def __init__(self, normal: Tensor, rhs: Tensor, free: int) -> None:
+        a, b = normal[:free, :free], normal[:free, free:]
+        a = a + RIDGE * a.diagonal().mean() * torch.eye(free, dtype=a.dtype, device=a.device)
+        self.back = torch.linalg.solve(a, torch.cat((b, rhs[:free, None]), 1))
+        self.system = normal[free:, free:] - b.T @ self.back[:, :-1]
+        self.score = rhs[free:] - b.T @ self.back[:, -1]
+
+    def nats(self, prior: Tensor) -> Tensor:
+        """Minus the evidence's logarithm, up to a constant, (K,), for variances (K, unknowns) of the others."""
+        one = torch.eye(prior.shape[1], dtype=prior.dtype, device=prior.device)
+        triangle, _ = torch.linalg.cholesky_ex(
+            one + prior[:, :, None].sqrt() * self.system * prior[:, None].sqrt()
+        )
+        white = torch.linalg.solve_triangular(triangle, (prior.sqrt() * self.score)[..., None], upper=False)
+        return (triangle.diagonal(dim1=1, dim2=2).log().sum(1) - white.square().sum((1, 2)) / 2).cpu()
+
+    def posterior(self, prior: Tensor) -> tuple[Tensor, Tensor]:
+        """Means of the first unknowns, and of the others, for their variances (unknowns,)."""
+        system = torch.eye(len(prior), dtype=prior.dtype, device=prior.device) + prior[:, None] * self.system
+        mean = torch.linalg.solve(system, prior * self.score)
+        return self.back[:, -1] - self.back[:, :-1] @ mean, mean
