@@ -10,6 +10,7 @@ unknowns. What tells γ from the others is texture that is fainter where the cam
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -20,7 +21,7 @@ from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.slow import Slow, Variances, expected
 from deepir.slow_strengths import RARE, jumps, slow_unknowns
-from deepir.white_evidence import Evidence
+from deepir.white_evidence import Evidence, normal_matrix
 
 ENOUGH = 4  # frames: three tell smooth gains from the scene hardly at all
 CERTAIN = 10  # nats by which a shaded gain has to make the frames likelier
@@ -68,15 +69,44 @@ class _Smooth:
         of_gain, of_offset = (_variances(field) for field in fields)
         gain, offset = (_quick_lines(field, frame).to(flux) for field in fields)
         residual = (problem.data - (1 + gain) * flux - offset - jumps(problem))[:, 0]
-        pixels = (self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL))
+        pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
         self.expected = [
             expected({PIXEL: 0.0} | lines, frame) * unit
             for lines, unit in ((of_offset, 1.0), (of_gain, self.level**2))
         ]
-        normal = self._normal(flux[:, 0], residual, problem.fitted()[:, 0], pixels)
+        precision = problem.fitted()[:, 0]
+        middle = residual[precision > 0].median()
+        limit = OUTLIER * (residual[precision > 0] - middle).abs().median()
+        residual = middle + (residual - middle).clamp(-limit, limit)
+        some = 2 * (slice(None, None, math.ceil((flux[0].numel() / SAMPLES) ** 0.5)),)
+        z = flux[:, 0, *some].double().flatten(1) / self.level
+        own = torch.stack((pixels[0] ** 0.5 * z, pixels[1] ** 0.5 * torch.ones_like(z)), 1)
+        columns = self._columns(z, flux[:, 0], residual, some)
+        normal = normal_matrix(columns, precision[:, *some].double().flatten(1), own)
         self.count = len(flux)
         free = 2 * (len(frame.white) + 1) + 3 * (self.count - 1)
         self.evidence = Evidence(normal[:-1, :-1], normal[:-1, -1], free)
+
+    def _columns(
+        self, z: Tensor, flux: Tensor, residual: Tensor, some: tuple[slice, slice]
+    ) -> Iterator[Tensor]:
+        """For each frame what the unknowns make of some of its pixels, and what is to be explained, last.
+
+        These are θ, the level, ψ, its level, and motions, which may be anything, φ, levels of the frames, and γ.
+        """
+        each = torch.eye(len(self.slow.frame.white), dtype=z.dtype, device=z.device)
+        terms = self.slow.frame.spread(each)[:, *some].flatten(1)
+        one = torch.ones_like(terms[:1])
+        moves = _moves(flux)[..., *some].double().flatten(2)
+        moves = moves / moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
+        levels = self.slow.levels()[:, 0]
+        for k, zk in enumerate(z):
+            carried = self.slow.carried[k].T @ torch.cat((one, terms))
+            moved = moves.new_zeros(len(z), *moves.shape[1:])
+            moved[k] = moves[k]
+            scene = carried, one, carried * zk, zk[None], moved[1:].flatten(0, 1)
+            pattern = terms, levels[k][:, None] * one, terms * zk
+            yield torch.cat((*scene, *pattern, residual[k][some].double().reshape(1, -1)))
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
         """Least nats, of which a drift costs `RARE`, and strengths of the offset, the drift and the gain."""
@@ -100,48 +130,6 @@ class _Smooth:
         of_offset, of_gain = (each.cpu() for each in self.expected)
         smooth = of_offset + offset * shape, of_gain + self.level**2 * gain * shape
         return self.evidence.nats(torch.cat((smooth[0], drift.expand(-1, self.count), smooth[1]), 1))
-
-    def _normal(
-        self, flux: Tensor, residual: Tensor, precision: Tensor, pixels: tuple[float, float]
-    ) -> Tensor:
-        """Normal matrix of θ, the level, ψ, its level, motions, φ, frames' levels and γ, and right-hand side, last.
-
-        For frames (N, h, w), and gains and offsets of the pixels, of these variances, integrated out.
-        """
-        count, height, width = flux.shape
-        step = max(math.ceil((height * width / SAMPLES) ** 0.5), 1)
-        some = slice(None, None, step), slice(None, None, step)
-        middle = residual[precision > 0].median()
-        limit = OUTLIER * (residual[precision > 0] - middle).abs().median()
-        residual = middle + (residual - middle).clamp(-limit, limit)
-        moves = _moves(flux)[..., *some].double().flatten(2)
-        moves = moves / moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
-        z, residual, precision = (each[:, *some].double().flatten(1) for each in (flux, residual, precision))
-        z = z / self.level
-        each = torch.eye(len(self.slow.frame.white), dtype=z.dtype, device=z.device)
-        terms = self.slow.frame.spread(each)[:, *some].flatten(1)
-        one = torch.ones_like(terms[:1])
-        levels = self.slow.levels()[:, 0]
-        told = torch.eye(2, dtype=z.dtype, device=z.device)[..., None]
-        whole = shared = torch.zeros((), dtype=z.dtype, device=z.device)
-        root = torch.tensor(pixels, dtype=z.dtype, device=z.device).sqrt()
-        for k in range(count):
-            carried = self.slow.carried[k].T @ torch.cat((one, terms))
-            moved = torch.zeros(count - 1, *moves.shape[1:], dtype=z.dtype, device=z.device)
-            if k:
-                moved[k - 1] = moves[k]
-            scene = (carried, one, carried * z[k], z[k : k + 1], moved.flatten(0, 1))
-            pattern = (terms, levels[k][:, None] * one, terms * z[k], residual[k : k + 1])
-            columns = torch.cat((*scene, *pattern))
-            weighted = columns * precision[k]
-            pixel = root[:, None] * torch.stack((z[k], one[0]))
-            whole = whole + weighted @ columns.T
-            shared = shared + weighted[:, None] * pixel
-            told = told + precision[k] * pixel[:, None] * pixel
-        (a, b), (_, d) = told
-        inverse = torch.stack((d, -b, -b, a)).div_(a * d - b * b).unflatten(0, (2, 2))
-        out = torch.einsum("ijk,ujk->uik", inverse, shared)
-        return whole - out.flatten(1) @ shared.flatten(1).T
 
 
 def _variances(field: Field) -> Variances:

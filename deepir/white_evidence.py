@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor
 
@@ -35,3 +37,24 @@ class Evidence:
         system = torch.eye(len(prior), dtype=prior.dtype, device=prior.device) + prior[:, None] * self.system
         mean = torch.linalg.solve(system, prior * self.score)
         return self.back[:, -1] - self.back[:, :-1] @ mean, mean
+
+
+def normal_matrix(columns: Iterable[Tensor], precision: Tensor, own: Tensor) -> Tensor:
+    """Products `C' W C` of the columns of frames, (U, U), with what each pixel has of its own integrated out.
+
+    Args:
+        columns: for each of N frames, (U, K).
+        precision: of the samples, W, (N, K).
+        own: what two unknowns of each pixel, of variance one, make of its samples, (N, 2, K).
+    """
+    told = torch.eye(2, dtype=own.dtype, device=own.device)[..., None]
+    whole = shared = own.new_zeros(())
+    for each, weight, pixel in zip(columns, precision, own, strict=True):
+        weighted = each * weight
+        whole = whole + weighted @ each.T
+        shared = shared + weighted[:, None] * pixel
+        told = told + weight * pixel[:, None] * pixel
+    (a, b), (_, d) = told
+    inverse = torch.stack((d, -b, -b, a)).div_(a * d - b * b).unflatten(0, (2, 2))
+    out = torch.einsum("ijk,ujk->uik", inverse, shared)
+    return whole - out.flatten(1) @ shared.flatten(1).T
