@@ -31,26 +31,33 @@ OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 COARSE, FINE = 9, 7  # strengths on each axis of the search
 
 
+def unknown_shadings(problem: Problem) -> list[Shading]:
+    """Those of the gain whose strength is to be found; none where too little is there to find it."""
+    offsets, stray, _ = slow_unknowns(problem)
+    if not offsets or stray or len(problem.data) < ENOUGH:
+        return []
+    parts = _fields(problem)[0].parts()
+    return [part for part in parts if isinstance(part, Shading) and not part.given]
+
+
 @torch.no_grad()
-def estimate_shaded_gain(problem: Problem) -> None:
-    """Set the strength of the gain's shading, if there is one; with it, those of the offset's and of a drift."""
-    offsets, stray, drifts = slow_unknowns(problem)
-    name, _ = problem.operator.named()[-1]
-    gains = [
-        part
-        for part in problem.fields[problem.slots.get(f"{name}.gain", "scene")].parts()
-        if isinstance(part, Shading) and not part.given
-    ]
-    if not (gains and offsets) or stray or len(problem.data) < ENOUGH:
-        return
-    evidence = _Smooth(problem)
+def estimate_shaded_gain(problem: Problem) -> bool:
+    """Whether the gain is shaded; if so, the strength of that, of the offset's shading and of a drift are set."""
+    shadings = unknown_shadings(problem)
+    if not shadings:
+        return False
+    evidence, (offsets, _, drifts) = _Smooth(problem), slow_unknowns(problem)
     even, _ = evidence.best(shaded=False, drift=bool(drifts))
     nats, (offset, drift, gain) = evidence.best(shaded=True, drift=bool(drifts))
     if nats + CERTAIN > even or gain > MOST:
-        return
-    for parts, sigma in ((gains, gain), (offsets, offset), (drifts, drift)):
-        for part in parts:
-            part.sigma.fill_(sigma)
+        return False
+    for part in shadings:
+        part.sigma.fill_(gain)
+    for part in offsets:  # a gain may stand in for it, but where the scene is even
+        part.sigma.fill_(max(offset, float(part.sigma)))
+    for field in drifts:
+        field.sigma.fill_(drift)
+    return True
 
 
 class _Smooth:
@@ -64,10 +71,8 @@ class _Smooth:
         frame = self.slow.frame
         self.level = float(flux.double().square().mean().sqrt())
         self.spread = float(problem.data[problem.precision > 0].std())
-        last = problem.operator.named()[-1][0]
-        fields = [problem.fields[problem.slots[f"{last}.{slot}"]] for slot in ("gain", "offset")]
-        of_gain, of_offset = (_variances(field) for field in fields)
-        gain, offset = (_quick_lines(field, frame).to(flux) for field in fields)
+        of_gain, of_offset = (_variances(field) for field in _fields(problem))
+        gain, offset = (_quick_lines(field, frame).to(flux) for field in _fields(problem))
         residual = (problem.data - (1 + gain) * flux - offset - jumps(problem))[:, 0]
         pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
         self.expected = [
@@ -130,6 +135,12 @@ class _Smooth:
         of_offset, of_gain = (each.cpu() for each in self.expected)
         smooth = of_offset + offset * shape, of_gain + self.level**2 * gain * shape
         return self.evidence.nats(torch.cat((smooth[0], drift.expand(-1, self.count), smooth[1]), 1))
+
+
+def _fields(problem: Problem) -> list[Field]:
+    """Of gain and offset."""
+    last = problem.operator.named()[-1][0]
+    return [problem.fields[problem.slots[f"{last}.{slot}"]] for slot in ("gain", "offset")]
 
 
 def _variances(field: Field) -> Variances:

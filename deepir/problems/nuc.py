@@ -8,7 +8,7 @@ from typing import ClassVar
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
-from deepir.shaded_gain import estimate_shaded_gain
+from deepir.shaded_gain import estimate_shaded_gain, unknown_shadings
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import (
@@ -53,6 +53,8 @@ class NUC(Definition):
     def plan(self, problem: Problem) -> list[Stage]:
         """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
 
+        One more round where what these found tells that the gain is shaded: before, there is as much that looks so.
+
         Where the curvature is modelled each round ends by itself: in tones there is little left after twenty
         iterations, in counts and where lines are strong after more.
         """
@@ -63,10 +65,13 @@ class NUC(Definition):
         short, long, last = (30, 60, 20) if modelled(problem) else (25, 30, 35)
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
+        third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine)
+        shaded = dataclasses.replace(third, name="shaded gain", prepare=None, needed=estimate_shaded_gain)
         return [
             first,
             dataclasses.replace(first, name="sensor 2", prepare=update),
-            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update_last, tolerance=fine),
+            third,
+            *([shaded] if unknown_shadings(problem) else []),
             Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
         ]
 
@@ -75,12 +80,6 @@ def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
     update_strengths(problem)
     weigh_scene(problem, WEAK)
-
-
-def update_last(problem: Problem) -> None:
-    """The same for the last round: what is found by then tells whether the gain is shaded."""
-    update(problem)
-    estimate_shaded_gain(problem)
 
 
 def finish(problem: Problem) -> None:
