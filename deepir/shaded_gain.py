@@ -40,24 +40,33 @@ def unknown_shadings(problem: Problem) -> list[Shading]:
     return [part for part in parts if isinstance(part, Shading) and not part.given]
 
 
+def gain_is_shaded(problem: Problem) -> bool:
+    """Whether it is, as far as the evidence goes; see `estimate_shaded_gain`."""
+    return bool(unknown_shadings(problem)) and _likeliest(problem) is not None
+
+
 @torch.no_grad()
-def estimate_shaded_gain(problem: Problem) -> bool:
-    """Whether the gain is shaded; if so, the strength of that, of the offset's shading and of a drift are set."""
-    shadings = unknown_shadings(problem)
-    if not shadings:
-        return False
-    evidence, (offsets, _, drifts) = _Smooth(problem), slow_unknowns(problem)
-    even, _ = evidence.best(shaded=False, drift=bool(drifts))
-    nats, (offset, drift, gain) = evidence.best(shaded=True, drift=bool(drifts))
-    if nats + CERTAIN > even or gain > MOST:
-        return False
-    for part in shadings:
+def estimate_shaded_gain(problem: Problem) -> None:
+    """If the gain is shaded, set the strength of that, and with it those of the offset's shading and of a drift."""
+    found, (offsets, _, drifts) = _likeliest(problem), slow_unknowns(problem)
+    if found is None:
+        return
+    offset, drift, gain = found
+    for part in unknown_shadings(problem):
         part.sigma.fill_(gain)
     for part in offsets:  # a gain may stand in for it, but where the scene is even
         part.sigma.fill_(max(offset, float(part.sigma)))
     for field in drifts:
         field.sigma.fill_(drift)
-    return True
+
+
+@torch.no_grad()
+def _likeliest(problem: Problem) -> list[float] | None:
+    """The strengths of the offset's shading, a drift and the gain's shading; None if there is none of the gain."""
+    evidence, drift = _Smooth(problem), bool(slow_unknowns(problem)[2])
+    even, _ = evidence.best(shaded=False, drift=drift)
+    nats, found = evidence.best(shaded=True, drift=drift)
+    return found if nats + CERTAIN < even and found[-1] < MOST else None
 
 
 class _Smooth:

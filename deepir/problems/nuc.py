@@ -8,7 +8,7 @@ from typing import ClassVar
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
-from deepir.shaded_gain import estimate_shaded_gain, unknown_shadings
+from deepir.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import (
@@ -66,7 +66,7 @@ class NUC(Definition):
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
         third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine)
-        shaded = dataclasses.replace(third, name="shaded gain", prepare=None, needed=estimate_shaded_gain)
+        shaded = dataclasses.replace(third, name="shaded gain", prepare=shade, needed=gain_is_shaded)
         return [
             first,
             dataclasses.replace(first, name="sensor 2", prepare=update),
@@ -80,6 +80,12 @@ def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
     update_strengths(problem)
     weigh_scene(problem, WEAK)
+
+
+def shade(problem: Problem) -> None:
+    """The same for a round with a shaded gain."""
+    update(problem)
+    estimate_shaded_gain(problem)
 
 
 def finish(problem: Problem) -> None:
