@@ -17,6 +17,7 @@ from deepir.priors.terms import Terms
 from deepir.problem import Problem, Values
 from deepir.slow import Slow, expected, variances
 from deepir.thin import thinned
+from deepir.white_evidence import Evidence
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 ENOUGH = 3  # frames to tell shading and stray flux from the scene
@@ -30,7 +31,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
 
     Stray flux is shading of another shape: there is some if there is shading, and it is as strong as it was found.
     """
-    shadings, stray, drifts = _unknown(problem)
+    shadings, stray, drifts = slow_unknowns(problem)
     if not (shadings or stray or drifts):
         return
     evidence = _Evidence(problem, problem.closed_form(), stray)
@@ -62,7 +63,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
 @torch.no_grad()
 def shading_message(problem: Problem) -> list[str]:
     """Say so if too few frames are shaded."""
-    shadings, stray, drifts = _unknown(problem)
+    shadings, stray, drifts = slow_unknowns(problem)
     if not (shadings or stray) or len(problem.data) >= ENOUGH:
         return []
     evidence = _Evidence(problem, problem.closed_form(), stray)
@@ -75,7 +76,7 @@ def shading_message(problem: Problem) -> list[str]:
     ]
 
 
-def _unknown(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
+def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
     first, *others = (stage for _, stage in problem.operator.named())
     same = all(
@@ -124,23 +125,19 @@ class _Evidence:
             )
         self.slow.doubt(self._chance(variance))
         #: Levels that jump do drift.
-        self.jumps = bool(_jumps(problem).any())
+        self.jumps = bool(jumps(problem).any())
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = thinned(residual[:, None])
         middle = some.median()
         limit = OUTLIER * float((some - middle).abs().median())
-        self.count, self.free = len(residual), len(self.slow.scene.white) + 1
+        self.count, free = len(residual), len(self.slow.scene.white) + 1
         levels = self.slow.levels()
-        self.normal = self.slow.normal(levels)
-        self.rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels)
+        normal = self.slow.normal(levels)
+        rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels)
         for each in strays:  # the residual is without what is known of them
             slow = self.slow.of_terms(each)[0] @ each.coefficients.double()
-            self.rhs += self.normal[:, self.free - 1 : self.free + len(self.expected)] @ slow
-        a, b = self.normal[: self.free, : self.free], self.normal[: self.free, self.free :]
-        a = a + 1e-9 * a.diagonal().mean() * torch.eye(self.free, dtype=a.dtype, device=a.device)
-        self.back = torch.linalg.solve(a, torch.cat((b, self.rhs[: self.free, None]), 1))
-        self.system = self.normal[self.free :, self.free :] - b.T @ self.back[:, :-1]
-        self.score = self.rhs[self.free :] - b.T @ self.back[:, -1]
+            rhs += normal[:, free - 1 : free + len(self.expected)] @ slow
+        self.evidence = Evidence(normal, rhs, free)
 
     def _chance(self, variance: dict[tuple[int, ...], float]) -> float:
         """Variance of what the lines' pattern does to the frames by chance.
@@ -179,13 +176,7 @@ class _Evidence:
 
     def nats(self, strengths: Tensor) -> Tensor:
         """Minus the evidence's logarithm, up to a constant, of strengths (K, 2) of shading and drift."""
-        prior = self._prior(strengths.to(self.score.device))
-        one = torch.eye(prior.shape[1], dtype=prior.dtype, device=prior.device)
-        triangle, _ = torch.linalg.cholesky_ex(
-            one + prior[:, :, None].sqrt() * self.system * prior[:, None].sqrt()
-        )
-        white = torch.linalg.solve_triangular(triangle, (prior.sqrt() * self.score)[..., None], upper=False)
-        return (triangle.diagonal(dim1=1, dim2=2).log().sum(1) - white.square().sum((1, 2)) / 2).cpu()
+        return self.evidence.nats(self._prior(strengths.to(self.expected.device)))
 
     def _prior(self, strengths: Tensor) -> Tensor:
         """Variances of φ and of the levels, (K, terms + N)."""
@@ -194,10 +185,8 @@ class _Evidence:
 
     def _posterior(self, smooth: float, drift: float) -> tuple[Tensor, Tensor]:
         """Means of (θ, level of the pattern) and of (φ, levels)."""
-        (prior,) = self._prior(self.score.new_tensor([[smooth, drift]]))
-        system = torch.eye(len(prior), dtype=prior.dtype, device=prior.device) + prior[:, None] * self.system
-        mean = torch.linalg.solve(system, prior * self.score)
-        return self.back[:, -1] - self.back[:, :-1] @ mean, mean
+        (prior,) = self._prior(self.expected.new_tensor([[smooth, drift]]))
+        return self.evidence.posterior(prior)
 
     def levels(self, smooth: float, drift: float) -> Tensor:
         """The levels of the frames, (N, 1, 1, 1)."""
@@ -226,10 +215,10 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
             own = (values[name] - neutral)[0, 0].double()
             slow = own.mean() + frame.spread(frame.sums(own) / own.numel())
             quick[kind] = quick[kind] - slow.to(quick[kind])
-    return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"] - _jumps(problem))[:, 0]
+    return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"] - jumps(problem))[:, 0]
 
 
-def _jumps(problem: Problem) -> Tensor:
+def jumps(problem: Problem) -> Tensor:
     """Known levels of the frames, (N, 1, 1, 1) or as one."""
     found = [field.jumps for field in problem.fields.values() if isinstance(field, Drift)]
     return sum(found, problem.data.new_zeros(1, 1, 1, 1))

@@ -88,6 +88,9 @@ def solve(
     while at.stage < len(plan):
         stage = plan[at.stage]
         if optimisers is None:
+            if stage.needed is not None and not stage.needed(problem):
+                at.stage += 1
+                continue
             if stage.change is not None:
                 stage.change(problem)
             if stage.prepare is not None:

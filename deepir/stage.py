@@ -34,5 +34,7 @@ class Stage:
     prepare: Callable[[Problem], None] | None = None
     use_held_out: bool = False
     tolerance: float = 1e-5  # stop when ten iterations gain less than this, in nats for each sample
+    #: Asked when the stage comes, before all else: it is left out if there is no need.
+    needed: Callable[[Problem], bool] | None = None
     #: Called before `prepare` to put a field in another's place; and again when a later solve goes on from here.
     change: Callable[[Problem], None] | None = None

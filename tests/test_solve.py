@@ -125,6 +125,21 @@ def test_what_is_in_no_step_stays_and_stages_follow_each_other(small_nuc):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("needed", [True, False])
+def test_a_stage_that_nothing_needs_is_left_out(small_nuc, needed):
+    asked = []
+    step = (Step(("scene",)),)
+    stages = [
+        Stage("first", step, 2),
+        Stage("more", step, 2, needed=lambda p: asked.append(p) or needed, prepare=asked.append),
+        Stage("last", step, 2),
+    ]
+    problem = small_nuc()
+    history = solve(problem, stages).history
+    assert asked == (1 + needed) * [problem]
+    assert ("more" in {row["stage"] for row in history}) == needed
+
+
 def test_the_eliminated_are_at_the_optimum_when_a_stage_ends(small_nuc):
     for method in OPTIMISERS:
         problem = small_nuc()

@@ -64,9 +64,9 @@ class DeblurLag(NUC):
 
     def plan(self, problem: Problem) -> list[Stage]:
         """Sensor; with motion and time constant, twice, to the end; scene."""
-        first, second, third, scene = super().plan(problem)
+        first, second, third, *more, scene = super().plan(problem)
         third = replace(third, tolerance=Stage.tolerance)
-        return [first, replace(third, name=second.name), third, scene]
+        return [first, replace(third, name=second.name), third, *more, scene]
 
     @torch.no_grad()
     def figures(self, problem: Problem) -> dict[str, float]:

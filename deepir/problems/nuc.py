@@ -8,6 +8,7 @@ from typing import ClassVar
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
+from deepir.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import (
@@ -54,6 +55,8 @@ class NUC(Definition):
     def plan(self, problem: Problem) -> list[Stage]:
         """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
 
+        One more round where what these found tells that the gain is shaded: before, there is as much that looks so.
+
         Where the curvature is modelled each round ends by itself: in tones there is little left after twenty
         iterations, in counts and where lines are strong after more.
         """
@@ -64,10 +67,13 @@ class NUC(Definition):
         short, long, last = (30, 60, 17) if modelled(problem) else (25, 30, 35)
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
+        third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine)
+        shaded = dataclasses.replace(third, name="shaded gain", prepare=shade, needed=gain_is_shaded)
         return [
             first,
             dataclasses.replace(first, name="sensor 2", prepare=update),
-            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine),
+            third,
+            *([shaded] if unknown_shadings(problem) else []),
             Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
         ]
 
@@ -77,6 +83,12 @@ def update(problem: Problem) -> None:
     update_strengths(problem)
     smooth_unseen(problem)
     weigh_scene(problem, WEAK)
+
+
+def shade(problem: Problem) -> None:
+    """The same for a round with a shaded gain."""
+    update(problem)
+    estimate_shaded_gain(problem)
 
 
 def finish(problem: Problem) -> None:

@@ -1,0 +1,59 @@
+"""A lens that vignettes shades the gain: it is found where it is, and not where something else is smooth."""
+
+import pytest
+
+import deepir
+from deepir.metrics import scores
+from deepir.simulate import Settings, simulate
+
+CAMERA = {"shape": (80, 96), "shading": 0.0, "dead_pixels": 0.0, "max_shift": 8.0}
+TONES = {"photons": 1000.0, "read_noise": 0.002}
+COUNTS = {"counts": True}
+
+
+def run(*overrides, n_frames=6, seed=2, **effects):
+    sim = simulate(None, Settings(n_frames=n_frames, **(CAMERA | effects)), seed=seed)
+    result = deepir.run("nuc", *overrides, frames=sim.frames, threads=1)
+    return result, sim
+
+
+def psnr(result, sim):
+    return scores(result.scene, sim.truth.scene)["psnr_aligned"]
+
+
+def strength(result):
+    return result.metrics["strengths"]["gain.shading.sigma"]
+
+
+@pytest.mark.parametrize(("camera", "better"), [(TONES, 1.0), (COUNTS, 3.0)])
+def test_a_shaded_gain_is_found(camera, better):
+    effects = camera | {"gain_shading": 0.3}
+    result, sim = run(**effects)
+    even, _ = run("physics.sensor.gain.type=column+row+pixel", **effects)
+    assert strength(result) > 0
+    assert psnr(result, sim) > psnr(even, sim) + better
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        TONES,
+        TONES | {"shading": 0.25},
+        TONES | {"gain_column": 0.1},
+        COUNTS | {"shading": 0.25},
+        COUNTS | {"level_drift": 0.02},
+    ],
+)
+def test_what_else_is_smooth_is_not_taken_for_it(effects):
+    result, _ = run(**effects)
+    assert strength(result) == 0
+
+
+def test_three_frames_are_not_asked():
+    result, _ = run(n_frames=3, gain_shading=0.3, **TONES)
+    assert strength(result) == 0
+
+
+def test_a_strength_that_is_given_is_kept():
+    result, _ = run("physics.sensor.gain.shading.sigma=0.03", **TONES)
+    assert strength(result) == 0.03
