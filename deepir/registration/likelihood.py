@@ -47,15 +47,16 @@ class Spectra:
         y, x = (2 * np.pi * waves for waves in (np.fft.fftfreq(h), np.fft.rfftfreq(w)))
         rows, columns = np.abs(y) < HIGHEST, x < HIGHEST
         self.y, self.x = y[rows], x[columns]
+        self.size, self.known = (h, w), np.ix_(rows, columns)
         spectra = torch.fft.rfft2(frames).numpy() / float(apart.square().sum().sqrt())
         self.frames = spectra[:, rows][:, :, columns]
         self.total = self.frames.sum(0)
-        length = np.hypot(self.y[:, None], self.x)
-        self.ring = np.digitize(length, np.geomspace(2 * np.pi / max(h, w), HIGHEST, RINGS))
+        self.length = np.hypot(self.y[:, None], self.x)
+        self.ring = np.digitize(self.length, np.geomspace(2 * np.pi / max(h, w), HIGHEST, RINGS))
         self.line = np.zeros_like(self.ring)
         self.line[:, self.x < LINE * 2 * np.pi / w] = 2  # of rows
         self.line[np.abs(self.y) < LINE * 2 * np.pi / h] = 1  # of columns
-        self._guess(length > 0.8 * HIGHEST)
+        self._guess(self.length > 0.8 * HIGHEST)
 
     def _guess(self, short: np.ndarray) -> None:
         """Of the shortest waves, what differs from frame to frame is noise, and what does not is pattern."""
