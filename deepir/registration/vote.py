@@ -32,23 +32,23 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
     factor = max(1, -(-max(weight.shape) // SIZE))
     small = even(average(frames.float(), factor), average(weight[None], factor)[0])
     best = relative(motion)
+    turned = float((best[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
     best[:, :2, 2] /= factor
     linear = best.clone() if model in STRETCHED else identity(len(motion))
-    for start in starts(small, best):
+    for start in starts(small, best[1:, :2, 2].numpy(), turned):
         after = linear.clone()
         after[1:, :2, 2] = torch.from_numpy(likeliest_shifts(small, start))
-        if factor * apart(best, after, small) >= APART and sum(gained := gains(small, best, after)) >= max(gained):
+        if factor * apart(best, after, small) >= APART and preferred(small, best, after):
             best = after
     best[:, :2, 2] *= factor
     return best
 
 
-def starts(frames: Tensor, motion: Tensor) -> list[np.ndarray]:
-    """Shifts `(N - 1, 2)` from which the likelihood of frames climbs: those of a motion, and others if they are far."""
-    residual, whole = motion[1:, :2, 2].numpy(), whole_shifts(frames)
-    turned = float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(frames.shape[1:]) / 2
-    near = np.abs(whole - residual).max() < FAR
-    return [] if turned > TURNED and near else [residual] if near else [whole] if turned > TURNED else [residual, whole]
+def starts(frames: Tensor, residual: np.ndarray, turned: float) -> list[np.ndarray]:
+    """Shifts `(N - 1, 2)` from which the likelihood climbs: where the residuals are least, and far from there."""
+    whole = whole_shifts(frames)
+    found = [residual.copy()] if turned <= TURNED else []
+    return [*found, whole] if np.abs(whole - residual).max() > FAR else found
 
 
 def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
@@ -56,6 +56,12 @@ def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
     h, w = frames.shape[1:]
     corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
     return float(((after - before) @ corners)[:, :2].norm(dim=1).max())
+
+
+def preferred(frames: Tensor, before: Tensor, after: Tensor) -> bool:
+    """Whether all parts of frames but the one that gains most gain from motions `(N, 3, 3)` to others, in sum."""
+    gained = gains(frames, before, after)
+    return sum(gained) >= max(gained)
 
 
 def gains(frames: Tensor, before: Tensor, after: Tensor) -> list[float]:

@@ -46,7 +46,8 @@ def _first_harmonic(spectra: Spectra, k: int, others: np.ndarray, at: np.ndarray
     root = np.sqrt(rest * (rest + 2 * cross))
     ratio = cross / (rest + cross + root)
     shifts, frame = at[others], spectra.frames[k]
-    turn = np.exp(-1j * shifts[:, 1:] * spectra.y)[:, :, None] * np.exp(-1j * shifts[:, :1] * spectra.x)[:, None]
+    back_y, back_x = np.exp(-1j * shifts[:, 1:] * spectra.y), np.exp(-1j * shifts[:, :1] * spectra.x)
+    turn = back_y[:, :, None] * back_x[:, None]
     there = spectra.frames[others]
     ahead, behind = (there.conj() * turn).sum(0) * frame, (there * turn).sum(0) * frame.conj()
     power = (turn * (np.abs(there) ** 2 + np.abs(frame) ** 2)).sum(0)
