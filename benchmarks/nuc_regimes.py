@@ -47,6 +47,9 @@ class Regime:
 
 
 FEW = {3: "three frames tell shading from the scene only in part"}
+DRIFT = dict.fromkeys(
+    (3, 5, 10), "a slope of scene and offset and levels that follow the shifts are the same frames"
+)
 STILL = dict.fromkeys((3, 5, 10), "nothing moves along y: a row's pattern is the scene's as well")
 
 REGIMES: dict[str, Regime] = {
@@ -86,7 +89,7 @@ REGIMES: dict[str, Regime] = {
         UNIT | {"dead_pixels": 0.003, "stuck_pixels": 0.001, "noisy_pixels": 0.001},
     ),
     "tau 150": Regime(("procedural 21", "immunohistochemistry"), UNIT | {"photons": 150.0}),
-    "level drift 2 %": Regime(("coins", "clock"), UNIT | {"level_drift": 0.02}),
+    "level drift 2 %": Regime(("coins", "clock"), UNIT | {"level_drift": 0.02}, forbidden=DRIFT),
     "a walker": Regime(
         ("procedural 20", "procedural 46"), UNIT | {"walker": 0.5, "walker_contrast": 0.3}, frames=(5, 10)
     ),
