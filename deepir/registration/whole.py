@@ -25,7 +25,7 @@ def whole_shifts(frames: Tensor) -> np.ndarray:
         before = at.copy()
         for k in range(1, len(frames)):
             others = placed & (np.arange(len(frames)) != k)
-            nats = np.fft.irfft2(_first_harmonic(spectra, k, others, at), s=(h, w))
+            nats = np.fft.irfft2(first_harmonic(spectra, k, others, at), s=(h, w))
             nats[at[others, 1], at[others, 0]] = np.inf
             y, x = np.unravel_index(nats.argmin(), nats.shape)
             at[k] = (x + w // 2) % w - w // 2, (y + h // 2) % h - h // 2
@@ -35,7 +35,7 @@ def whole_shifts(frames: Tensor) -> np.ndarray:
     return at[1:].astype(float)
 
 
-def _first_harmonic(spectra: Spectra, k: int, others: np.ndarray, at: np.ndarray) -> np.ndarray:
+def first_harmonic(spectra: Spectra, k: int, others: np.ndarray, at: np.ndarray) -> np.ndarray:
     """What frame k says beside each of the others, which are at their places: minus log-likelihood, `(h, w / 2 + 1)`.
 
     The two frames' covariance has the determinant `p - q cos(k d)`, whose logarithm and inverse are series in `ratio`.
