@@ -4,7 +4,7 @@
 stuck pixels), `pyramid` (band-passed levels), `group` (which frames show one scene), `search` (correlation over all
 shifts and some rotations), `align` (scene, fixed pattern and motions, alternately), `pull` (frames on the grid of the
 first), `refine` (a Gauss-Newton step), `vote` (residuals or likelihood), `even` (a pattern as strong in the bright as
-in the dark), `likelihood` (of shifts), `motion` (the motion models).
+in the dark), `whole` (shifts in whole px, all of them at once), `likelihood` (of shifts), `motion` (the motion models).
 """
 
 from deepir.registration.burst import Registration, register

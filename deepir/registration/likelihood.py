@@ -1,10 +1,11 @@
 """Shifts of all frames at once, by their likelihood: scene and pattern, Gaussian of unknown spectra, integrated out.
 
 A wave k of frame j is `F_j = exp(i k d_j) X + P + noise`, of a scene X with a power that is that of all waves as long,
-and a pattern P, whose power is one number but along rows and columns. Noise, too, has a power for each length: what
-leaves the frame or walks through it is in there. Where a plain scene hides under its pattern, this finds the frames'
-places where correlations and residuals are ruled by the pattern. (Expectation-maximisation for the powers: Dempster,
-Laird, Rubin 1977.)
+and a pattern P, whose power is one number. Noise, too, has a power for each length: what leaves the frame or walks
+through it is in there. Waves along rows and columns are not asked: the pattern's lines are in them, and a scene's slope
+or horizon, which then passes for lines. Where a plain scene hides under its pattern, this finds the frames' places
+where correlations and residuals are ruled by the pattern. (Expectation-maximisation for the powers: Dempster, Laird,
+Rubin 1977.)
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from deepir.registration.search import window
 
 HIGHEST = 2.5  # radians a px: of shorter waves there is next to no scene
 RINGS = 14  # of waves as long
-LINE = 2.5  # waves along a line that make up those of lines, for the window's sake
+LINE = 2.5  # waves along rows or columns up to which lines are seen, for the window's sake
 SETTLED = 0.05  # px: a smaller step ends the rounds
 ROUNDS, STEPS, PASSES = 3, 20, 6  # of powers after shifts; of the shifts at most; of the powers
 STEEP = 1.0  # nats a px: less ends the steps
@@ -38,39 +39,37 @@ def likeliest_shifts(frames: Tensor, start: np.ndarray) -> np.ndarray:
 
 
 class Spectra:
-    """The frames' long waves `(N, h, w)`, and the powers `(h, w)` of scene, pattern and noise."""
+    """The frames' long waves `(N, h, w)`, the powers `(h, w)` of scene and noise, and the pattern's."""
 
     def __init__(self, frames: Tensor) -> None:
         h, w = frames.shape[1:]
         apart = window(h, w).double()
         frames = (frames - (frames * apart).sum((1, 2), keepdim=True) / apart.sum()) * apart
         y, x = (2 * np.pi * waves for waves in (np.fft.fftfreq(h), np.fft.rfftfreq(w)))
-        rows, columns = np.abs(y) < HIGHEST, x < HIGHEST
+        rows, columns = (
+            (LINE * 2 * np.pi / side < np.abs(each)) & (np.abs(each) < HIGHEST)
+            for side, each in ((h, y), (w, x))
+        )
         self.y, self.x = y[rows], x[columns]
+        self.size, self.known = (h, w), np.ix_(rows, columns)
         spectra = torch.fft.rfft2(frames).numpy() / float(apart.square().sum().sqrt())
         self.frames = spectra[:, rows][:, :, columns]
         self.total = self.frames.sum(0)
-        length = np.hypot(self.y[:, None], self.x)
-        self.ring = np.digitize(length, np.geomspace(2 * np.pi / max(h, w), HIGHEST, RINGS))
-        self.line = np.zeros_like(self.ring)
-        self.line[:, self.x < LINE * 2 * np.pi / w] = 2  # of rows
-        self.line[np.abs(self.y) < LINE * 2 * np.pi / h] = 1  # of columns
-        self._guess(length > 0.8 * HIGHEST)
+        self.length = np.hypot(self.y[:, None], self.x)
+        self.ring = np.digitize(self.length, np.geomspace(2 * np.pi / max(h, w), HIGHEST, RINGS))
+        self._guess(self.length > 0.8 * HIGHEST)
 
     def _guess(self, short: np.ndarray) -> None:
         """Of the shortest waves, what differs from frame to frame is noise, and what does not is pattern."""
-        n, rest = len(self.frames), self.line == 0
+        n = len(self.frames)
         power = (np.abs(self.frames) ** 2).mean(0)
         differ = (np.abs(self.frames - self.frames.mean(0)) ** 2).sum(0) / (n - 1)
         self.least = 1e-9 * float(power.mean())  # frames may be identical
         noise = max(float(differ[short].mean()), self.least)
         middle = 1 / np.log(2)  # a wave's power has an exponential distribution: its mean from its median
-        white = max(middle * float(np.median(power[short & rest])) - noise, 0.1 * noise)
-        level = _means(np.where(rest, power, np.nan), self.ring)
-        self.scene = np.maximum(np.nan_to_num(level) - white - noise, 0.02 * white)
-        lines = _means(power - self.scene, self.line) - noise
-        self.pattern = np.where(rest, white, np.maximum(lines, white))
-        self.noise = np.full(rest.shape, noise)
+        white = max(middle * float(np.median(power[short])) - noise, 0.1 * noise)
+        self.scene = np.maximum(_means(power, self.ring) - white - noise, 0.02 * white)
+        self.pattern, self.noise = white, np.full(power.shape, noise)
 
     def nats(self, shifts: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the log-likelihood of shifts `(2 (N - 1))`, less what does not depend on them; and its gradient."""
@@ -91,7 +90,7 @@ class Spectra:
             left = (np.abs(self.frames - turn * scene - pattern) ** 2).sum(0)
             left += unsure * (n * (a + b) - 2 * np.abs(both) ** 2)
             self.scene = _means(np.abs(scene) ** 2 + unsure * b, self.ring)
-            self.pattern = _means(np.abs(pattern) ** 2 + unsure * a, self.line)
+            self.pattern = float((np.abs(pattern) ** 2 + unsure * a).mean())
             self.noise = np.maximum(_means(left, self.ring) / n, self.least)
 
     def _scene_and_pattern(self, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -106,7 +105,6 @@ class Spectra:
 
 
 def _means(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
-    """For each wave the mean over all of its kind, of those that are numbers."""
-    known, flat = np.isfinite(values).ravel(), kind.ravel()
-    total = np.bincount(flat, np.where(known, values.ravel(), 0.0), RINGS + 1)
-    return (total / np.maximum(np.bincount(flat, known, RINGS + 1), 1))[kind]
+    """For each wave the mean over all of its kind."""
+    total = np.bincount(kind.ravel(), values.ravel(), RINGS + 1)
+    return (total / np.maximum(np.bincount(kind.ravel(), minlength=RINGS + 1), 1))[kind]

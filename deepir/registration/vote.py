@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -9,9 +10,12 @@ from deepir.registration.even import even
 from deepir.registration.likelihood import Spectra, likeliest_shifts
 from deepir.registration.motion import identity, relative
 from deepir.registration.pyramid import average
+from deepir.registration.whole import whole_shifts
 
 SIZE = 320  # px: of larger frames, means over blocks are looked at
 TURNED = 6.0  # px at the frame's edge up to which a motion may be a shift
+FEW = 5  # frames up to which residuals may be least at a wrong place that is far away
+FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there would end, too
 APART = 0.2  # px at the frame's corners: what is closer is the same
 STRETCHED = ("affine", "homography")  # models of which only the shift is changed
 LEAST = 64  # px: of smaller frames a part says too little
@@ -24,22 +28,33 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
     them up. The likelihood knows that, but not that something may walk through one part of the frame: so what counts is
     the gain of all parts but the one that gains most. weight: `(H, W)`, zero where a pixel is bad.
     """
-    turned = float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
-    if len(frames) < 3 or turned > TURNED or min(weight.shape) < LEAST:
+    if len(frames) < 3 or min(weight.shape) < LEAST:
         return motion
     factor = max(1, -(-max(weight.shape) // SIZE))
     small = even(average(frames.float(), factor), average(weight[None], factor)[0])
-    before = relative(motion)
-    before[:, :2, 2] /= factor
-    after = before.clone() if model in STRETCHED else identity(len(motion))
-    after[1:, :2, 2] = torch.from_numpy(likeliest_shifts(small, before[1:, :2, 2].numpy()))
-    if factor * apart(before, after, small) < APART:
-        return motion
-    gained = gains(small, before, after)
-    if sum(gained) < max(gained):
-        return motion
-    after[:, :2, 2] *= factor
-    return after
+    best = relative(motion)
+    turned = float((best[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
+    best[:, :2, 2] /= factor
+    linear = best.clone() if model in STRETCHED else identity(len(motion))
+    for start in starts(small, best[1:, :2, 2].numpy(), turned):
+        after = linear.clone()
+        after[1:, :2, 2] = torch.from_numpy(likeliest_shifts(small, start))
+        if factor * apart(best, after, small) >= APART and preferred(small, best, after):
+            best = after
+    best[:, :2, 2] *= factor
+    return best
+
+
+def starts(frames: Tensor, residual: np.ndarray, turned: float) -> list[np.ndarray]:
+    """Shifts `(N - 1, 2)` from which the likelihood climbs: where residuals are least, and, of few frames, elsewhere.
+
+    A turn is no shift; but where the search was taken in by the pattern, it found a turn, as often as not.
+    """
+    found = [residual.copy()] if turned <= TURNED else []
+    if len(frames) > FEW:
+        return found
+    whole = whole_shifts(frames)
+    return [*found, whole] if np.abs(whole - residual).max() > FAR else found
 
 
 def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
@@ -47,6 +62,12 @@ def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
     h, w = frames.shape[1:]
     corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
     return float(((after - before) @ corners)[:, :2].norm(dim=1).max())
+
+
+def preferred(frames: Tensor, before: Tensor, after: Tensor) -> bool:
+    """Whether all parts of frames but the one that gains most gain from motions `(N, 3, 3)` to others, in sum."""
+    gained = gains(frames, before, after)
+    return sum(gained) >= max(gained)
 
 
 def gains(frames: Tensor, before: Tensor, after: Tensor) -> list[float]:
