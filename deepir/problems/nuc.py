@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
+from deepir.moving import doubt_moving
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
@@ -64,9 +65,9 @@ class NUC(Definition):
         first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
         return [
             first,
-            dataclasses.replace(first, name="sensor 2", prepare=update),
-            Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine),
-            Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
+            dataclasses.replace(first, name="sensor 2", prepare=_update),
+            Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine),
+            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
         ]
 
 
@@ -81,3 +82,13 @@ def finish(problem: Problem) -> None:
     update_noise(problem, settled=True)
     measure_roughness(problem)
     weigh_scene(problem)
+
+
+def _update(problem: Problem) -> None:
+    update(problem)
+    doubt_moving(problem)
+
+
+def _finish(problem: Problem) -> None:
+    finish(problem)
+    doubt_moving(problem)
