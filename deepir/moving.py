@@ -12,7 +12,9 @@ from deepir.operators import Warp
 from deepir.operators.base import own
 from deepir.problem import Problem, Values
 
-APART = 5.0  # gap between the frames' values, in robust standard deviations, from which a place shows two things
+APART = (
+    5.0  # gap between the frames' values, in robust standard deviations, from which a place shows two things
+)
 FEW = 1 / 3  # share of a place's frames in which something that passes is few enough to be told by that
 SEEN = 0.3  # pixels of a frame that a place must be seen by
 SMOOTH = 3  # px: side of the windows whose mean residual is looked at
