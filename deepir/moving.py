@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.ndimage import label
 from torch import Tensor
 
 from deepir.defects import around
@@ -12,9 +14,8 @@ from deepir.operators import Warp
 from deepir.operators.base import own
 from deepir.problem import Problem, Values
 
-APART = (
-    5.0  # gap between the frames' values, in robust standard deviations, from which a place shows two things
-)
+APART = 5.0  # gap between the frames, in robust standard deviations, from which a place shows two things
+FAR = 12.0  # the same, of one place at least of each region that does
 FEW = 1 / 3  # share of a place's frames in which something that passes is few enough to be told by that
 SEEN = 0.3  # pixels of a frame that a place must be seen by
 SMOOTH = 3  # px: side of the windows whose mean residual is looked at
@@ -69,9 +70,16 @@ def _of_two_minds(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
     order = seen.where(known, torch.inf).sort(0).values
     gap, below = order.diff(dim=0).nan_to_num(nan=0, posinf=0).max(0)
     wide = (gap > APART * usual)[None, None].to(seen)
-    two = _dilated(1 - _dilated(1 - wide, THIN), THIN)[0, 0] > 0.5
+    two = _holding(_dilated(1 - _dilated(1 - wide, THIN), THIN)[0, 0] > 0.5, gap > FAR * usual)
     middle = order.gather(0, below[None]) + gap / 2
     return two, known & two & (seen > middle)
+
+
+def _holding(places: Tensor, some: Tensor) -> Tensor:
+    """Those regions of the `places` (H, W) that hold `some`."""
+    held = (places & some).cpu().numpy()
+    regions, _ = label(places.cpu().numpy())
+    return torch.from_numpy(np.isin(regions, regions[held])).to(places.device)
 
 
 def _which_passes(above: Tensor, below: Tensor) -> Tensor:
