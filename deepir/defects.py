@@ -79,7 +79,7 @@ def crowded(misfit: Tensor, usable: Tensor) -> Tensor:
 
     What moves by itself misfits over many pixels, a little each.
     """
-    total, share = _around(misfit.clamp(max=MOST)), _around(usable.to(misfit))
+    total, share = around(misfit.clamp(max=MOST)), around(usable.to(misfit))
     return total.div_(share.clamp_(min=0.1 * WINDOW**2)).sub_(CROWD).clamp_(min=0)
 
 
@@ -98,13 +98,13 @@ def median(image: Tensor) -> Tensor:
     return _middle(most, _middle(*middles), least)
 
 
-def _around(images: Tensor) -> Tensor:
-    """The sum over each window: of shifted images, twenty times as fast as torch's pooling."""
+def around(images: Tensor, window: int = WINDOW) -> Tensor:
+    """The sum over each window of images (N, 1, h, w): of shifted images, twenty times as fast as torch's pooling."""
     for axis in (-2, -1):
-        side, pad = images.shape[axis], WINDOW // 2
+        side, pad = images.shape[axis], window // 2
         padded = F.pad(images, (pad, pad, 0, 0) if axis == -1 else (0, 0, pad, pad))
         images = padded.narrow(axis, 0, side).clone()
-        for shift in range(1, WINDOW):
+        for shift in range(1, window):
             images += padded.narrow(axis, shift, side)
     return images
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import ClassVar
 
+from deepir.moving import doubt_moving
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
@@ -67,14 +68,14 @@ class NUC(Definition):
         short, long, last = (30, 60, 17) if modelled(problem) else (25, 30, 35)
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
-        third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=update, tolerance=fine)
-        shaded = dataclasses.replace(third, name="shaded gain", prepare=shade, needed=gain_is_shaded)
+        third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine)
+        shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
         return [
             first,
-            dataclasses.replace(first, name="sensor 2", prepare=update),
+            dataclasses.replace(first, name="sensor 2", prepare=_update),
             third,
             *([shaded] if unknown_shadings(problem) else []),
-            Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
+            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
         ]
 
 
@@ -85,14 +86,23 @@ def update(problem: Problem) -> None:
     weigh_scene(problem, WEAK)
 
 
-def shade(problem: Problem) -> None:
-    """The same for a round with a shaded gain."""
-    update(problem)
-    estimate_shaded_gain(problem)
-
-
 def finish(problem: Problem) -> None:
     """Strengths for the scene's own stage."""
     update_noise(problem, settled=True)
     measure_roughness(problem)
     weigh_scene(problem)
+
+
+def _update(problem: Problem) -> None:
+    update(problem)
+    doubt_moving(problem)
+
+
+def _finish(problem: Problem) -> None:
+    finish(problem)
+    doubt_moving(problem)
+
+
+def _shade(problem: Problem) -> None:
+    _update(problem)
+    estimate_shaded_gain(problem)

@@ -1,0 +1,123 @@
+"""What moves by itself: samples that show somebody who walks by, and not the scene."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.ndimage import label
+from torch import Tensor
+
+from deepir.defects import around
+from deepir.noise import MAD
+from deepir.operators import Warp
+from deepir.operators.base import own
+from deepir.problem import Problem, Values
+
+APART = 5.0  # gap between the frames, in robust standard deviations, from which a place shows two things
+FAR = 12.0  # the same, of one place at least of each region that does
+FEW = 1 / 3  # share of a place's frames in which something that passes is few enough to be told by that
+SEEN = 0.3  # pixels of a frame that a place must be seen by
+SMOOTH = 3  # px: side of the windows whose mean residual is looked at
+THIN = 5  # px: what is thinner, an edge say, does not count as something that moves
+NEAR = 9  # px: side of the windows from which a place learns in which frames something stands there
+SURE = 0.7  # of the surest place's votes, with which a place is decided before others
+LITTLE = 1e-3  # weight of a sample that shows something else
+
+
+@torch.no_grad()
+def doubt_moving(problem: Problem) -> None:
+    """Let samples count next to nothing that show something that moves by itself.
+
+    Residuals are carried to the scene's grid. In a place where the frames are of two minds, something stands before
+    the scene in the fewer of them, if these are few. Who walks less far from frame to frame than he is wide covers
+    some places in most frames, though: those follow the places beside them, as whoever stands there does so in much
+    the same frames.
+    """
+    values = problem.values()
+    first, frames = problem.operator.named()[0][1], len(problem.data)
+    same = isinstance(first, Warp) and first.instants.count(frames) == frames and len(values["scene"]) == 1
+    if frames < 3 or not same or not all(stage.linear for _, stage in problem.operator.named()[:-1]):
+        return
+    residual = problem.data - problem.predict(values)
+    seen, known = _registered(problem, residual, values)
+    two, above = _of_two_minds(seen, known)
+    if not two.any():
+        return
+    passes = torch.zeros_like(seen)
+    box = _box(two)
+    passes[box] = _which_passes(above[box], (known & two & ~above)[box])
+    whole = _dilated(passes[:, None], 3)  # with its blurred edge
+    problem.precision.mul_(torch.where(_in_frames(problem, whole, values) > 0.5, LITTLE, 1.0))
+
+
+def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Tensor, Tensor]:
+    """Each frame's residual on the scene's grid, (N, H, W), means of windows, and where a frame sees it."""
+    slots = {slot: values[name] for slot, name in problem.slots.items()}
+    shape = (len(residual), 1, *values["scene"].shape[-2:])
+    usable = (problem.precision > 0).to(residual)
+    total, weight = (
+        around(problem.operator.adjoint(each, shape, **slots), SMOOTH) for each in (residual * usable, usable)
+    )
+    return (total / weight.clamp(min=1e-6))[:, 0], (weight > SEEN * SMOOTH**2)[:, 0]
+
+
+def _of_two_minds(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Places (H, W) where the frames' values have a wide gap; and which of the frames (N, H, W) are above it there."""
+    count = known.sum(0)
+    apart = (seen - (seen * known).sum(0) / count.clamp(min=1))[known & (count > 1)]
+    usual = MAD * apart.abs().median() * (len(seen) / (len(seen) - 1)) ** 0.5
+    order = seen.where(known, torch.inf).sort(0).values
+    gap, below = order.diff(dim=0).nan_to_num(nan=0, posinf=0).max(0)
+    wide = (gap > APART * usual)[None, None].to(seen)
+    two = _holding(_dilated(1 - _dilated(1 - wide, THIN), THIN)[0, 0] > 0.5, gap > FAR * usual)
+    middle = order.gather(0, below[None]) + gap / 2
+    return two, known & two & (seen > middle)
+
+
+def _holding(places: Tensor, some: Tensor) -> Tensor:
+    """Those regions of the `places` (H, W) that hold `some`."""
+    held = (places & some).cpu().numpy()
+    regions, _ = label(places.cpu().numpy())
+    return torch.from_numpy(np.isin(regions, regions[held])).to(places.device)
+
+
+def _which_passes(above: Tensor, below: Tensor) -> Tensor:
+    """Frames (N, H, W), 1 or 0, that show something else: of those above and those below, in places of two minds.
+
+    At the rim of such places it is these of which there are few; from there on inwards those that go best with what is
+    decided nearby, the surest places first. (Inside, few may be the frames that see the scene between two steps.)
+    """
+    over, under = above.sum(0), below.sum(0)
+    two = over + under > 0
+    outermost = _dilated((~two)[None, None].float(), 3)[0, 0] > 0
+    decided = two & outermost & (torch.minimum(over, under) <= FEW * (over + under))
+    passes = (torch.where(over <= under, above, below) & decided).float()
+    difference = below.float() - above.float()
+    while True:
+        # Of decided places nearby, those where a frame shows the scene less those where it does not.
+        votes = (difference * around(((1 - 2 * passes) * decided)[:, None], NEAR)[:, 0]).sum(0)
+        open_ones = votes.where(two & ~decided, 0).abs()
+        if not open_ones.any():
+            return passes
+        now = open_ones >= SURE * open_ones.max()
+        passes = torch.where(now, torch.where(votes > 0, above, below), passes)
+        decided |= now
+
+
+def _in_frames(problem: Problem, masks: Tensor, values: Values) -> Tensor:
+    """Images (N, 1, H, W) on the scene's grid as each frame sees its own."""
+    slots = {slot: values[name] for slot, name in problem.slots.items()}
+    for name, stage in problem.operator.named()[:-1]:
+        masks = stage(masks, **own(slots, name))
+    return masks
+
+
+def _box(places: Tensor) -> tuple[slice, ...]:
+    """The smallest rectangle of (N, H, W) that holds all `places` (H, W), and those beside them."""
+    sides = (places.any(1 - axis).nonzero() for axis in (0, 1))
+    return (slice(None), *(slice(max(int(side.min()) - 1, 0), int(side.max()) + 2) for side in sides))
+
+
+def _dilated(image: Tensor, side: int) -> Tensor:
+    return F.max_pool2d(image, side, stride=1, padding=side // 2)

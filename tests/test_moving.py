@@ -1,0 +1,68 @@
+"""Who walks through a burst is told from the scene, also where most frames show him."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from skimage.data import camera
+
+import deepir
+from deepir.build import build
+from deepir.burst import Burst
+from deepir.config import load
+from deepir.metrics import scores
+from deepir.moving import doubt_moving
+from deepir.problems.nuc import NUC
+from deepir.scenes import procedural
+from deepir.simulate import Settings, simulate
+from deepir.solve import solve
+
+TONES = Settings(shape=(96, 128), shading=0.0, dead_pixels=0.0, photons=1000.0, read_noise=0.002)
+WALKER = {"walker": 0.5, "walker_contrast": 0.3}
+COUNTS = Settings(shape=(96, 128), shading=0.0, dead_pixels=0.0, counts=True)
+
+
+def after_the_first_round(sim):
+    """The problem of a burst, its motion known, as the second round of the sensor finds it."""
+    valid = np.ones(sim.frames.shape, bool)
+    burst = Burst(sim.frames.astype(np.float32), valid, np.zeros(valid.shape[1:], bool))
+    problem, _ = build(load("nuc"), burst, torch.from_numpy(sim.truth.motion))
+    nuc = NUC()
+    nuc.initialise(problem, 0)
+    solve(problem, nuc.plan(problem)[:1])
+    return problem
+
+
+def doubted(sim):
+    """Samples (N, H, W) that are found to show something that moves."""
+    problem = after_the_first_round(sim)
+    before = problem.precision.clone()
+    doubt_moving(problem)
+    return (problem.precision < before)[:, 0].numpy()
+
+
+@pytest.mark.parametrize("settings", [TONES, COUNTS], ids=["tones", "counts"])
+def test_where_nothing_moves_nothing_is_doubted(settings):
+    assert doubted(simulate(procedural(3, (300, 380)), settings, seed=4)).mean() < 1e-3
+
+
+@pytest.mark.parametrize("speed", [4.0, 8.0])
+def test_a_walker_is_found_though_his_ways_overlap(speed):
+    """He is 10 px wide and more: at 4 px from frame to frame some places show him in three frames of five and more."""
+    sim = simulate(camera() / 255, dataclasses.replace(TONES, walker_speed=speed, **WALKER), seed=13)
+    found = doubted(sim)
+    assert found[sim.truth.moving].mean() > 0.7  # edges count as moving, too
+    assert found[~sim.truth.moving].mean() < 0.02
+
+
+def test_who_walks_through_five_frames_costs_little():
+    """Left to the robust weights, he cost this burst 7 dB."""
+    quality = []
+    picture, walked = procedural(2, (300, 380)), dataclasses.replace(TONES, walker_speed=4.0, **WALKER)
+    walker = simulate(picture, walked, seed=13).truth.moving[0]
+    for settings in (TONES, walked):
+        sim = simulate(picture, settings, seed=13)
+        found = deepir.run("nuc", frames=sim.frames, threads=1).scene
+        quality.append(scores(found, np.where(walker, np.nan, sim.truth.scene))["psnr_aligned"])
+    assert quality[1] > quality[0] - 2.5
