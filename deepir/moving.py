@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.ndimage import label
+from scipy.ndimage import find_objects, label
 from torch import Tensor
 
 from deepir.defects import around
@@ -22,6 +24,7 @@ SMOOTH = 3  # px: side of the windows whose mean residual is looked at
 THIN = 5  # px: what is thinner, an edge say, does not count as something that moves
 NEAR = 9  # px: side of the windows from which a place learns in which frames something stands there
 SURE = 0.7  # of the surest place's votes, with which a place is decided before others
+AGREE = 3.0  # robust standard deviations within which the other frames agree in a region; with parallax they do not
 LITTLE = 1e-3  # weight of a sample that shows something else
 
 
@@ -32,7 +35,7 @@ def doubt_moving(problem: Problem) -> None:
     Residuals are carried to the scene's grid. In a place where the frames are of two minds, something stands before
     the scene in the fewer of them, if these are few. Who walks less far from frame to frame than he is wide covers
     some places in most frames, though: those follow the places beside them, as whoever stands there does so in much
-    the same frames.
+    the same frames. Where the others still differ when he is out, it is the scene that bends, and nothing is done.
     """
     values = problem.values()
     first, frames = problem.operator.named()[0][1], len(problem.data)
@@ -41,12 +44,15 @@ def doubt_moving(problem: Problem) -> None:
         return
     residual = problem.data - problem.predict(values)
     seen, known = _registered(problem, residual, values)
-    two, above = _of_two_minds(seen, known)
+    two, above, usual = _of_two_minds(seen, known)
     if not two.any():
         return
     passes = torch.zeros_like(seen)
-    box = _box(two)
-    passes[box] = _which_passes(above[box], (known & two & ~above)[box])
+    for box, region in _regions(two):
+        among = known[box] & region
+        here = _which_passes(above[box] & region, among & ~above[box])
+        if _differ(seen[box], among & (here == 0)) < AGREE * usual:
+            passes[box] += here
     whole = _dilated(passes[:, None], 3)  # with its blurred edge
     problem.precision.mul_(torch.where(_in_frames(problem, whole, values) > 0.5, LITTLE, 1.0))
 
@@ -62,17 +68,18 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
     return (total / weight.clamp(min=1e-6))[:, 0], (weight > SEEN * SMOOTH**2)[:, 0]
 
 
-def _of_two_minds(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-    """Places (H, W) where the frames' values have a wide gap; and which of the frames (N, H, W) are above it there."""
+def _of_two_minds(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor, float]:
+    """Places (H, W) where the frames' values have a wide gap; which of the frames (N, H, W) are above it there; and the
+    robust standard deviation that frames have elsewhere."""
     count = known.sum(0)
     apart = (seen - (seen * known).sum(0) / count.clamp(min=1))[known & (count > 1)]
-    usual = MAD * apart.abs().median() * (len(seen) / (len(seen) - 1)) ** 0.5
+    usual = float(MAD * apart.abs().median() * (len(seen) / (len(seen) - 1)) ** 0.5)
     order = seen.where(known, torch.inf).sort(0).values
     gap, below = order.diff(dim=0).nan_to_num(nan=0, posinf=0).max(0)
     wide = (gap > APART * usual)[None, None].to(seen)
     two = _holding(_dilated(1 - _dilated(1 - wide, THIN), THIN)[0, 0] > 0.5, gap > FAR * usual)
     middle = order.gather(0, below[None]) + gap / 2
-    return two, known & two & (seen > middle)
+    return two, known & two & (seen > middle), usual
 
 
 def _holding(places: Tensor, some: Tensor) -> Tensor:
@@ -80,6 +87,23 @@ def _holding(places: Tensor, some: Tensor) -> Tensor:
     held = (places & some).cpu().numpy()
     regions, _ = label(places.cpu().numpy())
     return torch.from_numpy(np.isin(regions, regions[held])).to(places.device)
+
+
+def _regions(places: Tensor) -> Iterator[tuple[tuple[slice, ...], Tensor]]:
+    """For each region of `places` (H, W) a box around it, of (N, H, W), and which places of the box it has."""
+    regions, _ = label(places.cpu().numpy())
+    for number, (rows, columns) in enumerate(find_objects(regions), 1):
+        around_it = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in (rows, columns))
+        region = torch.from_numpy(regions[around_it] == number).to(places.device)
+        yield (slice(None), *around_it), region
+
+
+def _differ(seen: Tensor, some: Tensor) -> float:
+    """Median over places of the standard deviation among `some` frames of (N, H, W), two of them at least."""
+    count = some.sum(0)
+    apart = (seen - (seen * some).sum(0) / count.clamp(min=1)) * some
+    spread = (apart.square().sum(0) / (count - 1).clamp(min=1)).sqrt()[count > 1]
+    return float(spread.median()) if len(spread) else 0.0
 
 
 def _which_passes(above: Tensor, below: Tensor) -> Tensor:
@@ -111,12 +135,6 @@ def _in_frames(problem: Problem, masks: Tensor, values: Values) -> Tensor:
     for name, stage in problem.operator.named()[:-1]:
         masks = stage(masks, **own(slots, name))
     return masks
-
-
-def _box(places: Tensor) -> tuple[slice, ...]:
-    """The smallest rectangle of (N, H, W) that holds all `places` (H, W), and those beside them."""
-    sides = (places.any(1 - axis).nonzero() for axis in (0, 1))
-    return (slice(None), *(slice(max(int(side.min()) - 1, 0), int(side.max()) + 2) for side in sides))
 
 
 def _dilated(image: Tensor, side: int) -> Tensor:

@@ -13,8 +13,8 @@ from deepir.registration.bend import bent
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, left, one_scene
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
-from deepir.registration.pyramid import build_level
-from deepir.registration.vote import likelier
+from deepir.registration.pyramid import Level, build_level
+from deepir.registration.vote import likelier, turns
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
 FINEST = 400_000  # px: larger frames are registered at half their size
@@ -56,7 +56,10 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
         some = slice(None) if used.all() else used  # no copy of all
         first = "rigid" if model == AUTO else model
         moved = fine(flat[some], weight, coarse.factor, moved, first)
-        moved = likelier(frames.detach().cpu()[some], weight, moved, first)
+        liked = likelier(frames.detach().cpu()[some], weight, moved, first)
+        # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
+        if not turns(moved, weight) or misfit(coarse.of(used), liked) < misfit(coarse.of(used), moved):
+            moved = liked
         if model == AUTO:
             moved = bent(build_level(flat[some], weight, finest(weight)), moved, ROUNDS)
         found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
@@ -68,6 +71,11 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
     if used.sum() > 1:
         motion[used], confidence[used] = moved, agreement(coarse.of(used), found.pattern, moved)
     return verdict(motion, confidence)
+
+
+def misfit(level: Level, motion: Tensor) -> float:
+    """The share of the frames' mean square that neither scene nor pattern explain at these motions."""
+    return standing(level, motion)[1]
 
 
 def fine(flat: Tensor, weight: Tensor, coarse: int, motion: Tensor, model: str) -> Tensor:

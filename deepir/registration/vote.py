@@ -33,7 +33,7 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
     factor = max(1, -(-max(weight.shape) // SIZE))
     small = even(average(frames.float(), factor), average(weight[None], factor)[0])
     best = relative(motion)
-    turned = float((best[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
+    turned = turns(best, weight)
     best[:, :2, 2] /= factor
     linear = best.clone() if model in STRETCHED else identity(len(motion))
     for start in starts(small, best[1:, :2, 2].numpy(), turned):
@@ -45,12 +45,17 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
     return best
 
 
-def starts(frames: Tensor, residual: np.ndarray, turned: float) -> list[np.ndarray]:
+def turns(motion: Tensor, weight: Tensor) -> bool:
+    """Whether relative motions `(N, 3, 3)` of frames that are as large as `weight` are no shifts."""
+    return float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2 > TURNED
+
+
+def starts(frames: Tensor, residual: np.ndarray, turned: bool) -> list[np.ndarray]:
     """Shifts `(N - 1, 2)` from which the likelihood climbs: where residuals are least, and, of few frames, elsewhere.
 
     A turn is no shift; but where the search was taken in by the pattern, it found a turn, as often as not.
     """
-    found = [residual.copy()] if turned <= TURNED else []
+    found = [] if turned else [residual.copy()]
     if len(frames) > FEW:
         return found
     whole = whole_shifts(frames)
