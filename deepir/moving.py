@@ -25,11 +25,12 @@ THIN = 5  # px: what is thinner, an edge say, does not count as something that m
 NEAR = 9  # px: side of the windows from which a place learns in which frames something stands there
 SURE = 0.7  # of the surest place's votes, with which a place is decided before others
 AGREE = 3.0  # robust standard deviations within which the other frames agree in a region; with parallax they do not
+MANY = 8  # regions, from which it is parallax, where the scene has not settled enough to tell by that
 LITTLE = 1e-3  # weight of a sample that shows something else
 
 
 @torch.no_grad()
-def doubt_moving(problem: Problem) -> None:
+def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
     """Let samples count next to nothing that show something that moves by itself.
 
     Residuals are carried to the scene's grid. In a place where the frames are of two minds, something stands before
@@ -48,10 +49,13 @@ def doubt_moving(problem: Problem) -> None:
     if not two.any():
         return
     passes = torch.zeros_like(seen)
-    for box, region in _regions(two):
+    regions = list(_regions(two))
+    if not settled and len(regions) >= MANY:
+        return
+    for box, region in regions:
         among = known[box] & region
         here = _which_passes(above[box] & region, among & ~above[box])
-        if _differ(seen[box], among & (here == 0)) < AGREE * usual:
+        if not settled or _differ(seen[box], among & (here == 0)) < AGREE * usual:
             passes[box] += here
     whole = _dilated(passes[:, None], 3)  # with its blurred edge
     problem.precision.mul_(torch.where(_in_frames(problem, whole, values) > 0.5, LITTLE, 1.0))

@@ -38,7 +38,7 @@ def doubted(sim):
     """Samples (N, H, W) that are found to show something that moves."""
     problem = after_the_first_round(sim)
     before = problem.precision.clone()
-    doubt_moving(problem)
+    doubt_moving(problem, settled=False)
     return (problem.precision < before)[:, 0].numpy()
 
 

@@ -358,4 +358,4 @@ def test_frames_that_do_not_bend_are_rigid_to_the_bit(frames):
 def test_frames_that_turn_are_not_taken_for_shifted_ones():
     found = simulate(sky(2), Settings(shape=(160, 192), n_frames=5, counts=True, max_rotation=6.0), seed=32)
     motion = register(torch.from_numpy(found.frames.astype(np.float32))).motion
-    assert np.abs(motion.numpy() - found.truth.motion)[:, :2, :2].max() < 1e-3
+    assert np.abs(motion.numpy() - found.truth.motion)[:, :2, :2].max() < 5e-3

@@ -72,7 +72,7 @@ class NUC(Definition):
         shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
         return [
             first,
-            dataclasses.replace(first, name="sensor 2", prepare=_update),
+            dataclasses.replace(first, name="sensor 2", prepare=_look),
             third,
             *([shaded] if unknown_shadings(problem) else []),
             Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
@@ -91,6 +91,11 @@ def finish(problem: Problem) -> None:
     update_noise(problem, settled=True)
     measure_roughness(problem)
     weigh_scene(problem)
+
+
+def _look(problem: Problem) -> None:
+    update(problem)
+    doubt_moving(problem, settled=False)
 
 
 def _update(problem: Problem) -> None:
