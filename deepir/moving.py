@@ -26,6 +26,7 @@ NEAR = 9  # px: side of the windows from which a place learns in which frames so
 SURE = 0.7  # of the surest place's votes, with which a place is decided before others
 AGREE = 3.0  # robust standard deviations within which the other frames agree in a region; with parallax they do not
 MANY = 8  # regions, from which it is parallax, where the scene has not settled enough to tell by that
+SOME = 3  # each so manieth place along an axis is enough for a standard deviation
 LITTLE = 1e-3  # weight of a sample that shows something else
 
 
@@ -75,15 +76,22 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
 def _of_two_minds(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor, float]:
     """Places (H, W) where the frames' values have a wide gap; which of the frames (N, H, W) are above it there; and the
     robust standard deviation that frames have elsewhere."""
-    count = known.sum(0)
-    apart = (seen - (seen * known).sum(0) / count.clamp(min=1))[known & (count > 1)]
-    usual = float(MAD * apart.abs().median() * (len(seen) / (len(seen) - 1)) ** 0.5)
+    usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
     order = seen.where(known, torch.inf).sort(0).values
     gap, below = order.diff(dim=0).nan_to_num(nan=0, posinf=0).max(0)
+    if not (gap > FAR * usual).any():
+        return torch.zeros_like(known[0]), known, usual
     wide = (gap > APART * usual)[None, None].to(seen)
     two = _holding(_dilated(1 - _dilated(1 - wide, THIN), THIN)[0, 0] > 0.5, gap > FAR * usual)
     middle = order.gather(0, below[None]) + gap / 2
     return two, known & two & (seen > middle), usual
+
+
+def _usual(seen: Tensor, known: Tensor) -> float:
+    """Robust standard deviation of frames (N, h, w) from their mean at each place."""
+    count = known.sum(0)
+    apart = (seen - (seen * known).sum(0) / count.clamp(min=1))[known & (count > 1)]
+    return float(MAD * apart.abs().median() * (len(seen) / (len(seen) - 1)) ** 0.5)
 
 
 def _holding(places: Tensor, some: Tensor) -> Tensor:
