@@ -49,7 +49,6 @@ class NUC(Definition):
         start_precision(problem)
         start_scene_and_parts(problem)
         estimate_slow(problem, start=True)
-        smooth_unseen(problem)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
 
@@ -67,7 +66,7 @@ class NUC(Definition):
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, long, last = (30, 60, 17) if modelled(problem) else (25, 30, 35)
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
-        first = Stage("sensor 1", (Step(still), *eliminate), short, tolerance=rough)
+        first = Stage("sensor 1", (Step(still), *eliminate), short, prepare=smooth_unseen, tolerance=rough)
         third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine)
         shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
         return [
@@ -82,7 +81,6 @@ class NUC(Definition):
 def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
     update_strengths(problem)
-    smooth_unseen(problem)
     weigh_scene(problem, WEAK)
 
 
@@ -95,11 +93,13 @@ def finish(problem: Problem) -> None:
 
 def _look(problem: Problem) -> None:
     update(problem)
+    smooth_unseen(problem)
     doubt_moving(problem, settled=False)
 
 
 def _update(problem: Problem) -> None:
     update(problem)
+    smooth_unseen(problem)
     doubt_moving(problem)
 
 
