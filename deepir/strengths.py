@@ -20,7 +20,7 @@ from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.slow_strengths import added_flux, estimate_slow
-from deepir.thin import thinned
+from deepir.thin import ENOUGH, thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
@@ -157,7 +157,7 @@ def start_parts(problem: Problem) -> None:
     for slot, unit, most in (("gain", rms, level), ("offset", 1.0, 1.0)):
         for part in _all_parts(problem, slot):
             if not (part.given or isinstance(part, Shading)):
-                found = spread(share(pattern, part)) / 2**0.5
+                found = spread(thinned(share(pattern, part))[0]) / 2**0.5
                 part.sigma.fill_(found / unit)
                 part.most.fill_(MOST * found / most)
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
@@ -185,14 +185,15 @@ def doubt_misfits(problem: Problem) -> None:
     """
     if problem.noise is not None:
         return
-    counted = problem.precision / problem.precision.amax()
+    most = problem.precision.amax()
+    counted = problem.precision / most
     rest = problem.data - problem.predict(problem.values())
-    pattern = (rest * counted).sum(0, keepdim=True) / counted.sum(0, keepdim=True).clamp(min=1e-6)
-    rest = rest.sub_(pattern)
-    some, known = thinned(rest, counted)
+    rest -= (rest * counted).sum(0, keepdim=True) / counted.sum(0, keepdim=True).clamp(min=1e-6)
+    some, known = thinned(rest, counted, enough=ENOUGH // len(rest))
     if (usual := spread(some[known > 0])) > 0:  # one frame leaves nothing
-        weight = (counted > 0) / rest.div_(OUTLIER * usual).square_().add_(1)
-        problem.precision.copy_(problem.precision.amax() * weight)
+        for rest_k, precision_k in zip(rest, problem.precision, strict=True):
+            doubt = rest_k.div_(OUTLIER * usual).square_().add_(1)
+            torch.div(precision_k > 0, doubt, out=precision_k).mul_(most)
 
 
 def share(pattern: Tensor, part: Part) -> Tensor:

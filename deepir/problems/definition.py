@@ -112,10 +112,9 @@ def start_scene_and_parts(problem: Problem) -> None:
 @torch.no_grad()
 def pattern_is_strong(problem: Problem) -> bool:
     """Whether what stands still is stronger than all that is in the average of the frames."""
-    scene, weight = problem.backproject(problem.values())
     pattern = pattern_left(problem, (problem.precision > 0).to(problem.data))
     # By the standard deviation: before a black sky the bulk has next to none.
-    return spread(pattern) > STRONG * float(scene[weight > SEEN * weight.max()].std())
+    return spread(pattern) > STRONG * float(problem.flux(problem.values()).std())
 
 
 @torch.no_grad()
