@@ -24,7 +24,7 @@ from deepir.operators import Lag
 from deepir.priors.shading import Shading
 from deepir.priors.terms import Terms
 from deepir.problem import Problem
-from deepir.thin import thinned
+from deepir.thin import ENOUGH, thinned
 
 POINTS = 40  # along each axis, where the polynomials are sampled
 SMOOTH = (-1, 1)  # no axes: the polynomials of a shading
@@ -127,7 +127,7 @@ def variances(problem: Problem, eliminated: Collection[str], faint: float = math
 
     Gains of lines are left out if their standard deviation is above `faint`.
     """
-    data, precision = thinned(problem.data, problem.precision)
+    data, precision = thinned(problem.data, problem.precision, enough=ENOUGH // len(problem.data))
     counts = precision > 0
     level = float(((data.square() * counts).sum() / counts.sum()).sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}
