@@ -101,7 +101,9 @@ class _Smooth:
         moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
         maps = terms.flatten(1), z, moves, residual.double(), precision.double(), own
         normal = z.new_zeros(())
-        for *few, told, of_pixels in zip(*(each.split(FEW, -1) for each in maps), strict=True):  # in the cache
+        for *few, told, of_pixels in zip(
+            *(each.split(FEW, -1) for each in maps), strict=True
+        ):  # in the cache
             normal = normal + normal_matrix(self._columns(*few), told, of_pixels)
         self.count = len(flux)
         free = 2 * (len(frame.white) + 1) + 3 * (self.count - 1)

@@ -63,7 +63,8 @@ class Slow:
         together = seen.transpose(0, 1).flatten(1)  # one system for all frames
         carried = torch.linalg.lstsq(terms, together, driver="gels").solution
         self.carried = carried.unflatten(1, seen.shape[::2]).transpose(0, 1)
-        weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
+        few = slice(None), 0, slice(None, None, step_y), slice(None, None, step_x)
+        weights = problem.precision[few].masked_fill(problem.held_out[few], 0).double().flatten(1)
         area = height * width / weights.shape[1]
         self.information = area * terms.T @ (weights[..., None] * terms)
         self.kept = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(self.information)

@@ -18,9 +18,8 @@ from deepir.registration.vote import likelier, turns
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
 FINEST = 400_000  # px: larger frames are registered at half their size
-ROUNDS = (
-    8  # of alignment at most; shared with a level of half the size, where the search's is coarser than that
-)
+ROUNDS = 8  # of alignment at most
+FINE = 2  # of them on the last level, if there is one of half the size before
 UNSURE = 0.85  # confidence below which a frame's motion may be wrong
 
 
@@ -56,8 +55,8 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
         some = slice(None) if used.all() else used  # no copy of all
         first = "rigid" if model == AUTO else model
         levels = fine(flat[some], weight, coarse.factor)
-        for level in levels:
-            moved = align(level, moved, first, ROUNDS // len(levels)).motion
+        for level, rounds in zip(levels, (ROUNDS - FINE, FINE) if levels[1:] else (ROUNDS,), strict=True):
+            moved = align(level, moved, first, rounds).motion
         liked = likelier(frames.detach().cpu()[some], weight, moved, first)
         # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
         if liked is not moved and (
