@@ -79,7 +79,8 @@ class _Smooth:
         problem.eliminate(values, problem.closed_form(), flux=flux)
         self.slow = Slow(problem, tuple(values["scene"].shape))
         frame = self.slow.frame
-        some = 2 * (slice(1, -1, math.ceil((flux[0].numel() / SAMPLES) ** 0.5)),)
+        step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
+        some = slice(1, -1, step), slice(1, -1, step)
         z, data, precision = (each[:, 0, *some].flatten(1) for each in (flux, problem.data, problem.fitted()))
         self.level = float(z.double().square().mean().sqrt())
         self.spread = float(data[precision > 0].std())
@@ -96,10 +97,10 @@ class _Smooth:
         residual = middle + (residual - middle).clamp(-limit, limit)
         z = z.double() / self.level
         own = torch.stack((pixels[0] ** 0.5 * z, pixels[1] ** 0.5 * torch.ones_like(z)), 1)
-        terms = frame.in_y[frame.of_y][:, some[0], None] * frame.in_x[frame.of_x][:, None, some[1]]
-        moves = _moves(flux[:, 0], some[0].step).double()
+        terms = frame.sampled(*some)
+        moves = _moves(flux[:, 0], step).double()
         moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
-        maps = terms.flatten(1), z, moves, residual.double(), precision.double(), own
+        maps = terms, z, moves, residual.double(), precision.double(), own
         normal = z.new_zeros(())
         for *few, told, of_pixels in zip(
             *(each.split(FEW, -1) for each in maps), strict=True

@@ -51,12 +51,7 @@ class Slow:
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
         some = slice(y0, y0 + height, step_y), slice(x0, x0 + width, step_x)
         points = warp.points(warp.instants.through(motion), *some).flatten(1, 2)
-        y, x = torch.meshgrid(
-            torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
-            torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,
-            indexing="ij",
-        )
-        terms = self.frame.at(y.flatten(), x.flatten())
+        terms = self.frame.sampled(slice(None, None, step_y), slice(None, None, step_x)).T
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
         self.step, self.terms = (step_y, step_x), terms
         seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))

@@ -83,6 +83,11 @@ class Shading(Part):
         """The map (..., h, w) of coefficients (..., terms)."""
         return self.in_rows(terms) @ self.in_x
 
+    def sampled(self, rows: slice, columns: slice) -> Tensor:
+        """Each term at some pixels, (terms, rows * columns)."""
+        y, x = self.in_y[self.of_y, rows], self.in_x[self.of_x, columns]
+        return (y[:, :, None] * x[:, None]).flatten(1)
+
     def down(self, maps: Tensor) -> Tensor:
         """Sums of maps (..., h, w) down the columns, times each of the polynomials up to twice the degree."""
         return self.more_y @ maps
