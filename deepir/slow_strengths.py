@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 import torch
 from torch import Tensor
 
-from deepir import thin
 from deepir.elimination import COLUMN, ROW
 from deepir.operators import Add, Blur, Lag, Sensor, Warp
 from deepir.operators.points import displaced
@@ -17,6 +16,7 @@ from deepir.priors.shading import Shading
 from deepir.priors.terms import Terms
 from deepir.problem import Problem, Values
 from deepir.slow import Slow, expected, variances
+from deepir.thin import thinned
 from deepir.white_evidence import Evidence
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
@@ -97,8 +97,7 @@ def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Dr
 
 def contrast(problem: Problem) -> Tensor:
     """Standard deviation of the data."""
-    enough = thin.ENOUGH // len(problem.data)
-    data, precision = thin.thinned(problem.data, problem.precision, enough=enough)
+    data, precision = thinned(problem.data, problem.precision)
     return data[precision > 0].std()
 
 
@@ -134,7 +133,7 @@ class _Evidence:
         #: Levels that jump do drift.
         self.jumps = bool(jumps(problem).any())
         residual = _slow_residual(problem, values, self.slow.frame)
-        (some,) = thin.thinned(residual[:, None])
+        (some,) = thinned(residual[:, None])
         middle = some.median()
         limit = OUTLIER * float((some - middle).abs().median())
         self.count, free = len(residual), len(self.slow.scene.white) + 1
