@@ -5,15 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.registration.motion import PARAMETERS, generators
+from deepir.registration.motion import generators
 from deepir.registration.pull import Pulled
 from deepir.registration.pyramid import Level
 
 TUKEY = 4.0  # robust standard deviations beyond which a sample has no weight
 FEW = 3  # each so manieth sample along an axis is enough for a standard deviation
-DENSE = (
-    5_000  # px for each parameter: beyond, every second pixel counts; what is band-passed is known from these
-)
+DENSE = 40_000  # px: of larger levels every second pixel counts; what is band-passed is known from these
 
 
 def step(pulled: Pulled, level: Level, model: str) -> Tensor:
@@ -29,7 +27,7 @@ def sums(pulled: Pulled, level: Level, model: str) -> Tensor:
     from deepir.loops import registration as loops
     from deepir.loops import spread
 
-    stride = 2 if level.weight.numel() > DENSE * PARAMETERS[model] else 1
+    stride = 2 if level.weight.numel() > DENSE else 1
     ax, ay = generators(model, level.points(stride), max(level.shape) / 2)
     few = pulled.thinned(stride * FEW)
     expected, known = few.others()
