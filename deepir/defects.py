@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.noise import MAD
+from deepir.thin import thinned
 
 DEVIATION = 7.0  # robust standard deviations of the pattern beyond which a pixel is none of it
 MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, from which a pixel is defective
@@ -19,6 +20,7 @@ LONELY = 4.0  # how many times more a defective pixel misfits than its neighbour
 CALM = 0.3  # standard deviation over the frames, in that of the noise, below which a pixel does not change
 OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
 WINDOW = 5  # px: side of a neighbourhood
+ENOUGH = 128  # pixels of a line are enough for its median
 CROWD = 2.0  # mean squared misfit of a neighbourhood from which it shows something else
 
 
@@ -27,7 +29,7 @@ def deviating(pattern: Tensor, known: Tensor) -> Tensor:
     """Pixels whose pattern (1, 1, h, w) is far from what their neighbours' lets expect, bool; columns may differ."""
     apart = pattern
     for axis in (-2, -1):
-        apart = apart - apart.where(known, torch.nan).nanmedian(axis, keepdim=True).values.nan_to_num()
+        apart = apart - usual(apart, known, axis)
     apart = apart - median(apart)
     differ = apart[known & (apart != 0)].abs()
     if differ.numel() < apart.numel() / 4:  # most pixels are exactly alike: nothing to compare with
@@ -43,17 +45,29 @@ def dead(frames: Tensor, pattern: Tensor, usable: Tensor, noise: float) -> Tenso
     Whole lines and blocks of them too, which `deviating` takes for columns, or for something in the scene. What is
     saturated or zero because the scene is has no pattern. frames, usable (N, 1, h, w); noise: of a sample.
     """
-    count = usable.sum(0, keepdim=True)
-    mean = (frames * usable).sum(0, keepdim=True) / count.clamp(min=1)
-    change = ((frames - mean).square() * usable).sum(0, keepdim=True)
+    count, mean, change = (torch.zeros_like(pattern) for _ in range(3))
+    for frame, known in zip(frames, usable, strict=True):  # one at a time stays in the cache
+        count += known
+        mean += frame * known
+    mean /= count.clamp(min=1)
+    for frame, known in zip(frames, usable, strict=True):
+        change += (frame - mean).square_().mul_(known)
     calm = (count > 1) & (change < (count - 1) * (CALM * noise) ** 2)
     live = (count > 0) & ~calm
     far = torch.zeros_like(calm)
     for axis in (-2, -1):  # a dead column differs from all others in its rows
-        usual = pattern.where(live, torch.nan).nanmedian(axis, keepdim=True).values.nan_to_num()
-        apart = (pattern - usual).abs()
-        far |= apart > OFF * MAD * apart[live].median()
+        apart = (pattern - usual(pattern, live, axis)).abs()
+        some, counts = thinned(apart, live)
+        far |= apart > OFF * MAD * some[counts].median()
     return calm & far
+
+
+def usual(image: Tensor, known: Tensor, axis: int) -> Tensor:
+    """The median of each line of an image (1, 1, h, w) along an axis, of what is known of it; zero if nothing is."""
+    lines, mask = (each.transpose(axis, -1) for each in (image, known))
+    step = max(1, lines.shape[-1] // ENOUGH)
+    some = lines[..., ::step].where(mask[..., ::step], torch.nan)
+    return some.nanmedian(-1, keepdim=True).values.nan_to_num().transpose(axis, -1)
 
 
 @torch.no_grad()

@@ -47,7 +47,7 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
     residual = problem.data - problem.predict(values)
     seen, known = _registered(problem, residual, values)
     usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
-    gap, middle = _widest_gap(seen, known)
+    gap, middle = _widest_gap(seen, known, APART * usual)
     regions = list(_regions(gap > APART * usual, gap > FAR * usual))
     if not regions or (not settled and len(regions) >= MANY):
         return
@@ -73,11 +73,15 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
     return (total / weight.clamp(min=1e-6))[:, 0], (weight > SEEN * SMOOTH**2)[:, 0]
 
 
-def _widest_gap(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-    """The widest gap between the frames' values at each place (H, W), and its middle."""
-    order = seen.where(known, torch.inf).sort(0).values
-    gap, below = order.diff(dim=0).nan_to_num(nan=0, posinf=0).max(0)
-    return gap, order.gather(0, below[None])[0] + gap / 2
+def _widest_gap(seen: Tensor, known: Tensor, least: float) -> tuple[Tensor, Tensor]:
+    """The widest gap between the frames' values at each place (H, W), and its middle; zero where all is nearer."""
+    low, high = seen.where(known, torch.inf).amin(0), seen.where(known, -torch.inf).amax(0)
+    apart = high - low > least
+    gap, middle = torch.zeros_like(low), torch.zeros_like(low)
+    order = seen[:, apart].where(known[:, apart], torch.inf).sort(0).values
+    gap[apart], below = order.diff(dim=0).nan_to_num(nan=0, posinf=0).max(0)
+    middle[apart] = order.gather(0, below[None])[0] + gap[apart] / 2
+    return gap, middle
 
 
 def _usual(seen: Tensor, known: Tensor) -> float:

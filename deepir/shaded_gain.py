@@ -28,6 +28,7 @@ CERTAIN = 10  # nats by which a shaded gain has to make the frames likelier
 MOST = 0.08  # strength of a gain's shading: what seems to be more is something else
 SAMPLES = 16_000  # pixels at most that are asked
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
+FEW = 1000  # of them at a time
 COARSE, FINE = 9, 7  # strengths on each axis of the search
 
 
@@ -74,45 +75,47 @@ class _Smooth:
 
     def __init__(self, problem: Problem) -> None:
         values = dict(problem.values())
-        problem.eliminate(values, problem.closed_form())
         flux = problem.flux(values)
+        problem.eliminate(values, problem.closed_form(), flux=flux)
         self.slow = Slow(problem, tuple(values["scene"].shape))
         frame = self.slow.frame
-        self.level = float(flux.double().square().mean().sqrt())
-        self.spread = float(problem.data[problem.precision > 0].std())
+        step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
+        some = slice(1, -1, step), slice(1, -1, step)
+        z, data, precision = (each[:, 0, *some].flatten(1) for each in (flux, problem.data, problem.fitted()))
+        self.level = float(z.double().square().mean().sqrt())
+        self.spread = float(data[precision > 0].std())
         of_gain, of_offset = (_variances(field) for field in _fields(problem))
-        gain, offset = (_quick_lines(field, frame).to(flux) for field in _fields(problem))
-        residual = (problem.data - (1 + gain) * flux - offset - jumps(problem))[:, 0]
+        gain, offset = (_quick_lines(field, frame)[some].to(flux).flatten() for field in _fields(problem))
+        residual = data - (1 + gain) * z - offset - jumps(problem).flatten(1)
         pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
         self.expected = [
             expected({PIXEL: 0.0} | lines, frame) * unit
             for lines, unit in ((of_offset, 1.0), (of_gain, self.level**2))
         ]
-        precision = problem.fitted()[:, 0]
         middle = residual[precision > 0].median()
         limit = OUTLIER * (residual[precision > 0] - middle).abs().median()
         residual = middle + (residual - middle).clamp(-limit, limit)
-        some = 2 * (slice(None, None, math.ceil((flux[0].numel() / SAMPLES) ** 0.5)),)
-        z = flux[:, 0, *some].double().flatten(1) / self.level
+        z = z.double() / self.level
         own = torch.stack((pixels[0] ** 0.5 * z, pixels[1] ** 0.5 * torch.ones_like(z)), 1)
-        columns = self._columns(z, flux[:, 0], residual, some)
-        normal = normal_matrix(columns, precision[:, *some].double().flatten(1), own)
+        terms = frame.sampled(*some)
+        moves = _moves(flux[:, 0], step).double()
+        moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
+        maps = terms, z, moves, residual.double(), precision.double(), own
+        normal = z.new_zeros(())
+        for *few, told, of_pixels in zip(
+            *(each.split(FEW, -1) for each in maps), strict=True
+        ):  # in the cache
+            normal = normal + normal_matrix(self._columns(*few), told, of_pixels)
         self.count = len(flux)
         free = 2 * (len(frame.white) + 1) + 3 * (self.count - 1)
         self.evidence = Evidence(normal[:-1, :-1], normal[:-1, -1], free)
 
-    def _columns(
-        self, z: Tensor, flux: Tensor, residual: Tensor, some: tuple[slice, slice]
-    ) -> Iterator[Tensor]:
+    def _columns(self, terms: Tensor, z: Tensor, moves: Tensor, residual: Tensor) -> Iterator[Tensor]:
         """For each frame what the unknowns make of some of its pixels, and what is to be explained, last.
 
         These are θ, the level, ψ, its level, and motions, which may be anything, φ, levels of the frames, and γ.
         """
-        each = torch.eye(len(self.slow.frame.white), dtype=z.dtype, device=z.device)
-        terms = self.slow.frame.spread(each)[:, *some].flatten(1)
         one = torch.ones_like(terms[:1])
-        moves = _moves(flux)[..., *some].double().flatten(2)
-        moves = moves / moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
         levels = self.slow.levels()[:, 0]
         for k, zk in enumerate(z):
             carried = self.slow.carried[k].T @ torch.cat((one, terms))
@@ -120,7 +123,7 @@ class _Smooth:
             moved[k] = moves[k]
             scene = carried, one, carried * zk, zk[None], moved[1:].flatten(0, 1)
             pattern = terms, levels[k][:, None] * one, terms * zk
-            yield torch.cat((*scene, *pattern, residual[k][some].double().reshape(1, -1)))
+            yield torch.cat((*scene, *pattern, residual[k][None]))
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
         """Least nats, of which a drift costs `RARE`, and strengths of the offset, the drift and the gain."""
@@ -169,10 +172,14 @@ def _quick_lines(field: Field, frame: Shading) -> Tensor:
     return values - values.mean() - frame.spread(frame.sums(values) / values.numel())
 
 
-def _moves(flux: Tensor) -> Tensor:
-    """How frames (N, h, w) change with a shift in x, in y, and a turn about the middle, (N, 3, h, w)."""
+def _moves(flux: Tensor, step: int) -> Tensor:
+    """How frames (N, h, w) change with a shift in x, in y, and a turn about the middle, at some pixels: (N, 3, K)."""
     height, width = flux.shape[1:]
-    down, right = torch.gradient(flux, dim=(1, 2))
-    y = torch.linspace(-height / 2, height / 2, height, dtype=flux.dtype, device=flux.device)[:, None]
-    x = torch.linspace(-width / 2, width / 2, width, dtype=flux.dtype, device=flux.device)
-    return torch.stack((right, down, x * down - y * right), 1)
+    rows, columns = (slice(1, -1, step),) * 2
+    down = (flux[:, 2::step, columns] - flux[:, :-2:step, columns]) / 2
+    right = (flux[:, rows, 2::step] - flux[:, rows, :-2:step]) / 2
+    y, x = (
+        torch.linspace(-side / 2, side / 2, side, dtype=flux.dtype, device=flux.device)[rows]
+        for side in (height, width)
+    )
+    return torch.stack((right, down, x * down - y[:, None] * right), 1).flatten(2)

@@ -24,7 +24,7 @@ from deepir.operators import Lag
 from deepir.priors.shading import Shading
 from deepir.priors.terms import Terms
 from deepir.problem import Problem
-from deepir.thin import thinned
+from deepir.thin import ENOUGH, thinned
 
 POINTS = 40  # along each axis, where the polynomials are sampled
 SMOOTH = (-1, 1)  # no axes: the polynomials of a shading
@@ -51,19 +51,15 @@ class Slow:
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
         some = slice(y0, y0 + height, step_y), slice(x0, x0 + width, step_x)
         points = warp.points(warp.instants.through(motion), *some).flatten(1, 2)
-        y, x = torch.meshgrid(
-            torch.arange(height, dtype=torch.float64, device=device)[::step_y] - (height - 1) / 2,
-            torch.arange(width, dtype=torch.float64, device=device)[::step_x] - (width - 1) / 2,
-            indexing="ij",
-        )
-        terms = self.frame.at(y.flatten(), x.flatten())
+        terms = self.frame.sampled(slice(None, None, step_y), slice(None, None, step_x)).T
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
         self.step, self.terms = (step_y, step_x), terms
         seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))
         together = seen.transpose(0, 1).flatten(1)  # one system for all frames
         carried = torch.linalg.lstsq(terms, together, driver="gels").solution
         self.carried = carried.unflatten(1, seen.shape[::2]).transpose(0, 1)
-        weights = problem.fitted()[:, 0, ::step_y, ::step_x].double().flatten(1)
+        few = slice(None), 0, slice(None, None, step_y), slice(None, None, step_x)
+        weights = problem.precision[few].masked_fill(problem.held_out[few], 0).double().flatten(1)
         area = height * width / weights.shape[1]
         self.information = area * terms.T @ (weights[..., None] * terms)
         self.kept = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(self.information)
@@ -127,7 +123,7 @@ def variances(problem: Problem, eliminated: Collection[str], faint: float = math
 
     Gains of lines are left out if their standard deviation is above `faint`.
     """
-    data, precision = thinned(problem.data, problem.precision)
+    data, precision = thinned(problem.data, problem.precision, enough=ENOUGH // len(problem.data))
     counts = precision > 0
     level = float(((data.square() * counts).sum() / counts.sum()).sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}

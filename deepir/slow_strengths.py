@@ -40,7 +40,7 @@ def estimate_slow(problem: Problem, *, start: bool = False) -> None:
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
     if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
         smooth = drift = 0.0
-    step = problem.data[problem.precision > 0].std() / problem.data[0].numel() ** 0.5 if start else None
+    step = contrast(problem) / problem.data[0].numel() ** 0.5 if start else None
     for part in shadings:
         part.sigma.fill_(smooth)
     for field in drifts:
@@ -93,6 +93,12 @@ def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Dr
         strays(problem),
         [field for field in fields if isinstance(field, Drift) and not field.given],
     )
+
+
+def contrast(problem: Problem) -> Tensor:
+    """Standard deviation of the data."""
+    data, precision = thinned(problem.data, problem.precision)
+    return data[precision > 0].std()
 
 
 def added_flux(problem: Problem) -> list[str]:
@@ -151,8 +157,7 @@ class _Evidence:
 
     def most_likely(self, *, smooth: bool, drift: bool) -> tuple[float, float]:
         """Strengths of shading and drift; zero for what makes the frames not by `CERTAIN` nats, or `RARE`, likelier."""
-        data, precision = thinned(self.slow.problem.data, self.slow.problem.precision)
-        grid = float(data[precision > 0].std()) * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
+        grid = float(contrast(self.slow.problem)) * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
         used = torch.cartesian_prod(
             torch.arange(1 + smooth), torch.arange(int(self.jumps and drift), 1 + drift)
         )
@@ -205,8 +210,8 @@ class _Evidence:
 def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
     """The frames, (N, h, w), less the scene and all of the pattern that is not slow."""
     closed = problem.closed_form()
-    values = dict(values)
-    problem.eliminate(values, closed)
+    values, flux = dict(values), problem.flux(values)
+    problem.eliminate(values, closed, flux=flux)
     quick = {}
     for kind, neutral in (("gain", 1.0), ("offset", 0.0)):
         name = problem.slots[f"{problem.operator.named()[-1][0]}.{kind}"]
@@ -215,7 +220,7 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
             own = (values[name] - neutral)[0, 0].double()
             slow = own.mean() + frame.spread(frame.sums(own) / own.numel())
             quick[kind] = quick[kind] - slow.to(quick[kind])
-    return (problem.data - quick["gain"] * problem.flux(values) - quick["offset"] - jumps(problem))[:, 0]
+    return torch.addcmul(problem.data - quick["offset"] - jumps(problem), quick["gain"], flux, value=-1)[:, 0]
 
 
 def jumps(problem: Problem) -> Tensor:

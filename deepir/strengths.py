@@ -131,14 +131,14 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
 
 
 @torch.no_grad()
-def start_parts(problem: Problem) -> None:
-    """First strengths of gain and offset, split evenly, from the pattern: the frames less their registered average.
+def start_parts(problem: Problem, rest: Tensor) -> None:
+    """First strengths of gain and offset, split evenly, from the pattern: of the `rest` of the frames, see `left`.
 
     Pixels that are no part of it are left out. Gains are by the rms of the data: a dark frame with bright spots shows
     next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean.
     """
     usable = problem.precision > 0
-    pattern = pattern_left(problem, usable.to(problem.data))
+    pattern = pattern_left(rest, usable)
     data, counts = thinned(problem.data, usable)
     level, rms = float(data[counts].mean().abs()), float(data[counts].square().mean().sqrt())
     for slot, unit, most in (("gain", rms, level), ("offset", 1.0, 1.0)):
@@ -150,36 +150,43 @@ def start_parts(problem: Problem) -> None:
     problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
 
 
-def pattern_left(problem: Problem, weight: Tensor) -> Tensor:
-    """What the frames are in the mean above the prediction, (1, 1, h, w), by the weight of their samples."""
-    rest = (problem.data - problem.predict(problem.values())) * weight
-    return rest.sum(0, keepdim=True) / weight.sum(0, keepdim=True).clamp(min=1e-6)
+@torch.no_grad()
+def left(problem: Problem) -> Tensor:
+    """What the frames are above their prediction, (N, 1, h, w)."""
+    return problem.predict(problem.values()).neg_().add_(problem.data)
+
+
+def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:
+    """The mean of that over the frames, (1, 1, h, w), by the weight of their samples."""
+    total, share = (torch.zeros_like(rest[:1]) for _ in range(2))
+    for rest_k, weight_k in zip(rest, weight, strict=True):  # one at a time stays in the cache
+        total += rest_k * weight_k
+        share += weight_k
+    return total.div_(share.clamp_(min=1e-6))
 
 
 @torch.no_grad()
-def give_up_dead(problem: Problem, noise: float) -> None:
+def give_up_dead(problem: Problem, rest: Tensor, noise: float) -> None:
     """Give up pixels that are dead; from the edge of a block inwards, for its inside shows itself in the average."""
     usable = problem.precision > 0
-    pattern = pattern_left(problem, usable.to(problem.data))
-    problem.precision.mul_(~dead(problem.data, pattern, usable, noise))
+    problem.precision.mul_(~dead(problem.data, pattern_left(rest, usable), usable, noise))
 
 
 @torch.no_grad()
-def doubt_misfits(problem: Problem) -> None:
+def doubt_misfits(problem: Problem, rest: Tensor) -> None:
     """Let samples count less that neither the scene as it is nor a pattern explains.
 
     They are badly registered, or what they show moves by itself.
     """
     if problem.noise is not None:
         return
-    counted = problem.precision / problem.precision.amax()
-    rest = problem.data - problem.predict(problem.values())
-    pattern = (rest * counted).sum(0, keepdim=True) / counted.sum(0, keepdim=True).clamp(min=1e-6)
-    rest = rest.sub_(pattern)
-    some, known = thinned(rest, counted)
+    most = problem.precision.amax()
+    rest = rest - pattern_left(rest, problem.precision / most)
+    some, known = thinned(rest, problem.precision)
     if (usual := spread(some[known > 0])) > 0:  # one frame leaves nothing
-        weight = (counted > 0) / rest.div_(OUTLIER * usual).square_().add_(1)
-        problem.precision.copy_(problem.precision.amax() * weight)
+        for rest_k, precision_k in zip(rest, problem.precision, strict=True):
+            doubt = rest_k.div_(OUTLIER * usual).square_().add_(1)
+            torch.div(precision_k > 0, doubt, out=precision_k).mul_(most)
 
 
 def share(pattern: Tensor, part: Part) -> Tensor:

@@ -52,9 +52,11 @@ def normal_matrix(columns: Iterable[Tensor], precision: Tensor, own: Tensor) -> 
     for each, weight, pixel in zip(columns, precision, own, strict=True):
         weighted = each * weight
         whole = whole + weighted @ each.T
-        shared = shared + weighted[:, None] * pixel
+        shared = torch.addcmul(shared, weighted[:, None], pixel)
         told = told + weight * pixel[:, None] * pixel
     (a, b), (_, d) = told
-    inverse = torch.stack((d, -b, -b, a)).div_(a * d - b * b).unflatten(0, (2, 2))
-    out = torch.einsum("ijk,ujk->uik", inverse, shared)
-    return whole - out.flatten(1) @ shared.flatten(1).T
+    root, of_both = a.sqrt(), b / a
+    first = shared[:, 0] / root
+    second = (shared[:, 1] - of_both * shared[:, 0]) / (d - of_both * b).sqrt()
+    white = torch.cat((first, second), 1)  # by Cholesky's factors
+    return whole - white @ white.T

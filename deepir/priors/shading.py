@@ -22,9 +22,12 @@ class Shading(Part):
     the one before.
     """
 
-    #: The polynomials along each axis, (degree + 1, side), and which of them each term has, (terms,).
+    #: The polynomials along each axis, (degree + 1, side), what powers they are made of, and which of them each term
+    #: has, (terms,).
     in_y: Tensor
     in_x: Tensor
+    powers_y: Tensor
+    powers_x: Tensor
     #: Those of up to twice the degree, and what the product of two of the others is made of, (.., .., 2 degree + 1).
     more_y: Tensor
     more_x: Tensor
@@ -46,7 +49,10 @@ class Shading(Part):
             more = torch.from_numpy(_legendre(side, min(2 * degree, side - 1)))
             polynomials = more[: degree + 1]
             products = (polynomials[:, None] * polynomials) @ more.T / side
+            powers = torch.linalg.vander(torch.linspace(-1, 1, side, dtype=torch.float64), N=degree + 1)
+            solved = torch.linalg.lstsq(powers, polynomials.T, driver="gels").solution
             self.register_buffer(f"in_{axis}", polynomials, persistent=False)
+            self.register_buffer(f"powers_{axis}", solved, persistent=False)
             self.register_buffer(f"more_{axis}", more, persistent=False)
             self.register_buffer(f"products_{axis}", products.flatten(0, 1), persistent=False)
             self.register_buffer(
@@ -77,6 +83,11 @@ class Shading(Part):
         """The map (..., h, w) of coefficients (..., terms)."""
         return self.in_rows(terms) @ self.in_x
 
+    def sampled(self, rows: slice, columns: slice) -> Tensor:
+        """Each term at some pixels, (terms, rows * columns)."""
+        y, x = self.in_y[self.of_y, rows], self.in_x[self.of_x, columns]
+        return (y[:, :, None] * x[:, None]).flatten(1)
+
     def down(self, maps: Tensor) -> Tensor:
         """Sums of maps (..., h, w) down the columns, times each of the polynomials up to twice the degree."""
         return self.more_y @ maps
@@ -92,14 +103,12 @@ class Shading(Part):
     def at(self, y: Tensor, x: Tensor) -> Tensor:
         """Each term at points in px from the centre, (..., terms)."""
         along = []
-        for at, polynomials, order in ((y, self.in_y, self.of_y), (x, self.in_x, self.of_x)):
-            side = polynomials.shape[1]
-            pixels = torch.linspace(-1, 1, side, dtype=at.dtype, device=at.device)
-            powers, place = (
-                torch.linalg.vander(each, N=len(polynomials)) for each in (pixels, 2 * at / (side - 1))
-            )
-            coefficients = torch.linalg.lstsq(powers, polynomials.T, driver="gels").solution
-            along.append((place @ coefficients)[..., order])
+        for at, side, powers, order in (
+            (y, self.in_y.shape[1], self.powers_y, self.of_y),
+            (x, self.in_x.shape[1], self.powers_x, self.of_x),
+        ):
+            place = torch.linalg.vander(2 * at / (side - 1), N=len(powers))
+            along.append((place @ powers)[..., order])
         return along[0] * along[1]
 
     def sums(self, maps: Tensor) -> Tensor:

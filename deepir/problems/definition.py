@@ -13,7 +13,7 @@ from deepir.problem import Problem
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
-from deepir.strengths import doubt_misfits, give_up_dead, pattern_left, spread, start_parts, weigh_scene
+from deepir.strengths import doubt_misfits, give_up_dead, left, pattern_left, spread, start_parts, weigh_scene
 from deepir.thin import thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
@@ -94,26 +94,29 @@ def start_scene_and_parts(problem: Problem) -> None:
             break
         start_scene(problem)
     noise = typical_noise(problem.precision)
-    start_parts(problem)
-    give_up_dead(problem, noise)
-    strong = len(problem.data) > 1 and bool(problem.closed_form()) and pattern_is_strong(problem)
+    rest = left(problem)
+    start_parts(problem, rest)
+    give_up_dead(problem, rest, noise)
+    strong = len(problem.data) > 1 and bool(problem.closed_form()) and pattern_is_strong(problem, rest)
     if strong:
         take_pattern_out(problem, noise)
-    doubt_misfits(problem)
+        rest = left(problem)
+    doubt_misfits(problem, rest)
     for turn in range(TURNS):
         if strong:
             take_pattern_out(problem, noise)
         else:
             start_scene(problem, again=turn > 0)  # not the first time: pixels have been given up
-        give_up_dead(problem, noise)
-        doubt_misfits(problem)
+        rest = left(problem)
+        give_up_dead(problem, rest, noise)
+        doubt_misfits(problem, rest)
 
 
 @torch.no_grad()
-def pattern_is_strong(problem: Problem) -> bool:
+def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
     """Whether what stands still is stronger than all that is in the average of the frames."""
     scene, weight = problem.backproject(problem.values())
-    pattern = pattern_left(problem, (problem.precision > 0).to(problem.data))
+    pattern = pattern_left(rest, problem.precision > 0)
     # By the standard deviation: before a black sky the bulk has next to none.
     return spread(pattern) > STRONG * float(scene[weight > SEEN * weight.max()].std())
 
@@ -127,7 +130,7 @@ def take_pattern_out(problem: Problem, noise: float) -> None:
     """
     frames = problem.data.clone()
     for _ in range(PASSES):
-        pattern = pattern_left(problem, (problem.precision > 0).to(problem.data))
+        pattern = pattern_left(left(problem), problem.precision > 0)
         problem.data.sub_(pattern)
         start_scene(problem)
         if spread(pattern) < SETTLED * noise:

@@ -20,7 +20,7 @@ from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
 from deepir.slow_strengths import estimate_slow, strays
 from deepir.stage import Stage, Step
-from deepir.strengths import doubt_misfits, hold_out, start_parts, weigh_scene
+from deepir.strengths import doubt_misfits, hold_out, left, start_parts, weigh_scene
 
 ALONE = (
     "one frame: stray flux is told from the scene by its being smooth, and by nothing else. A slope or a large glow of "
@@ -56,8 +56,9 @@ class Narcissus(NUC):
             self.messages = [ALONE]
         start_scene(problem)
         estimate_slow(problem, start=True)
-        start_parts(problem)
-        doubt_misfits(problem)
+        rest = left(problem)
+        start_parts(problem, rest)
+        doubt_misfits(problem, rest)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
 

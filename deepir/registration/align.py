@@ -39,20 +39,21 @@ def align(level: Level, motion: Tensor, model: str, rounds: int) -> Aligned:
     n, size = len(motion), max(level.shape) / 2
     mean, pattern = level.frames.mean(0), torch.zeros_like(level.weight)
     motion, misfit = relative(motion), 1.0
-    picture = pull(level, pattern, motion).mean
-    if n > 2 and mean.square().mean() > picture.square().mean():
+    seen = pull(level, pattern, motion)
+    if n > 2 and mean.square().mean() > seen.mean.square().mean():
         pattern, misfit = standing(level, motion)
+        seen = pull(level, pattern, motion)
     before = torch.zeros(n, PARAMETERS[model], dtype=torch.float64)
     length = torch.full((PARAMETERS[model],), 1 - 1 / n, dtype=torch.float64)
-    for _ in range(rounds):
-        seen = pull(level, pattern, motion)
+    for remaining in reversed(range(rounds)):
         delta = step(seen, level, model)
         length = secant(length, delta, before)
         before = delta
         motion = relative(increment(model, length * delta, size) @ motion)
         pattern, misfit = fixed_pattern(level, seen.mean, motion)
-        if float((length * delta).abs().max()) < SETTLED * level.factor:
+        if not remaining or float((length * delta).abs().max()) < SETTLED * level.factor:
             break
+        seen = pull(level, pattern, motion)
     return Aligned(motion, pattern, misfit)
 
 

@@ -1,11 +1,11 @@
-"""Rigid motions, or homographies in their place where the frames bend: zoom, tilt, a wide lens that turns."""
+"""Whether homographies are to stand for rigid motions: frames that bend by zoom, tilt, a wide lens that turns."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from deepir.registration.align import align, standing
+from deepir.registration.align import standing
 from deepir.registration.motion import increment, nearest_rigid, relative
 from deepir.registration.pull import pull
 from deepir.registration.pyramid import Level
@@ -16,11 +16,6 @@ BAND = 8  # rows of which a step is made, and the next ones left to the other
 ALIKE = 0.7  # cosine between what two steps bend from which it is no chance,
 FEW = 1.3  # and, of few frames, this over the root of one less: 0.92 of three, never of two
 LEAST = 0.06  # px, root mean square along the frame's edge: what bends less is rigid
-
-
-def bent(level: Level, motion: Tensor, rounds: int) -> Tensor:
-    """Homographies `(N, 3, 3)` refined from rigid motions, or these where nothing bends."""
-    return align(level, motion, "homography", rounds).motion if bends(level, motion) else motion
 
 
 def bends(level: Level, motion: Tensor) -> bool:

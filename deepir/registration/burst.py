@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepir.errors import DataError, nearest
 from deepir.registration.align import Aligned, align, standing
-from deepir.registration.bend import bent
+from deepir.registration.bend import bends
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, left, one_scene
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
@@ -18,9 +18,8 @@ from deepir.registration.vote import likelier, turns
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
 FINEST = 400_000  # px: larger frames are registered at half their size
-ROUNDS = (
-    8  # of alignment at most; shared with a level of half the size, where the search's is coarser than that
-)
+ROUNDS = 8  # of alignment at most
+FINE = 2  # of them on the last level, if there is one of half the size before
 UNSURE = 0.85  # confidence below which a frame's motion may be wrong
 
 
@@ -55,13 +54,17 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
     if used.sum() > 1:
         some = slice(None) if used.all() else used  # no copy of all
         first = "rigid" if model == AUTO else model
-        moved = fine(flat[some], weight, coarse.factor, moved, first)
+        levels = fine(flat[some], weight, coarse.factor)
+        for level, rounds in zip(levels, (ROUNDS - FINE, FINE) if levels[1:] else (ROUNDS,), strict=True):
+            moved = align(level, moved, first, rounds).motion
         liked = likelier(frames.detach().cpu()[some], weight, moved, first)
         # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
-        if not turns(moved, weight) or misfit(coarse.of(used), liked) < misfit(coarse.of(used), moved):
+        if liked is not moved and (
+            not turns(moved, weight) or misfit(coarse.of(used), liked) < misfit(coarse.of(used), moved)
+        ):
             moved = liked
-        if model == AUTO:
-            moved = bent(build_level(flat[some], weight, finest(weight)), moved, ROUNDS)
+        if model == AUTO and bends(level, moved):
+            moved = align(level, moved, "homography", ROUNDS).motion
         found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
     still = at_rest(coarse, found)
     if still.any():
@@ -78,18 +81,11 @@ def misfit(level: Level, motion: Tensor) -> float:
     return standing(level, motion)[1]
 
 
-def fine(flat: Tensor, weight: Tensor, coarse: int, motion: Tensor, model: str) -> Tensor:
-    """Motions `(N, 3, 3)` of flat frames `(N, H, W)` of least residuals, from those on a level of factor `coarse`."""
-    last = finest(weight)
-    factors = [2 * last, last] if 2 * last < coarse else [last]
-    for factor in factors:
-        motion = align(build_level(flat, weight, factor), motion, model, ROUNDS // len(factors)).motion
-    return motion
-
-
-def finest(weight: Tensor) -> int:
-    """The factor of the level on which frames are registered in the end."""
-    return halvings((weight.numel() / FINEST) ** 0.5)
+def fine(flat: Tensor, weight: Tensor, coarse: int) -> list[Level]:
+    """The levels of flat frames `(N, H, W)` on which they are registered in the end, after one of factor `coarse`."""
+    last = halvings((weight.numel() / FINEST) ** 0.5)
+    factors = (2 * last, last) if 2 * last < coarse else (last,)
+    return [build_level(flat, weight, factor) for factor in factors]
 
 
 def verdict(motion: Tensor, confidence: Tensor) -> Registration:

@@ -32,15 +32,18 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
         return motion
     factor = max(1, -(-max(weight.shape) // SIZE))
     small = even(average(frames.float(), factor), average(weight[None], factor)[0])
-    best = relative(motion)
-    turned = turns(best, weight)
-    best[:, :2, 2] /= factor
+    residual = relative(motion)
+    turned = turns(residual, weight)
+    residual[:, :2, 2] /= factor
+    best = residual
     linear = best.clone() if model in STRETCHED else identity(len(motion))
-    for start in starts(small, best[1:, :2, 2].numpy(), turned):
+    for start in starts(small, residual[1:, :2, 2].numpy(), turned):
         after = linear.clone()
         after[1:, :2, 2] = torch.from_numpy(likeliest_shifts(small, start))
         if factor * apart(best, after, small) >= APART and preferred(small, best, after):
             best = after
+    if best is residual:
+        return motion
     best[:, :2, 2] *= factor
     return best
 
