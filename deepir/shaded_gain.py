@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, PIXEL, ROW
+from deepir.line_noise import less_lines
 from deepir.priors.field import Field
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
@@ -120,7 +121,8 @@ class _Smooth:
             moved[k] = moves[k]
             scene = carried, one, carried * zk, zk[None], moved[1:].flatten(0, 1)
             pattern = terms, levels[k][:, None] * one, terms * zk
-            yield torch.cat((*scene, *pattern, residual[k][some].double().reshape(1, -1)))
+            columns = torch.cat((*scene, *pattern, residual[k][some].double().reshape(1, -1)))
+            yield less_lines(self.slow.problem, columns.unflatten(1, residual[k][some].shape)).flatten(1)
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
         """Least nats, of which a drift costs `RARE`, and strengths of the offset, the drift and the gain."""

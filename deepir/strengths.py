@@ -13,6 +13,7 @@ from torch import Tensor
 
 from deepir.defects import crowded, dead, defective, deviating
 from deepir.evidence import likeliest
+from deepir.line_noise import estimate_line_noise
 from deepir.noise import MAD
 from deepir.operators import Warp
 from deepir.penalties.penalty import squared_gradient
@@ -42,6 +43,7 @@ def hold_out(problem: Problem, seed: int, share: float = HELD_OUT) -> None:
 
 def update_strengths(problem: Problem) -> None:
     """Noise and parts' strengths anew, in the gauge: what every round of a sensor's estimate begins with."""
+    estimate_line_noise(problem)
     update_noise(problem)
     keep_gauge(problem)
     update_parts(problem)

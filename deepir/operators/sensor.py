@@ -26,6 +26,10 @@ class Sensor(Operator):
         maps = (1, *x_shape[1:])
         return {"gain": maps, "offset": maps, "level": (n_frames, 1, 1, 1)}
 
+    def fits(self, slot: str, wanted: Shape, found: Shape) -> bool:
+        """A level may differ from row to row, and from column to column."""
+        return found == wanted or (slot == "level" and found[:2] == wanted[:2] and len(found) == 4)
+
     def forward(self, x: Tensor, *, gain: Tensor, offset: Tensor, level: Tensor) -> Tensor:  # type: ignore[override]
         """Apply the sensor to the flux on each pixel."""
         return torch.addcmul(offset, gain, x) + level
