@@ -138,9 +138,9 @@ def _tensors(
     for field, parameter in zip(fields, parameters, strict=True):
         moves = isinstance(field, Motion | Flow)
         known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
-        if isinstance(field, LineNoise):
-            scales.append(1/float(field.step**2 * (precision * problem.data[0].numel() / field.shape[field.across] + 1/field.sigma**2)))
-            continue
+        known = (
+            field.curvature(precision * problem.data[0].numel()) if isinstance(field, LineNoise) else known
+        )
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
     found = {"waves": waves.reciprocal().to(value), "even": _even(problem, precision)}

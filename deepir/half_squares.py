@@ -66,7 +66,11 @@ class _OfSensor(torch.autograd.Function):
         if level.numel() > len(level):  # of lines
             terms[1], terms[-1] = terms[1] - level, torch.zeros_like(level[..., :1, :1])
         slope, drift, half = compute(*terms, variances, system)
-        ctx.save_for_backward(slope, drift[:, None, :, None].to(level).sum_to_size(level.shape))
+        drift = drift[:, None, :, None].to(level)
+        if level.shape[-1] > 1:  # of columns: the sums of rows do not tell
+            flux, data, precision, gain, offset, _ = terms
+            drift = weighted(torch.addcmul(offset, gain, flux), data, precision)[0]
+        ctx.save_for_backward(slope, drift.sum_to_size(level.shape))
         return half + nats
 
     @staticmethod

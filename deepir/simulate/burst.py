@@ -93,7 +93,8 @@ def simulate(
     # A new effect takes a new stream at the end: those before it stay as they are.
     streams = np.random.default_rng(seed).spawn(11)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
-    rare_rng, bolometer_rng, lines_rng = streams[8:]  # of lag, parallax, own scenes, stray flux there is mostly one
+    # Of lag, parallax, own scenes and stray flux there is mostly one.
+    rare_rng, bolometer_rng, lines_rng = streams[8:]
     motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
         motion, tau = homographies(settings, path(settings, rare_rng)), constants(settings, rare_rng)

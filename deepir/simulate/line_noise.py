@@ -1,7 +1,7 @@
 """Noise that all pixels of a row, or of a column, of one frame have in common.
 
-The temporal row and column noise of the 3-D noise model (D'Agostino and Webb 1991): a microbolometer array is read row by
-row, and the bias of each reading is noisy.
+The temporal row and column noise of the 3-D noise model (D'Agostino and Webb 1991): a microbolometer array is read row
+by row, and the bias of each reading is noisy.
 """
 
 from __future__ import annotations
