@@ -15,8 +15,8 @@ from deepir.problem import Problem
 from deepir.stage import Stage, Step
 
 ENOUGH = 3  # frames: a scene and a pattern explain any two values of a line
-LITTLE = 0.15  # of a sample's noise: jumps that cost little, and may as well be something else
-CERTAIN = 4.0  # variance of the means along lines, in that which white noise leaves, from which they jump
+CERTAIN = 3.0  # variance of lines' means, in that of what their halves differ by, from which they jump
+LITTLE = 0.1  # standard deviation of jumps, in that of a sample's noise, up to which they cost nothing
 
 
 def line_noises(problem: Problem) -> list[LineNoise]:
@@ -61,42 +61,50 @@ def line_noise_message(problem: Problem) -> list[str]:
 def estimate_line_noise(problem: Problem) -> list[LineNoise]:
     """Set by how much lines jump, and each jump to its mean with all else held.
 
-    Scene and fixed pattern explain two of the n values of a line, whatever these are: of the variance of what it
-    jumps by a share of `(n - 2) / n` is left in the residuals. Returns those that are found to jump for the first time.
+    A line that jumps does so in both its halves, unlike noise and what the model lacks. Scene and fixed pattern
+    explain two of the n values of a line, whatever these are: of the variance of jumps `(n - 2) / n` is left. Returns
+    those that are found to jump for the first time.
     """
     fields, new = line_noises(problem), list[LineNoise]()
     if not fields or len(problem.data) < ENOUGH:
         return new
     residual, precision = problem.data - problem.predict(problem.values()), problem.fitted()
     for field in fields:
-        mean, known, white = _means(residual, precision, field)
+        mean, apart, known, white = _means(residual, precision, field)
         if field.given:
             variance = float(field.sigma) ** 2
         else:
-            left = (len(mean) - 2) / len(mean)
-            variance = _variance(mean, known, field.across) / left
-            samples = residual[0].numel() / mean[0].numel()
-            variance = variance - white if variance > white * max(CERTAIN, LITTLE**2 * samples) else 0.0
+            whole, chance = (_variance(each, known, field.across) for each in (mean, apart))
+            variance = (whole - chance) * len(mean) / (len(mean) - 2)
+            least = LITTLE**2 * white * residual.shape[field.along[0]]
+            variance = variance if whole > CERTAIN * chance and variance > least else 0.0
             new += [field] if variance and not field.sigma > 0 else []
             field.sigma.fill_(variance**0.5)
         field.step.fill_(white**0.5)
-        field.values.copy_(mean * known * variance / (variance + white) / field.step)
+        field.values.copy_(mean * variance / (variance + white) / field.step)
     return new
 
 
-def _means(residual: Tensor, precision: Tensor, field: LineNoise) -> tuple[Tensor, Tensor, float]:
-    """Each line's mean above what is predicted without jumps, where it is known, and its variance of white noise."""
-    along = -3 - field.across
-    total = precision.sum(along, keepdim=True)
-    mean = (precision * residual).sum(along, keepdim=True) / total.clamp(min=1e-30)
-    known = total > 0
-    return mean + field() - field.neutral, known, float(total[known].median().reciprocal())
+def _means(residual: Tensor, precision: Tensor, field: LineNoise) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Each line's mean above what is predicted without jumps, zero where it is not known; half of what its two halves
+    differ by; where both are known; and the variance that white noise leaves in a mean."""
+    along = field.along[0]
+    side = residual.shape[along]
+    (a, b), (u, v) = (
+        [part.sum(along, keepdim=True) for part in each.split([side // 2, side - side // 2], along)]
+        for each in (precision * residual, precision)
+    )
+    total, least = u + v, torch.finfo(u.dtype).tiny
+    mean = ((a + b) / total.clamp(min=least) + field() - field.neutral) * (total > 0)
+    apart = (a / u.clamp(min=least) - b / v.clamp(min=least)) / 2
+    return mean, apart, (u > 0) & (v > 0), float(total[total > 0].median().reciprocal())
 
 
-def _variance(mean: Tensor, known: Tensor, across: int) -> float:
-    """Of what lies side by side, without what is slow across the lines, or far out."""
-    both = known.narrow(across, 1, known.shape[across] - 1) & known.narrow(across, 0, known.shape[across] - 1)
-    return float((MAD * mean.diff(dim=across)[both].abs().median()) ** 2) / 2
+def _variance(values: Tensor, known: Tensor, across: int) -> float:
+    """Of lines that lie side by side, without what is slow across them, or far out."""
+    count = known.shape[across] - 1
+    both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
+    return float((MAD * values.diff(dim=across)[both].abs().median()) ** 2) / 2
 
 
 def in_polynomials(problem: Problem, frame: Shading) -> Tensor:
