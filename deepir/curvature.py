@@ -16,7 +16,7 @@ dense system.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import torch
@@ -26,7 +26,9 @@ from deepir.noise import typical_noise
 from deepir.operators import Lag
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
+from deepir.priors.field import Field
 from deepir.priors.flow import Flow
+from deepir.priors.line_noise import LineNoise
 from deepir.priors.motion import Motion
 from deepir.priors.terms import Terms
 from deepir.problem import Problem
@@ -49,7 +51,7 @@ class Curvature:
     def __init__(
         self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
     ) -> None:
-        fields = {id(p): field for field in problem.fields.values() for p in field.parameters()}
+        fields = {id(p): field for field in innermost(problem) for p in field.parameters()}
         mine = [fields[id(p)] for p in parameters]
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
@@ -97,6 +99,12 @@ class Curvature:
         return found
 
 
+def innermost(problem: Problem) -> Iterator[Field]:
+    """The fields, and after each those that it is a sum of."""
+    for field in problem.fields.values():
+        yield from (module for module in field.modules() if isinstance(module, Field))
+
+
 def curvature(
     problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str] = ()
 ) -> Curvature | None:
@@ -130,6 +138,9 @@ def _tensors(
     for field, parameter in zip(fields, parameters, strict=True):
         moves = isinstance(field, Motion | Flow)
         known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
+        known = (
+            field.curvature(precision * problem.data[0].numel()) if isinstance(field, LineNoise) else known
+        )
         known = _measured(problem, parameter) if _lags(problem, parameter) else known
         scales.append(1 / known if known > 0 else 1 / mean)
     found = {"waves": waves.reciprocal().to(value), "even": _even(problem, precision)}

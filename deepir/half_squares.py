@@ -62,8 +62,15 @@ class _OfSensor(torch.autograd.Function):
     def forward(ctx: Any, *given: Tensor) -> Tensor:
         *terms, nats, variances, system = given
         compute = weighted_sensor_on_cpu if terms[0].device.type == "cpu" else weighted_sensor
+        level = terms[-1]
+        if level.numel() > len(level):  # of lines
+            terms[1], terms[-1] = terms[1] - level, torch.zeros_like(level[..., :1, :1])
         slope, drift, half = compute(*terms, variances, system)
-        ctx.save_for_backward(slope, drift.to(terms[-1]).reshape(terms[-1].shape))
+        drift = drift[:, None, :, None].to(level)
+        if level.shape[-1] > 1:  # of columns: the sums of rows do not tell
+            flux, data, precision, gain, offset, _ = terms
+            drift = weighted(torch.addcmul(offset, gain, flux), data, precision)[0]
+        ctx.save_for_backward(slope, drift.sum_to_size(level.shape))
         return half + nats
 
     @staticmethod
@@ -99,11 +106,11 @@ def weighted_on_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def weighted_sensor(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Slope in the flux, slope in each frame's level (N), and `½ Σ w r²`."""
+    """Slope in the flux, slope in the level of each frame's rows (N, h), and `½ Σ w r²`."""
     flux, data, precision, gain, offset, level, (u, v), system = given
     slope, half = weighted(torch.addcmul(offset, gain, flux) + level, data, precision)
     free = ((u - u * u * system[0]) * flux - u * v * system[1]).to(flux)
-    return gain * slope + precision * free, slope.sum((1, 2, 3), dtype=torch.float64), half
+    return gain * slope + precision * free, slope.sum((1, 3), dtype=torch.float64), half
 
 
 def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -128,4 +135,4 @@ def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         half,
         drift,
     )
-    return slope.reshape(flux.shape), drift.sum(1), half.sum()
+    return slope.reshape(flux.shape), drift, half.sum()

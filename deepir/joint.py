@@ -12,6 +12,7 @@ from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.given_noise import given_noise
 from deepir.levels import drift_message
+from deepir.line_noise import line_noise_message
 from deepir.order import bridge_message, bridged
 from deepir.planned import plan
 from deepir.priors.parts import Part
@@ -54,7 +55,7 @@ def joint(
     if config.scene.get("fit") and not problem.held_out.any():
         hold_out(problem, config.seed)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
-    messages += definition.remarks(problem)
+    messages += definition.remarks(problem) + line_noise_message(problem)
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
         messages += drift_message(problem) + shading_message(problem)
     found = given & ~(problem.precision.amax((0, 1)) > 0)

@@ -31,7 +31,8 @@ def start_jumps(problem: Problem) -> bool:
 
     In an average of frames whose levels are far apart, edges of the frames stand as edges of the scene.
     """
-    fields = [problem.fields[name] for name in level_names(problem) if name in problem.free()]
+    names = [name for name in level_names(problem) if name in problem.free()]
+    fields = [module for name in names for module in problem.fields[name].modules()]
     drifts = [field for field in fields if isinstance(field, Drift) and not field.given]
     level = level_residuals(problem)
     level -= level.mean()
@@ -47,7 +48,7 @@ def drift_message(problem: Problem) -> list[str]:
     """Say so if the frames' levels drift, whether the problem knows it or not."""
     least = DRIFT * typical_noise(problem.precision)
     if all(name in problem.free() for name in level_names(problem)):
-        found = [problem.fields[name]().detach() for name in level_names(problem)]
+        found = [problem.fields[name]().detach().mean((1, 2, 3)) for name in level_names(problem)]
         return [
             f"the level of whole frames drifts, by {each.std():.3g}: "
             "a slope across the scene is told from that only in part"

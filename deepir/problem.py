@@ -206,11 +206,11 @@ class Problem(nn.Module):
         data = self.data if gain in group else self.data - values[gain] * flux
         if offset not in group and values[offset].any():
             data = data - values[offset]
+        if (levels := values[level]).numel() > len(levels):  # of lines
+            data, levels = data - levels, torch.zeros_like(levels[..., 0, 0])
         parts = [self.fields[each].parts() if each in group else () for each in (gain, offset)]
         neutral = [self.fields[each].neutral if each in group else 0.0 for each in (gain, offset)]
-        found = eliminate(
-            flux, data, precision, *parts, level=values[level], neutral=(neutral[0], neutral[1])
-        )
+        found = eliminate(flux, data, precision, *parts, level=levels, neutral=(neutral[0], neutral[1]))
         both = zip((gain, offset), found.values, strict=True)
         values.update({name: value[None, None] for name, value in both if name in group})
         return found

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, PIXEL, ROW
+from deepir.line_noise import less_lines, lines_jump
 from deepir.priors.field import Field
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
@@ -81,12 +82,14 @@ class _Smooth:
         frame = self.slow.frame
         step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
         some = slice(1, -1, step), slice(1, -1, step)
-        z, data, precision = (each[:, 0, *some].flatten(1) for each in (flux, problem.data, problem.fitted()))
+        seen = flux, problem.data - jumps(problem), problem.fitted()
+        self.shape = flux[0, 0, *some].shape
+        z, data, precision = (each[:, 0, *some].flatten(1) for each in seen)
         self.level = float(z.double().square().mean().sqrt())
         self.spread = float(data[precision > 0].std())
         of_gain, of_offset = (_variances(field) for field in _fields(problem))
         gain, offset = (_quick_lines(field, frame)[some].to(flux).flatten() for field in _fields(problem))
-        residual = data - (1 + gain) * z - offset - jumps(problem).flatten(1)
+        residual = data - (1 + gain) * z - offset
         pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
         self.expected = [
             expected({PIXEL: 0.0} | lines, frame) * unit
@@ -102,15 +105,17 @@ class _Smooth:
         moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
         maps = terms, z, moves, residual.double(), precision.double(), own
         normal = z.new_zeros(())
-        for *few, told, of_pixels in zip(
-            *(each.split(FEW, -1) for each in maps), strict=True
-        ):  # in the cache
-            normal = normal + normal_matrix(self._columns(*few), told, of_pixels)
+        jump = lines_jump(problem)
+        count = self.shape.numel() if jump else FEW  # few are in the cache
+        for *few, told, of_pixels in zip(*(each.split(count, -1) for each in maps), strict=True):
+            normal = normal + normal_matrix(self._columns(*few, jump=jump), told, of_pixels)
         self.count = len(flux)
         free = 2 * (len(frame.white) + 1) + 3 * (self.count - 1)
         self.evidence = Evidence(normal[:-1, :-1], normal[:-1, -1], free)
 
-    def _columns(self, terms: Tensor, z: Tensor, moves: Tensor, residual: Tensor) -> Iterator[Tensor]:
+    def _columns(
+        self, terms: Tensor, z: Tensor, moves: Tensor, residual: Tensor, *, jump: bool
+    ) -> Iterator[Tensor]:
         """For each frame what the unknowns make of some of its pixels, and what is to be explained, last.
 
         These are θ, the level, ψ, its level, and motions, which may be anything, φ, levels of the frames, and γ.
@@ -123,7 +128,10 @@ class _Smooth:
             moved[k] = moves[k]
             scene = carried, one, carried * zk, zk[None], moved[1:].flatten(0, 1)
             pattern = terms, levels[k][:, None] * one, terms * zk
-            yield torch.cat((*scene, *pattern, residual[k][None]))
+            columns = torch.cat((*scene, *pattern, residual[k][None]))
+            if jump:  # all of the frame is there
+                columns = less_lines(self.slow.problem, columns.unflatten(1, self.shape)).flatten(1)
+            yield columns
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
         """Least nats, of which a drift costs `RARE`, and strengths of the offset, the drift and the gain."""

@@ -64,9 +64,9 @@ class Slow:
         self.information = area * terms.T @ (weights[..., None] * terms)
         self.kept = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(self.information)
 
-    def doubt(self, variance: float) -> None:
-        """Take from the information what the slow parts of each frame vary by chance, independently."""
-        self.kept = torch.linalg.inv(self.kept + variance * self.information)
+    def doubt(self, variance: Tensor) -> None:
+        """Take from the information what the slow parts of each frame vary by chance, (terms + 1,), independently."""
+        self.kept = torch.linalg.inv(self.kept + self.information * variance)
         self.information = self.kept @ self.information
 
     def normal(self, *more: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from deepir.elimination import COLUMN, ROW
+from deepir.line_noise import in_polynomials
 from deepir.operators import Add, Blur, Lag, Sensor, Warp
 from deepir.operators.points import displaced
 from deepir.priors.drift import Drift
@@ -87,7 +88,7 @@ def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Dr
     closed, free = problem.closed_form(), problem.free()
     offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]
     parts = [part for name in offsets for part in problem.fields[name].parts()]
-    fields = [problem.fields[name] for name in free]
+    fields = [module for name in free for module in problem.fields[name].modules()]
     return (
         [part for part in parts if isinstance(part, Shading) and not part.given],
         strays(problem),
@@ -129,7 +130,7 @@ class _Evidence:
             self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
                 0
             )
-        self.slow.doubt(self._chance(variance))
+        self.slow.doubt(self._chance(variance) + in_polynomials(problem, self.slow.frame))
         #: Levels that jump do drift.
         self.jumps = bool(jumps(problem).any())
         residual = _slow_residual(problem, values, self.slow.frame)
@@ -225,7 +226,7 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
 
 def jumps(problem: Problem) -> Tensor:
     """Known levels of the frames, (N, 1, 1, 1) or as one."""
-    found = [field.jumps for field in problem.fields.values() if isinstance(field, Drift)]
+    found = [module.jumps for module in problem.modules() if isinstance(module, Drift)]
     return sum(found, problem.data.new_zeros(1, 1, 1, 1))
 
 

@@ -11,6 +11,8 @@ from deepir.burst import Burst
 from deepir.geometry import Geometry
 from deepir.noise import typical_noise
 from deepir.operators.points import displacements, homographies
+from deepir.priors.line_noise import LineNoise
+from deepir.priors.parts import Part
 from deepir.problem import Problem
 from deepir.result import Result, neutral, to_gauge
 from deepir.slow_strengths import added_flux
@@ -41,7 +43,7 @@ def collect(
         if kind in ("gain", "offset"):
             setattr(result, kind, value[0, 0].astype(np.float64))
         elif kind == "level":
-            result.level[taken] = value.ravel()
+            result.level[taken] = value.mean((1, 2, 3))
         elif kind == "motion":
             result.motion[taken] = homographies(solution.values[name]).cpu().numpy()
             result.motion[~taken] = np.nan
@@ -84,8 +86,10 @@ def strengths(problem: Problem) -> dict[str, float]:
     """What was given or estimated: sigma of each part, weight of each penalty."""
     found = {}
     for name, field in problem.fields.items():
-        for part in field.parts():
-            found[f"{name}.{type(part).__name__.lower()}.sigma"] = float(part.sigma)
+        for path, part in field.named_modules():
+            if isinstance(part, Part | LineNoise):
+                own = path.rpartition(".")[2] or type(part).__name__.lower()
+                found[f"{name}.{own}.sigma"] = float(part.sigma)
     for name, each in problem.penalties.items():
         for kind, penalty in each.items():
             found[f"{name}.{kind}.weight"] = penalty.typical()

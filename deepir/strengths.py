@@ -6,6 +6,8 @@ stage, so that the objective is one function.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import torch
 from scipy.optimize import nnls
@@ -13,6 +15,7 @@ from torch import Tensor
 
 from deepir.defects import crowded, dead, defective, deviating
 from deepir.evidence import likeliest
+from deepir.line_noise import estimate_line_noise
 from deepir.noise import MAD
 from deepir.operators import Warp
 from deepir.priors.parts import Part
@@ -40,9 +43,10 @@ def hold_out(problem: Problem, seed: int, share: float = HELD_OUT) -> None:
 
 def update_strengths(problem: Problem) -> None:
     """Noise and parts' strengths anew, in the gauge: what every round of a sensor's estimate begins with."""
+    new = estimate_line_noise(problem)
     update_noise(problem)
     keep_gauge(problem)
-    update_parts(problem)
+    update_parts(problem, unasked={field.along for field in new})
 
 
 @torch.no_grad()
@@ -223,8 +227,11 @@ def keep_gauge(problem: Problem) -> None:
 
 
 @torch.no_grad()
-def update_parts(problem: Problem) -> None:
-    """Set the parts' strengths to the likeliest, the scene held; those of what is slow, whatever the scene is."""
+def update_parts(problem: Problem, unasked: Collection[tuple[int, ...]] = ()) -> None:
+    """Set the parts' strengths to the likeliest, the scene held; those of what is slow, whatever the scene is.
+
+    Parts that are constant along the axes `unasked` have not been found yet with all that is known now.
+    """
     closed = problem.closed_form()
     if not closed:
         return
@@ -236,7 +243,7 @@ def update_parts(problem: Problem) -> None:
                 torch.stack([getattr(part, name).double() if part else means.new_zeros(()) for part in parts])
                 for name in ("sigma", "most")
             )
-            free = [i for i, part in enumerate(parts) if part and not part.given]
+            free = [i for i, p in enumerate(parts) if p and not p.given and p.along not in unasked]
             quick = less_slow(means) if any(part and part.along for part in parts) else means
             for part, found in zip(parts, likeliest(information, quick, sigma, most, free), strict=True):
                 if part and not part.given:

@@ -13,7 +13,7 @@ from deepir.registry import register
 
 @register("operator", "sensor")
 class Sensor(Operator):
-    """Gain, offset and drift of the level: `y_k = gain * x_k + offset + level_k`, (N, 1, h, w).
+    """Gain, offset and levels of frames or of their lines: `y_k = gain * x_k + offset + level_k`, (N, 1, h, w).
 
     Saragadam et al. 2021, the equation that ends "Sensor modeling"; it leaves the drift out.
     """
@@ -22,9 +22,13 @@ class Sensor(Operator):
     neutral: ClassVar = {"gain": 1.0, "offset": 0.0, "level": 0.0}
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
-        """`gain`, `offset`: (1, C, h, w); `level`: (N, 1, 1, 1)."""
+        """`gain`, `offset`: (1, C, h, w); `level`: (N, 1, 1, 1), or what fits."""
         maps = (1, *x_shape[1:])
         return {"gain": maps, "offset": maps, "level": (n_frames, 1, 1, 1)}
+
+    def fits(self, slot: str, wanted: Shape, found: Shape) -> bool:
+        """A level may differ from row to row, and from column to column."""
+        return found == wanted or (slot == "level" and found[:2] == wanted[:2] and len(found) == 4)
 
     def forward(self, x: Tensor, *, gain: Tensor, offset: Tensor, level: Tensor) -> Tensor:  # type: ignore[override]
         """Apply the sensor to the flux on each pixel."""

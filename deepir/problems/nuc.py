@@ -7,6 +7,7 @@ import functools
 import math
 from typing import ClassVar
 
+from deepir.line_noise import with_jumps
 from deepir.moving import doubt_moving
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
@@ -71,13 +72,14 @@ class NUC(Definition):
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, prepare=smooth_unseen, tolerance=rough)
         third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine)
+        scene = Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True)
         shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
         return [
             first,
             dataclasses.replace(first, name="sensor 2", prepare=functools.partial(_update, settled=False)),
             third,
             *([shaded] if unknown_shadings(problem) else []),
-            Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
+            *with_jumps(problem, scene),
         ]
 
 

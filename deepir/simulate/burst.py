@@ -16,6 +16,7 @@ from deepir.simulate.blur import psf
 from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
 from deepir.simulate.lag import constants, lagged, path
+from deepir.simulate.line_noise import line_noise
 from deepir.simulate.optics import at_rest, drawn, homographies, move, reach_of, scale_of
 from deepir.simulate.parallax import flow_of, parallax, relief
 from deepir.simulate.pictures import Scene
@@ -35,6 +36,8 @@ class Truth:
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
+    rows: np.ndarray  # (N, H), what each row of each frame jumps by
+    columns: np.ndarray  # (N, W), the same of columns
     stray: np.ndarray  # (H, W), mean zero over good pixels, where it is the scene's level
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
     flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: motion and parallax
@@ -88,9 +91,10 @@ def simulate(
         DataError: A picture is no picture, or is too small for the frames and their motion; or there are too few.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
-    streams = np.random.default_rng(seed).spawn(10)
+    streams = np.random.default_rng(seed).spawn(11)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
-    rare_rng, bolometer_rng = streams[8:]  # of lag, parallax, own scenes and stray flux there is mostly one
+    # Of lag, parallax, own scenes and stray flux there is mostly one.
+    rare_rng, bolometer_rng, lines_rng = streams[8:]
     motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
         motion, tau = homographies(settings, path(settings, rare_rng)), constants(settings, rare_rng)
@@ -127,12 +131,15 @@ def simulate(
     flux, static, stray = flux + stray, static + stray[bad == 0].mean(), stray - stray[bad == 0].mean()
     level = settings.range * settings.level_drift * np.cumsum(level_rng.standard_normal(settings.n_frames))
     level -= level.mean()
+    rows, columns = line_noise(settings, lines_rng)
     failed = np.arange(settings.n_frames) == (settings.failed_frame or -1)
     truth = Truth(
         scene=static,
         gain=gain,
         offset=offset,
         level=level,
+        rows=rows,
+        columns=columns,
         stray=stray,
         motion=motion,
         flow=flow_of(motion, settings.shape, beside),
@@ -146,5 +153,6 @@ def simulate(
         scale=scale,
         psf=psf(settings),
     )
-    frames = expose(flux, gain, offset, level, bad, settings, noise_rng, defects_rng)
+    jumps = rows[:, :, None] + columns[:, None]
+    frames = expose(flux, gain, offset + jumps, level, bad, settings, noise_rng, defects_rng)
     return Simulation(frames, truth, settings, seed)

@@ -63,6 +63,8 @@ class Settings:
     shading: float = 0.1  # smooth (quadratic) part of the offset, peak to peak, fraction of the range
     photons: float = 0.0  # photons in one range of flux at gain one (the paper's tau); 0: no photon noise
     read_noise: float = 0.003  # sigma of the Gaussian noise of a sample, fraction of the range
+    row_noise: float = 0.0  # sigma of what each row of each frame jumps by, fraction of the range
+    column_noise: float = 0.0  # the same of each column
     level_drift: float = 0.0  # sigma of the level's random walk from frame to frame, fraction of the range
     dead_pixels: float = 0.002  # fraction of bad pixels: a third each stuck low, stuck high, flickering
     stuck_pixels: float = 0.0  # fraction of pixels stuck at a value between the scene's least and largest
