@@ -15,6 +15,7 @@ from deepir.registration.group import FAILED, agreement, at_rest, left, one_scen
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
 from deepir.registration.pyramid import Level, build_level
 from deepir.registration.vote import likelier, turns
+from deepir.registration.walker import beside_walker
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
 FINEST = 400_000  # px: larger frames are registered at half their size
@@ -60,6 +61,18 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
         # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
         if not turns(moved, weight) or misfit(coarse.of(used), liked) < misfit(coarse.of(used), moved):
             moved = liked
+        moved, beside = beside_walker(
+            frames.detach().cpu()[some],
+            flat[some],
+            weight,
+            coarse.of(used),
+            moved,
+            lambda flat, weight, motion: fine(flat, weight, coarse.factor, motion, first),
+        )
+        if beside is not weight:
+            flat, weight = flat * beside, beside
+            coarse = build_level(flat, weight, coarse.factor)
+            found = Aligned(moved, *standing(coarse.of(used), moved))
         if model == AUTO:
             moved = bent(build_level(flat[some], weight, finest(weight)), moved, ROUNDS)
         found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
