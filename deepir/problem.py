@@ -40,7 +40,6 @@ class Problem(nn.Module):
     precision: Tensor
     held_out: Tensor
     #: Mean gradient of the scene in standard deviations of its noise; infinite until it is measured.
-    roughness: Tensor
 
     def __init__(
         self,
@@ -68,7 +67,6 @@ class Problem(nn.Module):
         self.register_buffer("data", data)
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
-        self.register_buffer("roughness", torch.tensor(torch.inf))
 
     def values(self, free: Collection[str] | None = None, without: Collection[str] = ()) -> Values:
         """The value of each unknown but those in `without`; those not in `free` carry no gradient (None: all do)."""

@@ -88,5 +88,5 @@ def strengths(problem: Problem) -> dict[str, float]:
             found[f"{name}.{type(part).__name__.lower()}.sigma"] = float(part.sigma)
     for name, each in problem.penalties.items():
         for kind, penalty in each.items():
-            found[f"{name}.{kind}.weight"] = float(penalty.weight)
+            found[f"{name}.{kind}.weight"] = penalty.typical()
     return found

@@ -15,17 +15,15 @@ from deepir.defects import crowded, dead, defective, deviating
 from deepir.evidence import likeliest
 from deepir.noise import MAD
 from deepir.operators import Warp
-from deepir.penalties.penalty import squared_gradient
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
-from deepir.slow_strengths import added_flux, estimate_slow
+from deepir.slow_strengths import estimate_slow
 from deepir.thin import thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
-LEAST = 1.77  # mean gradient of noise alone, in its standard deviations: sqrt(π)
 SLOW = 8  # degree of what is slow along the lines, of 64 and more
 ROUNDS = 2  # of the parts' strengths at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
@@ -113,7 +111,7 @@ def _bins(values: Tensor, counts: Tensor) -> Tensor:
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
-    """Set the weights of the scene's penalties: `factor` times what is given, or what suits noise and roughness.
+    """Set the weights of the scene's penalties: `factor` times what is given, or what suits the noise.
 
     What else they need they learn from the scene as it is.
     """
@@ -127,20 +125,9 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
         noise = average * problem.operator.noise_gain
         if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
             noise /= first.noise_gain
-        natural = penalty.natural(noise) * 2 ** (penalty.plain / float(problem.roughness)) ** 2
-        penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
+        penalty.weight.fill_(factor * (penalty.natural(noise) if penalty.given is None else penalty.given))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)
-
-
-@torch.no_grad()
-def measure_roughness(problem: Problem) -> None:
-    """Note the mean gradient of the scene, found under next to no penalty, in standard deviations of its noise."""
-    stray = dict.fromkeys(added_flux(problem), torch.zeros((), device=problem.data.device))
-    seen = problem.flux(problem.values() | stray)[:1]  # frame 0 is not interpolated
-    precision = problem.precision.sum(0)
-    gradient = squared_gradient(seen).sqrt().mean() * precision[precision > 0].median().sqrt()
-    problem.roughness.copy_(gradient.clamp(min=LEAST))
 
 
 @torch.no_grad()

@@ -9,14 +9,17 @@ from deepir.loops import compiled
 
 
 @compiled
-def total_variation(first, last, value, rounding, energy, gradient):
-    """Rows [first, last) of a picture (h, w): `energy` (h), summed in float64, and its `gradient` (h, w)."""
+def total_variation(first, last, value, share, rounding, energy, gradient):
+    """Rows [first, last) of a picture (h, w): `energy` (h), summed in float64, and its `gradient` (h, w).
+
+    A place counts by its `share` (h, w).
+    """
     height, width = value.shape
     e = value.dtype.type(rounding)
     beside, down = np.empty(width, value.dtype), np.empty(width, value.dtype)
     above, right = np.zeros(width, value.dtype), np.zeros(width + 1, value.dtype)
     for i in range(max(first - 1, 0), last):  # the row above is part of the first one's gradient
-        here, below = value[i], value[min(i + 1, height - 1)]
+        here, below, counts = value[i], value[min(i + 1, height - 1)], share[i]
         for j in range(width):
             beside[j] = here[min(j + 1, width - 1)]
         total, to_right = 0.0, right[1:]
@@ -24,8 +27,10 @@ def total_variation(first, last, value, rounding, energy, gradient):
             d, r = below[j] - here[j], beside[j] - here[j]
             squared = d * d + r * r
             length = np.sqrt(squared + e * e)
-            total += squared / (length + e)  # the same as the difference, without its cancellation
-            down[j], to_right[j] = d / length, r / length
+            total += (
+                counts[j] * squared / (length + e)
+            )  # the same as the difference, without its cancellation
+            down[j], to_right[j] = counts[j] * d / length, counts[j] * r / length
         if i >= first:
             energy[i] = total
             into = gradient[i]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.penalties.rounded import Rounded, lengths
+from deepir.penalties.rounded import Rounded
 from deepir.registry import register
 
 
@@ -23,4 +23,4 @@ class Hessian(Rounded):
         along_x = F.pad(value.diff(n=2, dim=-1), (1, 1))
         along_y = F.pad(value.diff(n=2, dim=-2), (0, 0, 1, 1))
         across = F.pad(value.diff(dim=-1).diff(dim=-2), (0, 1, 0, 1))
-        return lengths(along_x.square() + along_y.square() + 2 * across.square(), self.edge)
+        return self.lengths(along_x.square() + along_y.square() + 2 * across.square())

@@ -5,39 +5,43 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.penalties.penalty import Penalty, squared_gradient
-from deepir.penalties.rounded import PLAIN
+from deepir.penalties.local import Local
+from deepir.penalties.penalty import squared_gradient
 from deepir.penalties.tv import TV
+from deepir.priors.field import Shape
 from deepir.registry import register
 
 
 @register("penalty", "huber_tv")
-class HuberTV(Penalty):
+class HuberTV(Local):
     """Huber's function of `|∇x|`: quadratic up to `threshold`, in units of `1 / weight`, linear beyond.
 
     It makes no stairs of slopes, as TV does (Werlberger et al. 2009, "Anisotropic Huber-L1 optical flow").
     """
 
-    plain = PLAIN
-
-    def __init__(self, *, weight: float | None = None, threshold: float = 1.0) -> None:
-        super().__init__(weight=weight)
+    def __init__(
+        self, shape: Shape | None = None, *, weight: float | None = None, threshold: float = 1.0
+    ) -> None:
+        super().__init__(shape, weight=weight)
         if not 0 < threshold < float("inf"):
             raise ValueError(f"threshold must be a positive number, not {threshold}")
         self.threshold = threshold
 
     def energy(self, value: Tensor) -> Tensor:
-        """`Σ |∇x|² / 2 d` where `|∇x| < d = threshold / weight`, and `Σ |∇x| - d / 2` elsewhere."""
+        """`|∇x|² / 2 d` where `|∇x| < d = threshold / weight`, `|∇x| - d / 2` elsewhere, summed by `share`."""
         d = self.threshold / self.weight.clamp(min=1e-12)
         squared = squared_gradient(value)
         linear = squared.clamp(min=d.square().to(squared)).sqrt() - d / 2
-        return torch.where(squared < d.square(), squared / (2 * d), linear).sum(dtype=torch.float64)
+        return (self.share * torch.where(squared < d.square(), squared / (2 * d), linear)).sum(
+            dtype=torch.float64
+        )
 
     def natural(self, noise: float) -> float:
         """One nat for a step of `TV.scale` standard deviations."""
         return 1 / (TV.scale * noise)
 
     def stiffness(self, value: Tensor) -> tuple[float, float]:
-        """The mean of `weight / max(|∇x|, d)`, of the gradient."""
+        """The mean of `weight share / max(|∇x|, d)`, of the gradient."""
         d = self.threshold / self.weight.clamp(min=1e-12)
-        return 0.0, float((self.weight / squared_gradient(value).sqrt().clamp(min=float(d))).mean())
+        steep = squared_gradient(value).sqrt().clamp(min=float(d))
+        return 0.0, float((self.weight * self.share / steep).mean())

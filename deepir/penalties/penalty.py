@@ -18,8 +18,6 @@ class Penalty(nn.Module):
     weight: Tensor
     #: Whether it is of the picture that the scene shows, not of the scene's array; see `Operator.image`.
     of_image: ClassVar[bool] = False
-    #: A scene whose mean gradient is `r` standard deviations of its noise bears `2 ** (plain / r)²` times `natural`.
-    plain: ClassVar[float] = 0.0
 
     def __init__(self, *, weight: float | None = None) -> None:
         super().__init__()
@@ -39,6 +37,10 @@ class Penalty(nn.Module):
     def natural(self, noise: float) -> float:
         """The weight that suits a value with noise of this standard deviation, before it is penalised."""
         return 1.0
+
+    def typical(self) -> float:
+        """The weight at a usual place."""
+        return float(self.weight)
 
     def adapt(self, value: Tensor, noise: float) -> None:
         """Learn what the penalty needs from the value as it is, with noise of this standard deviation.

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepir.penalties.rounded import Rounded, lengths
+from deepir.penalties.rounded import Rounded
 from deepir.priors.field import Shape
 from deepir.registry import register
 
@@ -26,7 +26,7 @@ class TGV(Rounded):
     def __init__(
         self, shape: Shape, *, weight: float | None = None, ratio: float = 1.0, rounding: float = 0.1
     ) -> None:
-        super().__init__(weight=weight, rounding=rounding)
+        super().__init__(shape, weight=weight, rounding=rounding)
         if not 0 < ratio < float("inf"):
             raise ValueError(f"ratio must be a positive number, not {ratio}")
         self.ratio = ratio
@@ -40,7 +40,7 @@ class TGV(Rounded):
         edges = (_down(value) - down).square() + (_right(value) - right).square()
         shear = _right(down) + _down(right)
         kinks = _down(down).square() + _right(right).square() + shear.square() / 2
-        return lengths(edges, self.edge) + self.ratio * lengths(kinks, self.edge)
+        return self.lengths(edges) + self.ratio * self.lengths(kinks)
 
     def adapt(self, value: Tensor, noise: float) -> None:
         """Take the spread of the value for the slopes' unit."""

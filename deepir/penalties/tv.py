@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.penalties.penalty import squared_gradient
-from deepir.penalties.rounded import Rounded, lengths
+from deepir.penalties.rounded import Rounded
 from deepir.registry import register
 
 
@@ -20,35 +20,37 @@ class TV(Rounded):
     scale = 1.6
 
     def energy(self, value: Tensor) -> Tensor:
-        """`Σ sqrt(|∇x|² + e²) - e`, with `e = rounding / weight`."""
+        """`Σ share (sqrt(|∇x|² + e²) - e)`, with `e = rounding / weight`."""
         if value.device.type == "cpu":
-            energy: Tensor = _OnCPU.apply(value, float(self.edge))
+            energy: Tensor = _OnCPU.apply(value, self.share, float(self.edge))
             return energy
-        return lengths(squared_gradient(value), self.edge)
+        return self.lengths(squared_gradient(value))
 
     def stiffness(self, value: Tensor) -> tuple[float, float]:
-        """The mean of `weight / sqrt(|∇x|² + e²)`, of the gradient."""
-        return 0.0, float((self.weight * (squared_gradient(value) + self.edge.square()).rsqrt()).mean())
+        """The mean of `weight share / sqrt(|∇x|² + e²)`, of the gradient."""
+        steep = (squared_gradient(value) + self.edge.square()).rsqrt()
+        return 0.0, float((self.weight * self.share * steep).mean())
 
 
 class _OnCPU(torch.autograd.Function):
     """The same in one pass, which finds the gradient as well."""
 
     @staticmethod
-    def forward(ctx: Any, value: Tensor, rounding: float) -> Tensor:
+    def forward(ctx: Any, value: Tensor, share: Tensor, rounding: float) -> Tensor:
         from deepir.loops import spread
         from deepir.loops.tv import total_variation
 
         pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
+        share = share.to(pictures).expand(pictures.shape[-2:]).contiguous()
         gradient = torch.empty_like(pictures)
         energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
         for i, picture in enumerate(pictures):
-            spread(total_variation, len(picture), picture, rounding, energy[i], gradient[i])
+            spread(total_variation, len(picture), picture, share, rounding, energy[i], gradient[i])
         ctx.save_for_backward(gradient.reshape(value.shape))
         return energy.sum()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         (found,) = ctx.saved_tensors
-        return gradient.to(found) * found, None
+        return gradient.to(found) * found, None, None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import ClassVar
 
 from deepir.moving import doubt_moving
@@ -15,11 +16,12 @@ from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import (
     hold_out,
-    measure_roughness,
     update_noise,
     update_strengths,
     weigh_scene,
 )
+from deepir.texture import follow_texture
+from deepir.uncertainty import pattern_cost
 from deepir.unseen import smooth_unseen
 from deepir.waves import modelled
 
@@ -88,8 +90,9 @@ def update(problem: Problem) -> None:
 def finish(problem: Problem) -> None:
     """Strengths for the scene's own stage."""
     update_noise(problem, settled=True)
-    measure_roughness(problem)
     weigh_scene(problem)
+    cost = pattern_cost(problem, WEAK)
+    follow_texture(problem, 0.0 if math.isnan(cost) else cost)
 
 
 def _update(problem: Problem, *, settled: bool = True) -> None:

@@ -15,7 +15,7 @@ from deepir.priors.terms import DCT, Radial
 from deepir.problems.definition import start_scene
 from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
-from deepir.strengths import measure_roughness
+from deepir.texture import follow_texture
 
 CAMERA = {
     "shape": (64, 80), "max_shift": 8.0, "shading": 0.0, "photons": 1000.0, "read_noise": 0.002, "dead_pixels": 0.0,
@@ -69,9 +69,9 @@ def test_a_scene_is_as_plain_behind_a_steep_stray_flux_as_without():
     for strength in (0.0, 1.0):
         problem.fields["stray"].sigma.fill_(strength)
         problem.fields["stray"].init_from(torch.from_numpy(sim.truth.stray).float())
-        measure_roughness(problem)
-        found.append(float(problem.roughness))
-    assert found[0] == found[1]
+        follow_texture(problem)
+        found.append(problem.penalties["scene"]["tv"].share.clone())
+    assert torch.equal(*found)
 
 
 def test_behind_a_known_gain_stray_flux_is_told_from_the_offset_by_the_gain_alone(tmp_path):

@@ -1,0 +1,59 @@
+"""How strong the scene's penalties are from place to place: where it is plain, rich, dark."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.defects import around
+from deepir.penalties.local import Local
+from deepir.penalties.penalty import squared_gradient
+from deepir.problem import Problem
+
+WINDOW = 7  # px: side of the windows whose gradients are one texture
+SURE = 5  # px: side of the windows whose samples are taken together
+#: Gradients of `r` standard deviations of the noise bear `2 ** ((PLAIN / r)² - RICH)` times the natural weight,
+#: `2 ** MOST` at most: the best on the truth of the bursts in docs/how-it-estimates.md.
+PLAIN, RICH, MOST = 2.75, 0.3, 1.5
+LEAST = 0.1  # standard deviations: gradients are not told from this
+#: What samples say of a place, to what they say of a usual one, is taken into account between these.
+UNEVEN = (0.2, 4.0)
+
+
+@torch.no_grad()
+def follow_texture(problem: Problem, cost: float = 0.0) -> None:
+    """Let penalties that may vary be weaker where the scene is rich, stronger where it is plain or its samples sure.
+
+    Texture is the geometric mean of gradients, over windows, of the scene that was found under next to no prior: edges
+    in a plain place are few, and do not count for much. It costs `cost` dB that the pattern is not known: the scene's
+    noise is as much above that of its samples, which weigh so much more than they tell.
+    """
+    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
+    follow = [
+        each for each in penalties if isinstance(each, Local) and each.given is None and each.share.ndim
+    ]
+    if not follow or problem.fields["scene"].shape[0] > 1:
+        return
+    sure, usual = _information(problem)
+    above = 10 ** (cost / 20)
+    gradient = squared_gradient(problem.operator.image(problem.fields["scene"]()))
+    texture = _mean((gradient * sure).sqrt_().add_(LEAST).log_(), WINDOW).exp_()
+    share = ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=MOST).exp2_() * (sure / usual).sqrt_() * above
+    for penalty in follow:
+        penalty.share.copy_(share[0, 0])
+
+
+def _information(problem: Problem) -> tuple[Tensor, float]:
+    """One over the square of the noise of each pixel of the scene, (1, 1, H, W), and of a usual one."""
+    slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
+    summed = problem.precision.sum(0)
+    usual = float(summed[summed > 0].median())
+    weighed = problem.precision * slots.get("sensor.gain", 1.0)  # once more by the adjoint
+    told = problem.operator.adjoint(weighed, (1, 1, *problem.fields["scene"].shape[-2:]), **slots)
+    low, high = UNEVEN
+    return _mean(told, SURE).clamp_(low * usual, high * usual), usual
+
+
+def _mean(image: Tensor, window: int) -> Tensor:
+    """The mean over each window of an image (1, 1, H, W); at the edge of what is inside."""
+    return around(image, window) / around(torch.ones_like(image), window)
