@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.curvature import curvature
+from deepir.freedom import freedom, moves_with_scene
 from deepir.optimisers import OPTIMISERS, Optimiser, free_parameters
 from deepir.problem import Problem, Values
 from deepir.stage import Stage, Step
@@ -16,6 +17,7 @@ from deepir.stage import Stage, Step
 def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
     """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
+    moving = moves_with_scene(problem, [name for step in stage.steps for name in step.group])
     precision = problem.precision if stage.use_held_out else problem.fitted()
 
     with torch.no_grad():  # once: gain and offset of several parts are not free
@@ -24,6 +26,8 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
         values = fixed | problem.values(free, without=[*eliminated, *fixed])
         terms = problem.losses(values, eliminated, precision=precision)
+        if moving:
+            terms["freedom"] = freedom(values[problem.slots["warp.motion"]], problem.data.shape[-2:])
         return torch.stack([term.double() for term in terms.values()]).sum(), values
 
     return evaluate

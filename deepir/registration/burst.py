@@ -15,6 +15,7 @@ from deepir.registration.group import FAILED, agreement, at_rest, left, one_scen
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
 from deepir.registration.pyramid import Level, build_level
 from deepir.registration.vote import likelier, turns
+from deepir.registration.walker import beside_walker
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
 FINEST = 400_000  # px: larger frames are registered at half their size
@@ -55,16 +56,28 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
         some = slice(None) if used.all() else used  # no copy of all
         first = "rigid" if model == AUTO else model
         levels = fine(flat[some], weight, coarse.factor)
-        for level, rounds in zip(levels, (ROUNDS - FINE, FINE) if levels[1:] else (ROUNDS,), strict=True):
-            moved = align(level, moved, first, rounds).motion
+        moved = refined(levels, moved, first)
         liked = likelier(frames.detach().cpu()[some], weight, moved, first)
         # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
         if liked is not moved and (
             not turns(moved, weight) or misfit(coarse.of(used), liked) < misfit(coarse.of(used), moved)
         ):
             moved = liked
-        if model == AUTO and bends(level, moved):
-            moved = align(level, moved, "homography", ROUNDS).motion
+        moved, beside = beside_walker(
+            frames.detach().cpu()[some],
+            flat[some],
+            weight,
+            coarse.of(used),
+            moved,
+            lambda flat, weight, motion: refined(fine(flat, weight, coarse.factor), motion, first),
+        )
+        if beside is not weight:
+            flat, weight = flat * beside, beside
+            coarse = build_level(flat, weight, coarse.factor)
+            found = Aligned(moved, *standing(coarse.of(used), moved))
+            levels = fine(flat[some], weight, coarse.factor)
+        if model == AUTO and bends(levels[-1], moved):
+            moved = align(levels[-1], moved, "homography", ROUNDS).motion
         found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
     still = at_rest(coarse, found)
     if still.any():
@@ -86,6 +99,13 @@ def fine(flat: Tensor, weight: Tensor, coarse: int) -> list[Level]:
     last = halvings((weight.numel() / FINEST) ** 0.5)
     factors = (2 * last, last) if 2 * last < coarse else (last,)
     return [build_level(flat, weight, factor) for factor in factors]
+
+
+def refined(levels: list[Level], motion: Tensor, model: str) -> Tensor:
+    """The motion after rounds on these levels, fewer on the last of two."""
+    for level, rounds in zip(levels, (ROUNDS - FINE, FINE) if levels[1:] else (ROUNDS,), strict=True):
+        motion = align(level, motion, model, rounds).motion
+    return motion
 
 
 def verdict(motion: Tensor, confidence: Tensor) -> Registration:

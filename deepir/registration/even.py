@@ -6,11 +6,11 @@ import numpy as np
 import scipy.ndimage
 import scipy.optimize
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 NEAR = 7  # px: beside the mean over so many a pixel's gain and offset are seen
-BESIDE = 5  # px: over so many a bad pixel is filled in
+BESIDE = 5  # px: over so many a bad pixel is filled in, if more than
+LITTLE = 0.03  # of them are good; over more, where there are none
 PARTS = 8  # of the pixels, from dark to bright
 KNEE = (0.05, 50.0)  # bounds, in root mean squares of the flux: nearly the logarithm, nearly nothing
 
@@ -21,13 +21,22 @@ def even(frames: Tensor, weight: Tensor) -> Tensor:
     Gains and offsets with variances `a` and `b` are a pattern of variance `a z^2 + b` in a flux z, and an even one in
     `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): a logarithm where gains rule, next to nothing where offsets do.
     """
-    good = weight == 1
-    if not good.all():
-        known = torch.where(good, frames, 0.0)
-        share = F.avg_pool2d(good[None].float(), BESIDE, 1, BESIDE // 2).clamp_min(1e-6)
-        frames = torch.where(good, known, F.avg_pool2d(known, BESIDE, 1, BESIDE // 2) / share)
-    frames = frames.double()
+    frames = filled(frames, weight == 1)
     return (frames / knee(frames.mean(0).numpy())).asinh()
+
+
+def filled(frames: Tensor, good: Tensor) -> Tensor:
+    """Frames `(N, h, w)` float64 whose pixels that are not good are means over the least window in which some are."""
+    found, unknown, side = torch.where(good, frames.double(), 0.0), ~good, BESIDE
+    if not good.any():
+        return found
+    known, share = found.numpy(), good.double().numpy()
+    while unknown.any():
+        near = scipy.ndimage.uniform_filter(share, side, mode="constant")
+        means = scipy.ndimage.uniform_filter(known, (0, side, side), mode="constant") / near.clip(1e-9)
+        now = unknown & torch.from_numpy(near > LITTLE)
+        found, unknown, side = torch.where(now, torch.from_numpy(means), found), unknown & ~now, 2 * side + 1
+    return found
 
 
 def knee(image: np.ndarray) -> float:

@@ -6,9 +6,10 @@ import torch
 from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 
 from deepir.registration import likelihood, register
-from deepir.registration.even import even
-from deepir.scenes import procedural
+from deepir.registration.even import even, filled
+from deepir.scenes import procedural, sky
 from deepir.simulate import simulate
+from deepir.simulate.pictures import picture as scene
 
 
 def strangers(frames, **settings):
@@ -78,3 +79,22 @@ def test_somebody_who_walks_does_not_take_the_likelihood_along():
     followed = likelihood.likeliest_shifts(even(frames, torch.ones(96, 128)), shifts[1:])
     assert apart(sim, np.vstack((shifts[:1], followed))) < 0.3
     assert apart(sim, shifts) < 0.2
+
+
+@pytest.mark.parametrize(("number", "seed"), [(62, 62), (30, 30)])
+def test_somebody_hot_before_a_plain_scene_is_not_followed(number, seed):
+    picture = scene("moon") if number == 62 else sky(1, (430, 500))
+    walker = {"walker": 0.5, "walker_contrast": 0.3}
+    sim = simulate(picture, camera_of_tones(n_frames=5, **walker), seed=seed)
+    frames = torch.from_numpy(sim.frames.astype(np.float32))
+    assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
+
+
+def test_a_hole_is_filled_from_around_it():
+    rows = torch.arange(40.0)[:, None].expand(40, 50)
+    good = torch.ones(40, 50, dtype=torch.bool)
+    good[10:30, 20:40] = good[3, 3] = False
+    found = filled(rows[None], good)[0]
+    assert torch.equal(found[good].float(), rows[good])
+    assert float((found - rows)[~good].abs().max()) < 12
+    assert float(found[3, 3]) == pytest.approx(3)
