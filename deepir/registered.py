@@ -9,7 +9,7 @@ from torch import Tensor
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import DataError
-from deepir.problems.definition import Definition
+from deepir.problems.definition import Definition, filled
 from deepir.registration import register
 from deepir.registry import components
 
@@ -32,7 +32,7 @@ def registered(
     if model is None or len(burst.frames) == 1:
         return None, everything, []
     ignore = torch.from_numpy(burst.bad_pixels)
-    found = register(torch.from_numpy(burst.frames), model=model, ignore=ignore)
+    found = register(_whole(burst), model=model, ignore=ignore)
     used = found.used.numpy().astype(bool)
     if used.sum() < max(definition.frames, 1):
         raise DataError(
@@ -43,6 +43,12 @@ def registered(
     if definition.motion:
         messages += _demand_motion(found.motion[torch.from_numpy(used)], burst)
     return found.motion, used, messages
+
+
+def _whole(burst: Burst) -> Tensor:
+    """The frames (N, h, w), each sample that is not valid like its nearest neighbour that is: a zero would stand out."""
+    frames, valid = torch.from_numpy(burst.frames), torch.from_numpy(burst.valid)
+    return frames if valid.all() else filled(frames[:, None], valid[:, None])[:, 0]
 
 
 def _motion_model(config: Config) -> str | None:
