@@ -15,6 +15,7 @@ from deepir.io import crop, read_frames, read_mask, read_truth, validate
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
+from deepir.stretched import clipped, is_stretched
 
 Array = np.ndarray[Any, Any]
 #: Of a truth, what it has for each frame.
@@ -37,6 +38,7 @@ class Burst:
     sha256: str = ""
     truth: dict[str, Array] = field(default_factory=dict)
     radiometry: Radiometry | None = None
+    stretched: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -82,7 +84,10 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     bad, valid = validate(stack, source, needs=needs)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
-    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin)
+    stretched = is_stretched(stack)
+    if stretched:
+        valid &= ~clipped(stack)
+    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin, stretched)
 
 
 def _array(frames: Any) -> Array:

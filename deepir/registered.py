@@ -46,7 +46,7 @@ def registered(
 
 
 def _whole(burst: Burst) -> Tensor:
-    """The frames (N, h, w), each sample that is not valid like its nearest neighbour that is: a zero would stand out."""
+    """The frames (N, h, w), samples that are not valid like their nearest neighbour that is: zeros would stand out."""
     frames, valid = torch.from_numpy(burst.frames), torch.from_numpy(burst.valid)
     return frames if valid.all() else filled(frames[:, None], valid[:, None])[:, 0]
 

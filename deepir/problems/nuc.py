@@ -20,6 +20,7 @@ from deepir.strengths import (
     update_strengths,
     weigh_scene,
 )
+from deepir.stretched import even_contrast
 from deepir.unseen import smooth_unseen
 from deepir.waves import modelled
 
@@ -81,12 +82,14 @@ class NUC(Definition):
 
 def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
+    even_contrast(problem)
     update_strengths(problem)
     weigh_scene(problem, WEAK)
 
 
 def finish(problem: Problem) -> None:
     """Strengths for the scene's own stage."""
+    even_contrast(problem)
     update_noise(problem, settled=True)
     measure_roughness(problem)
     weigh_scene(problem)
