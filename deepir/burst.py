@@ -12,6 +12,7 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
+from deepir.io.checks import empty
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
@@ -82,11 +83,14 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
             k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"
         }  # about another centre
     bad, valid = validate(stack, source, needs=needs)
-    if (bad | mask).all():
-        raise DataError(f"{source}: the mask leaves no pixel")
+    stack = np.where(valid, stack, np.nan)
     stretched = is_stretched(stack)
+    valid &= ~empty(stack)
     if stretched:
         valid &= ~clipped(stack)
+    bad |= valid.mean(0) < 0.5
+    if (bad | mask).all():
+        raise DataError(f"{source}: the mask leaves no pixel")
     return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin, stretched)
 
 

@@ -52,6 +52,27 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
     return valid.mean(axis=0) < 0.5, valid
 
 
+def empty(frames: np.ndarray[Any, Any]) -> Mask:
+    """Samples of frames `(N, h, w)` in which nothing was recorded.
+
+    Bars: whole rows and columns, from the edge on, that hold one value in all frames of a burst. And lost samples, rows
+    or packets: zeros further below all else than all else spans.
+    """
+    zero = frames == 0
+    lost = np.zeros_like(zero)
+    if zero.any() and not zero.all():
+        low, high = np.nanquantile(frames[~zero][:: max(1, frames.size // 100_000)], (0.01, 0.99))
+        lost = zero & (low > high - low)
+    if len(frames) < 2:
+        return lost
+    for axis in (1, 2):
+        lines = np.moveaxis(frames, axis, 0)
+        bar = (lines == lines[:, :1, :1]).all((1, 2))
+        bar &= np.logical_and.accumulate(bar) | np.logical_and.accumulate(bar[::-1])[::-1]
+        np.moveaxis(lost, axis, 0)[bar] = True
+    return lost
+
+
 def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, Any]:
     """The part `[y0, y1, x0, x1]` of frames `(..., h, w)`; y1 and x1 are the first row and column left out.
 

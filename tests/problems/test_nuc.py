@@ -87,3 +87,13 @@ def test_samples_that_are_missing_here_and_there_cost_little():
     frames[2, 10:20, 30:40] = np.inf
     error = deepir.run("nuc", frames=frames, threads=1).scene - sim.truth.scene
     assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
+
+
+def test_lost_rows_and_the_bars_of_a_film_cost_little():
+    sim = simulate(None, Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0), seed=2)
+    frames = sim.frames.astype(np.float32)
+    frames[2, 40:44] = 0
+    frames[3, 60:] = 0
+    frames[:, :8] = frames[:, -8:] = 16
+    error = (deepir.run("nuc", frames=frames, threads=1).scene - sim.truth.scene)[10:-10]
+    assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
