@@ -28,6 +28,11 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
     count, height, width = frames.shape
     if count < needs:
         raise DataError(f"{source}: {count} frame(s), but this needs at least {needs}")
+    if width < SMALLEST <= min(count, height):
+        raise DataError(
+            f"{source}: {count} frames of {height} x {width} px are too small, at least {SMALLEST} px on a side; or "
+            f"are they {width} frames, counted along the last axis? Save them as (frames, height, width)"
+        )
     _check_side(height, width, source)
     valid = np.isfinite(frames)
     for k in range(count):

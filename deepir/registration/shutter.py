@@ -8,7 +8,7 @@ from torch import Tensor
 from deepir.noise import detail
 from deepir.thin import thinned
 
-ENOUGH = 5_000  # samples of each frame
+ENOUGH, LEAST = 40_000, 200  # samples of all frames, and of each
 BULK = 0.75  # share of the samples that count: edges of the scene do not
 APART = 1.3  # times as far from each other: frames of two patterns
 
@@ -24,7 +24,7 @@ def one_pattern(frames: Tensor, usable: Tensor) -> slice:
     if n < 4:
         return whole
     fine, counts = detail(frames, usable.all(0).expand_as(usable))
-    some, known = thinned(fine[:, None], counts[:, None], enough=ENOUGH)
+    some, known = thinned(fine[:, None], counts[:, None], enough=max(LEAST, ENOUGH // n))
     some = some[:, known[0]]
     if not some.numel():
         return whole
