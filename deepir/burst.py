@@ -12,9 +12,11 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
+from deepir.io.checks import empty
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
+from deepir.stretched import clipped, is_stretched
 
 Array = np.ndarray[Any, Any]
 #: Of a truth, what it has for each frame.
@@ -37,6 +39,7 @@ class Burst:
     sha256: str = ""
     truth: dict[str, Array] = field(default_factory=dict)
     radiometry: Radiometry | None = None
+    stretched: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -80,9 +83,15 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
             k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"
         }  # about another centre
     bad, valid = validate(stack, source, needs=needs)
+    stack = np.where(valid, stack, np.nan)
+    stretched = is_stretched(stack)
+    valid &= ~empty(stack)
+    if stretched:
+        valid &= ~clipped(stack)
+    bad |= valid.mean(0) < 0.5
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
-    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin)
+    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin, stretched)
 
 
 def _array(frames: Any) -> Array:

@@ -25,6 +25,7 @@ from deepir.slow_strengths import shading_message
 from deepir.solve import Progress, solve
 from deepir.solved import collect
 from deepir.strengths import hold_out
+from deepir.stretched import contrast_message
 from deepir.uncertainty import pattern_cost
 
 
@@ -47,6 +48,7 @@ def joint(
     kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken])
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
+    problem.stretched = burst.stretched
     messages += given_noise(problem, config)
     given = problem.precision.amax((0, 1)) > 0
     definition.initialise(problem, config.seed)
@@ -57,7 +59,7 @@ def joint(
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     messages += definition.remarks(problem) + line_noise_message(problem)
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
-        messages += drift_message(problem) + shading_message(problem)
+        messages += drift_message(problem) + shading_message(problem) + contrast_message(problem)
     found = given & ~(problem.precision.amax((0, 1)) > 0)
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost(problem, definition.weak)

@@ -21,7 +21,7 @@ def sample_noise(frames: Tensor, usable: Tensor) -> float:
     """
     if len(frames) > 1:
         frames, usable = (frames[1:] - frames[:-1]) / 2**0.5, usable[1:] & usable[:-1]
-    some, counts = thinned(*(each[:, None] for each in _detail(frames, usable)))
+    some, counts = thinned(*(each[:, None] for each in detail(frames, usable)))
     found = some[counts].abs()
     return float(MAD * torch.median(found)) if found.numel() else 0.0
 
@@ -34,20 +34,20 @@ def flat_noise(frames: Tensor, usable: Tensor) -> float:
     """
     found = []
     for k in range(len(frames)):
-        detail, whole = _detail(frames[k : k + 1], usable[k : k + 1])
-        detail = detail.abs().where(whole, torch.nan)[0]
-        windows = detail.unfold(0, WINDOW, WINDOW).unfold(1, WINDOW, WINDOW).flatten(2)
+        fine, whole = detail(frames[k : k + 1], usable[k : k + 1])
+        fine = fine.abs().where(whole, torch.nan)[0]
+        windows = fine.unfold(0, WINDOW, WINDOW).unfold(1, WINDOW, WINDOW).flatten(2)
         found.append(windows.nanmedian(2).values.flatten())
     each = torch.cat(found)
     each = each[each.isfinite()]
     return float(MAD * each.quantile(0.1) / FLATTEST) if len(each) else 0.0
 
 
-def _detail(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
+def detail(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
     """Diagonal second differences, of the noise's variance, and which of them are whole, (N, h - 1, w - 1)."""
-    detail = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
+    fine = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
     whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
-    return detail, whole
+    return fine, whole
 
 
 def typical_noise(precision: Tensor) -> float:

@@ -66,5 +66,6 @@ def restore(
 
 
 def _state(problem: Problem) -> Mapping[str, Tensor]:
-    """Parameters and buffers less the data, which a resumed run reads again."""
-    return {name: value.detach() for name, value in problem.state_dict().items() if name != "data"}
+    """Parameters and buffers; of the data, which a resumed run reads again, only those that change on the way."""
+    kept = problem.state_dict().items()
+    return {name: value.detach() for name, value in kept if name != "data" or problem.stretched}

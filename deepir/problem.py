@@ -39,7 +39,8 @@ class Problem(nn.Module):
     data: Tensor
     precision: Tensor
     held_out: Tensor
-    #: Mean gradient of the scene in standard deviations of its noise; infinite until it is measured.
+    #: What the data have been divided by, (N, 1, 1, 1), about their middle.
+    contrast: Tensor
 
     def __init__(
         self,
@@ -56,6 +57,8 @@ class Problem(nn.Module):
         self.operator, self.fidelity = operator, fidelity or Gaussian()
         #: Variance of a sample's noise at no signal, for each unit of it, and at least; None: to be estimated.
         self.noise: tuple[float, float, float] | None = None
+        #: Whether frames may have contrasts of their own, by which their data are divided on the way.
+        self.stretched = False
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
         self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]
@@ -67,6 +70,7 @@ class Problem(nn.Module):
         self.register_buffer("data", data)
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
+        self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
 
     def values(self, free: Collection[str] | None = None, without: Collection[str] = ()) -> Values:
         """The value of each unknown but those in `without`; those not in `free` carry no gradient (None: all do)."""

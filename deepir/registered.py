@@ -9,8 +9,9 @@ from torch import Tensor
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import DataError
-from deepir.problems.definition import Definition
+from deepir.problems.definition import Definition, filled
 from deepir.registration import register
+from deepir.registration.shutter import one_pattern, shutter_message
 from deepir.registry import components
 
 #: Motion, in px at the frame's edge, below which a burst counts as still.
@@ -32,17 +33,29 @@ def registered(
     if model is None or len(burst.frames) == 1:
         return None, everything, []
     ignore = torch.from_numpy(burst.bad_pixels)
-    found = register(torch.from_numpy(burst.frames), model=model, ignore=ignore)
-    used = found.used.numpy().astype(bool)
+    frames = _whole(burst)
+    part = one_pattern(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
+    found = register(frames[part], model=model, ignore=ignore, start=part.start)
+    if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < LITTLE:
+        part = slice(0, len(frames))  # a camera that rests here, and there: no shutter
+        found = register(frames, model=model, ignore=ignore)
+    used, motion = ~everything, torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    used[part], motion[part] = found.used.numpy(), found.motion
     if used.sum() < max(definition.frames, 1):
         raise DataError(
             f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
             f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
         )
-    messages = list(found.messages)
+    messages = shutter_message(part, len(frames)) + found.messages
     if definition.motion:
-        messages += _demand_motion(found.motion[torch.from_numpy(used)], burst)
-    return found.motion, used, messages
+        messages += _demand_motion(motion[torch.from_numpy(used)], burst)
+    return motion, used, messages
+
+
+def _whole(burst: Burst) -> Tensor:
+    """The frames (N, h, w), samples that are not valid like their nearest neighbour that is: zeros would stand out."""
+    frames, valid = torch.from_numpy(burst.frames), torch.from_numpy(burst.valid)
+    return frames if valid.all() else filled(frames[:, None], valid[:, None])[:, 0]
 
 
 def _motion_model(config: Config) -> str | None:
@@ -59,22 +72,34 @@ def _motion_model(config: Config) -> str | None:
 
 def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
     """A message for each axis along which the burst moves little; `DataError` if it stands still."""
-    height, width = burst.size
-    corner = torch.tensor([width / 2, height / 2, 1.0], dtype=motion.dtype)
-    at = (motion @ corner)[:, :2]
-    moved = (at - corner[:2]).abs().amax()
+    at = _places(motion, burst.size)
+    moved = (at - at[0]).abs().amax()
     if moved < STILL:
         raise DataError(
-            f"{burst.source}: the frames do not move (at most {float(moved):.2f} px), so the scene and the sensor's "
-            "fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y"
+            f"{burst.source}: the frames do not move (at most {float(moved):.2f} px), or show too little to tell, so "
+            "that the scene and the sensor's fixed pattern cannot be told apart. Move the camera between frames, by 3 "
+            "to 10 px in x and in y, over something with edges"
         )
     few = [
         f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
         "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
-        for axis, lines, span in zip("xy", ("columns", "rows"), at.amax(0) - at.amin(0), strict=True)
+        for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, burst.size), strict=True)
         if span < LITTLE
     ]
     return few or _along_a_line(at)
+
+
+def _places(motion: Tensor, size: tuple[int, int]) -> Tensor:
+    """Where the last corner of frames (h, w) looks, (N, 2), in px (x, y) from the middle of frame 0."""
+    height, width = size
+    corner = torch.tensor([width / 2, height / 2, 1.0], dtype=motion.dtype)
+    return (motion @ corner)[:, :2]
+
+
+def _spans(motion: Tensor, size: tuple[int, int]) -> Tensor:
+    """Ranges of these places along x and y."""
+    at = _places(motion, size)
+    return at.amax(0) - at.amin(0)
 
 
 def _along_a_line(at: Tensor) -> list[str]:

@@ -23,7 +23,8 @@ from deepir.white_evidence import Evidence
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 ENOUGH = 3  # frames to tell shading and stray flux from the scene
 CERTAIN = 3  # nats by which shading or drift have to make the frames likelier
-RARE = 5  # the same of a drift where it may be shading, which is far more common
+RARE = 5  # the same of a drift where it may be shading, which is far more common,
+FOLLOWS = 40  # and of shading in stretched pictures: their levels follow the motion, as if it were shading
 
 
 @torch.no_grad()
@@ -168,7 +169,9 @@ class _Evidence:
         ]
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
         shaded = nats.get((1, 0), math.inf) + CERTAIN < nats.get((0, 0), math.inf)
-        asked = used @ torch.tensor([CERTAIN, RARE if shaded else CERTAIN], dtype=torch.long)
+        stretched = self.slow.problem.stretched
+        rare = [FOLLOWS, CERTAIN] if stretched else [CERTAIN, RARE if shaded else CERTAIN]
+        asked = used @ torch.tensor(rare, dtype=torch.long)
         found = best[int((torch.tensor(list(nats.values())) + asked).argmin())][1]
         return float(found[0]), float(found[1])
 

@@ -67,6 +67,7 @@ def _adjoint(edges: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _corrected(burst: Burst, config: Config, offset: np.ndarray) -> Result:
+    offset = offset - offset[~burst.bad_pixels].mean()
     frames = (burst.frames - offset).astype(np.float32)
     result: Result = average(dataclasses.replace(burst, frames=frames), config)
     result.offset = offset.astype(np.float32)

@@ -28,6 +28,11 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
     count, height, width = frames.shape
     if count < needs:
         raise DataError(f"{source}: {count} frame(s), but this needs at least {needs}")
+    if width < SMALLEST <= min(count, height):
+        raise DataError(
+            f"{source}: {count} frames of {height} x {width} px are too small, at least {SMALLEST} px on a side; or "
+            f"are they {width} frames, counted along the last axis? Save them as (frames, height, width)"
+        )
     _check_side(height, width, source)
     valid = np.isfinite(frames)
     for k in range(count):
@@ -50,6 +55,27 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
                 "unusual units? Give counts, kelvin or [0, 1]"
             )
     return valid.mean(axis=0) < 0.5, valid
+
+
+def empty(frames: np.ndarray[Any, Any]) -> Mask:
+    """Samples of frames `(N, h, w)` in which nothing was recorded.
+
+    Bars: whole rows and columns, from the edge on, that hold one value in all frames of a burst. And lost samples, rows
+    or packets: zeros further below all else than all else spans.
+    """
+    zero = frames == 0
+    lost = np.zeros_like(zero)
+    if zero.any() and not zero.all():
+        low, high = np.nanquantile(frames[~zero][:: max(1, frames.size // 100_000)], (0.01, 0.99))
+        lost = zero & (low > high - low)
+    if len(frames) < 2:
+        return lost
+    for axis in (1, 2):
+        lines = np.moveaxis(frames, axis, 0)
+        bar = (lines == lines[:, :1, :1]).all((1, 2))
+        bar &= np.logical_and.accumulate(bar) | np.logical_and.accumulate(bar[::-1])[::-1]
+        np.moveaxis(lost, axis, 0)[bar] = True
+    return lost
 
 
 def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, Any]:

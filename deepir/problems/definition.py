@@ -14,6 +14,7 @@ from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import doubt_misfits, give_up_dead, left, pattern_left, spread, start_parts, weigh_scene
+from deepir.stretched import GROSS, even_contrast
 from deepir.thin import thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
@@ -90,7 +91,8 @@ def start_scene_and_parts(problem: Problem) -> None:
     """
     start_scene(problem)
     for _ in range(TURNS):
-        if not start_jumps(problem):
+        uneven = even_contrast(problem, GROSS)
+        if not start_jumps(problem) and not uneven:
             break
         start_scene(problem)
     noise = typical_noise(problem.precision)

@@ -21,6 +21,7 @@ from deepir.strengths import (
     update_strengths,
     weigh_scene,
 )
+from deepir.stretched import even_contrast
 from deepir.texture import follow_texture
 from deepir.uncertainty import pattern_cost
 from deepir.unseen import smooth_unseen
@@ -85,12 +86,14 @@ class NUC(Definition):
 
 def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
+    even_contrast(problem)
     update_strengths(problem)
     weigh_scene(problem, WEAK)
 
 
 def finish(problem: Problem) -> None:
     """Strengths for the scene's own stage."""
+    even_contrast(problem)
     update_noise(problem, settled=True)
     weigh_scene(problem)
     cost = pattern_cost(problem, WEAK)

@@ -40,11 +40,13 @@ class Registration:
 
 
 @torch.no_grad()
-def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = None) -> Registration:
+def register(
+    frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = None, start: int = 0
+) -> Registration:
     """Motion of every frame of a burst `(N, H, W)` relative to the first that is used, under strong fixed patterns.
 
     model: shift, rigid, affine, homography, or auto: rigid, and a homography where the frames bend. ignore:
-    `(H, W)` bool, True where a pixel must not be used.
+    `(H, W)` bool, True where a pixel must not be used. start: the number of the first frame, for messages.
     Raises DataError where the shapes or the model's name are wrong.
     """
     check(frames, model, ignore)
@@ -81,12 +83,12 @@ def register(frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = No
         found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
     still = at_rest(coarse, found)
     if still.any():
-        return verdict(identity(n), still.double())
+        return verdict(identity(n), still.double(), start)
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
     confidence = 0.5 * FAILED * clear.clamp_max(1)
     if used.sum() > 1:
         motion[used], confidence[used] = moved, agreement(coarse.of(used), found.pattern, moved)
-    return verdict(motion, confidence)
+    return verdict(motion, confidence, start)
 
 
 def misfit(level: Level, motion: Tensor) -> float:
@@ -108,7 +110,7 @@ def refined(levels: list[Level], motion: Tensor, model: str) -> Tensor:
     return motion
 
 
-def verdict(motion: Tensor, confidence: Tensor) -> Registration:
+def verdict(motion: Tensor, confidence: Tensor, start: int = 0) -> Registration:
     """Confidence and messages; frames that fail are left out by name."""
     confidence = confidence.clamp(0, 1)
     used = confidence >= FAILED
@@ -119,15 +121,19 @@ def verdict(motion: Tensor, confidence: Tensor) -> Registration:
     messages = []
     for k in range(len(used)):
         if not used[k]:
-            messages.append(f"frame {k} does not register (confidence {float(confidence[k]):.2f}): left out")
+            messages.append(
+                f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
+            )
         elif confidence[k] < UNSURE:
             messages.append(
-                f"frame {k} shows little that registers (confidence {float(confidence[k]):.2f}): "
+                f"frame {start + k} shows little that registers (confidence {float(confidence[k]):.2f}): "
                 "its motion may be wrong"
             )
     first = int(used.nonzero()[0])
     if first:
-        messages.append(f"frame {first} is the first that registers: motions and results are relative to it")
+        messages.append(
+            f"frame {start + first} is the first that registers: motions and results are relative to it"
+        )
     motion = torch.where(used[:, None, None], relative(motion, first), torch.nan)
     motion[first] = torch.eye(3, dtype=torch.float64)
     return Registration(motion, confidence, used, messages)

@@ -3,6 +3,7 @@ import pytest
 
 from deepir.errors import DataError
 from deepir.io import crop, validate
+from deepir.io.checks import empty
 
 
 @pytest.fixture
@@ -76,3 +77,28 @@ def test_a_crop_has_four_numbers_and_sixteen_pixels(frames):
         crop(frames, [0, 20])
     with pytest.raises(DataError, match="15 x 24 px is too small"):
         crop(frames, [0, 15, 0, 24])
+
+
+def test_frames_that_are_counted_along_the_last_axis_are_told():
+    with pytest.raises(DataError, match="6 frames, counted along the last axis"):
+        validate(counts((40, 48, 6)), "a")
+
+
+def counts(shape=(4, 40, 48)):
+    return np.random.default_rng(0).normal(8000, 300, shape).astype(np.float32)
+
+
+def test_zeros_far_below_all_counts_are_lost_samples_and_others_are_not():
+    frames = counts()
+    frames[1, 20:24], frames[2, 5, 7] = 0, 0
+    assert np.array_equal(empty(frames), frames == 0)
+    assert not empty(np.where(frames == 0, 0, frames - 8000)).any()
+    assert not empty(np.clip(frames - 8000, 0, None)).any()
+
+
+def test_bars_at_the_edge_are_empty_and_a_line_within_or_one_that_changes_is_not():
+    frames = counts()
+    frames[:, :6], frames[:, -3:], frames[:, :, :5], frames[:, 20], frames[0, :, -1] = 16, 16, 16, 16, 16
+    expected = np.zeros(frames.shape, bool)
+    expected[:, :6] = expected[:, -3:] = expected[:, :, :5] = True
+    assert np.array_equal(empty(frames), expected)

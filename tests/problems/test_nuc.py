@@ -78,3 +78,22 @@ def test_a_pattern_many_times_stronger_than_the_scene_is_taken_out():
     error = deepir.run("nuc", frames=sim.frames, threads=1).scene - sim.truth.scene
     assert np.std(sim.truth.offset) > 5 * sim.settings.contrast
     assert error.std() < 0.02 * sim.settings.contrast
+
+
+def test_samples_that_are_missing_here_and_there_cost_little():
+    sim = simulate(None, Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0), seed=2)
+    frames = sim.frames.astype(np.float32)
+    frames[np.random.default_rng(0).random(frames.shape) < 0.02] = np.nan
+    frames[2, 10:20, 30:40] = np.inf
+    error = deepir.run("nuc", frames=frames, threads=1).scene - sim.truth.scene
+    assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
+
+
+def test_lost_rows_and_the_bars_of_a_film_cost_little():
+    sim = simulate(None, Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0), seed=2)
+    frames = sim.frames.astype(np.float32)
+    frames[2, 40:44] = 0
+    frames[3, 60:] = 0
+    frames[:, :8] = frames[:, -8:] = 16
+    error = (deepir.run("nuc", frames=frames, threads=1).scene - sim.truth.scene)[10:-10]
+    assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
