@@ -108,7 +108,8 @@ def eliminate(
     start = torch.tensor(neutral, dtype=torch.float64, device=flux.device)
     levels = start[1] + (start.new_zeros(len(flux)) if level is None else level.flatten().double())
     make = PixelsOnCPU if flux.device.type == "cpu" else Pixels
-    pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL])
+    lines = torch.maximum(sigma[COLUMN], sigma[ROW])
+    pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL], lines)
     columns, rows = _Lines(pixels.down, sigma[COLUMN]), _Lines(pixels.across, sigma[ROW])
     smooth = _Smooth(_shading(parts), sigma[SHADING], pixels, columns)
     finite = _solve(columns, rows, smooth, pixels)
