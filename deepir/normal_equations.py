@@ -13,8 +13,8 @@ from torch import Tensor
 
 #: Relative residual at which conjugate gradients stop, and the most iterations they get.
 TOLERANCE, MAX_ITERATIONS = 1e-12, 200
-#: How many times stronger than the pixels' own parts lines may be for the system of the lines to be rounded to single
-#: precision: its condition goes with the square. They are then wrong by 1e-5 of their strength at most, and it takes half the room.
+#: How many times stronger than the pixels' own parts lines may be for their system to be rounded to single precision,
+#: which takes half the room: its condition goes with the square. They are then wrong by some 1e-5 of their strength.
 FIRM = 30
 
 

@@ -93,7 +93,7 @@ def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
         )
         eliminate(z.to(dtype), y.to(dtype), precision.to(dtype), gains, offsets, neutral=(1.0, 0.0))
         found.append(torch.cat([part.white.detach().flatten() for part in (*gains, *offsets)]))
-    assert found[0].numpy() == pytest.approx(found[1].numpy(), abs=1e-5)
+    assert found[0].numpy() == pytest.approx(found[1].numpy(), abs=3e-5)
 
 
 @pytest.mark.parametrize("pedestal", [0.0, 50.0, 8000.0])
