@@ -14,8 +14,9 @@ from torch import Tensor
 #: Relative residual at which conjugate gradients stop, and the most iterations they get.
 TOLERANCE, MAX_ITERATIONS = 1e-12, 200
 #: How many times stronger than the pixels' own parts lines may be for their system to be rounded to single precision,
-#: which takes half the room: its condition goes with the square. They are then wrong by some 1e-5 of their strength.
-FIRM = 30
+#: which takes half the room: its condition goes with the square. They are then wrong by some 1e-5 of their strength,
+#: so that a rougher solution does.
+FIRM, ROUGH_TOLERANCE = 30, 1e-9
 
 
 class Pixels:
@@ -46,7 +47,7 @@ class Pixels:
         lines: Tensor,
     ) -> None:
         self.sigma, self.dtype = sigma, flux.dtype
-        self.firm = bool((lines <= FIRM * sigma).all())
+        self.rounded = flux.dtype == torch.float32 and bool((lines <= FIRM * sigma).all())
         self._reduce(flux, data, precision, level, neutral)
 
     def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
@@ -168,10 +169,11 @@ class PixelsOnCPU(Pixels):
         from deepir.loops import spread
         from deepir.loops.normal_equations import solve
 
-        x, maps = rhs.clone(), self.maps[:3]
-        maps = maps.to(self.dtype) if self.firm else maps
+        x, maps, tolerance = rhs.clone(), self.maps[:3], TOLERANCE
+        if self.rounded:
+            maps, tolerance = maps.float(), ROUGH_TOLERANCE
         system = (maps, root, to_columns, to_rows, weights, self.across[3:].flatten())
-        spread(solve, 1, *system, TOLERANCE, MAX_ITERATIONS, x)
+        spread(solve, 1, *system, tolerance, MAX_ITERATIONS, x)
         return x
 
     def finish(
