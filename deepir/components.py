@@ -98,6 +98,8 @@ def explain(error: ValidationError, schema: type[BaseModel]) -> tuple[str, str]:
     steps = list(_steps(schema, worst["loc"]))
     path = ".".join(name for name, _ in steps)
     if worst["type"] == "extra_forbidden":
+        if inside := [key for key in _inner_keys(schema) if key.endswith(f".{path}")]:
+            return path, f"no option '{path}'; did you mean '{inside[0]}'?"
         allowed = _keys(steps[-2][1] if steps[1:] else schema)
         return path, f"no option '{path}'; {nearest(steps[-1][0], allowed)}"
     if worst["type"] == "missing":
@@ -162,6 +164,10 @@ def _alternatives(annotation: Any) -> tuple[Any, ...]:
     if typing.get_origin(annotation) not in (Union, types.UnionType):
         return (annotation,)
     return tuple(each for each in typing.get_args(annotation) if each is not type(None))
+
+
+def _inner_keys(schema: type[BaseModel]) -> list[str]:
+    return [f"{name}.{key}" for name, each in schema.model_fields.items() for key in _keys(each.annotation)]
 
 
 def _keys(annotation: Any) -> list[str]:

@@ -46,13 +46,13 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
         return
     residual = problem.data - problem.predict(values)
     seen, known = _registered(problem, residual, values)
-    two, above, usual = _of_two_minds(seen, known)
-    if not two.any():
+    usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
+    gap, middle = _widest_gap(seen, known)
+    regions = list(_regions(gap > APART * usual, gap > FAR * usual))
+    if not regions or (not settled and len(regions) >= MANY):
         return
+    above = known & (seen > middle)
     passes = torch.zeros_like(seen)
-    regions = list(_regions(two))
-    if not settled and len(regions) >= MANY:
-        return
     for box, region in regions:
         among = known[box] & region
         here = _which_passes(above[box] & region, among & ~above[box])
@@ -73,18 +73,11 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
     return (total / weight.clamp(min=1e-6))[:, 0], (weight > SEEN * SMOOTH**2)[:, 0]
 
 
-def _of_two_minds(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor, float]:
-    """Places (H, W) where the frames' values have a wide gap; which of the frames (N, H, W) are above it there; and the
-    robust standard deviation that frames have elsewhere."""
-    usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
+def _widest_gap(seen: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """The widest gap between the frames' values at each place (H, W), and its middle."""
     order = seen.where(known, torch.inf).sort(0).values
     gap, below = order.diff(dim=0).nan_to_num(nan=0, posinf=0).max(0)
-    if not (gap > FAR * usual).any():
-        return torch.zeros_like(known[0]), known, usual
-    wide = (gap > APART * usual)[None, None].to(seen)
-    two = _holding(_dilated(1 - _dilated(1 - wide, THIN), THIN)[0, 0] > 0.5, gap > FAR * usual)
-    middle = order.gather(0, below[None]) + gap / 2
-    return two, known & two & (seen > middle), usual
+    return gap, order.gather(0, below[None])[0] + gap / 2
 
 
 def _usual(seen: Tensor, known: Tensor) -> float:
@@ -94,20 +87,18 @@ def _usual(seen: Tensor, known: Tensor) -> float:
     return float(MAD * apart.abs().median() * (len(seen) / (len(seen) - 1)) ** 0.5)
 
 
-def _holding(places: Tensor, some: Tensor) -> Tensor:
-    """Those regions of the `places` (H, W) that hold `some`."""
-    held = (places & some).cpu().numpy()
-    regions, _ = label(places.cpu().numpy())
-    return torch.from_numpy(np.isin(regions, regions[held])).to(places.device)
-
-
-def _regions(places: Tensor) -> Iterator[tuple[tuple[slice, ...], Tensor]]:
-    """For each region of `places` (H, W) a box around it, of (N, H, W), and which places of the box it has."""
-    regions, _ = label(places.cpu().numpy())
+def _regions(wide: Tensor, far: Tensor) -> Iterator[tuple[tuple[slice, ...], Tensor]]:
+    """Regions of `wide` places (H, W) that are nowhere thin and hold a `far` one: for each a box around it, of
+    (N, H, W), and which places of the box it has."""
+    if not far.any():
+        return
+    thick = _dilated(1 - _dilated(1 - wide[None, None].float(), THIN), THIN)[0, 0] > 0.5
+    regions, _ = label(thick.cpu().numpy())
+    held = np.unique(regions[(thick & far).cpu().numpy()])
     for number, (rows, columns) in enumerate(find_objects(regions), 1):
-        around_it = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in (rows, columns))
-        region = torch.from_numpy(regions[around_it] == number).to(places.device)
-        yield (slice(None), *around_it), region
+        if number in held:
+            around_it = tuple(slice(max(side.start - 1, 0), side.stop + 1) for side in (rows, columns))
+            yield (slice(None), *around_it), torch.from_numpy(regions[around_it] == number).to(wide.device)
 
 
 def _differ(seen: Tensor, some: Tensor) -> float:

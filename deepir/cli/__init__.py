@@ -93,8 +93,12 @@ def _usage(message: str, given: Sequence[str]) -> str:
     """A usage error with what was probably meant."""
     message = message.rstrip(".")
     if message.startswith("No such option: --") and given[0] in ("run", "check", "compare", "batch"):
+        from deepir.components import annotation_of
+        from deepir.schema import Config
+
         name = message.partition("--")[2].split(" ")[0].split("=")[0]
-        return f"{message}; settings are key=value without dashes, for example {name}=..."
+        example = f"{name}=..." if annotation_of(Config, name) else "output.dir=FOLDER"
+        return f"{message}; settings are key=value without dashes, for example {example}"
     if message.startswith("No such command") and "Did you mean" not in message:
         from deepir.config import shipped_names
 

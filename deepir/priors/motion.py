@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.priors.field import Field, Shape
-from deepir.registration.motion import nearest_rigid
+from deepir.registration.motion import nearest_angle, nearest_rigid
 from deepir.registry import register
 
 #: What a parameter that all samples feel moves for a step of one, times the detector's side in its own px: see
@@ -173,8 +173,7 @@ def _rigid(p: Tensor, radius: float) -> Tensor:
 
 
 def _of_rigid(t: Tensor, radius: float) -> Tensor:
-    angle = torch.atan2(t[:, 1, 0] - t[:, 0, 1], t[:, 0, 0] + t[:, 1, 1])
-    return torch.cat((t[:, :2, 2], radius * angle[:, None]), 1)
+    return torch.cat((t[:, :2, 2], radius * nearest_angle(t)[:, None]), 1)
 
 
 def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor, e: Tensor, f: Tensor, *last: Tensor) -> Tensor:

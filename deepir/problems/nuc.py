@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import ClassVar
 
 from deepir.moving import doubt_moving
@@ -71,7 +72,7 @@ class NUC(Definition):
         shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
         return [
             first,
-            dataclasses.replace(first, name="sensor 2", prepare=_look),
+            dataclasses.replace(first, name="sensor 2", prepare=functools.partial(_update, settled=False)),
             third,
             *([shaded] if unknown_shadings(problem) else []),
             Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True),
@@ -91,16 +92,10 @@ def finish(problem: Problem) -> None:
     weigh_scene(problem)
 
 
-def _look(problem: Problem) -> None:
+def _update(problem: Problem, *, settled: bool = True) -> None:
     update(problem)
     smooth_unseen(problem)
-    doubt_moving(problem, settled=False)
-
-
-def _update(problem: Problem) -> None:
-    update(problem)
-    smooth_unseen(problem)
-    doubt_moving(problem)
+    doubt_moving(problem, settled=settled)
 
 
 def _finish(problem: Problem) -> None:

@@ -34,9 +34,14 @@ def rotation(angle: Tensor) -> Tensor:
     return out
 
 
+def nearest_angle(motion: Tensor) -> Tensor:
+    """Angles in radians of the rotations that are nearest to homographies `(..., 3, 3)`."""
+    return torch.atan2(motion[..., 1, 0] - motion[..., 0, 1], motion[..., 0, 0] + motion[..., 1, 1])
+
+
 def nearest_rigid(motion: Tensor) -> Tensor:
     """The translation of homographies `(..., 3, 3)` with `T[2, 2] = 1`, and the nearest rotation."""
-    out = rotation(torch.atan2(motion[..., 1, 0] - motion[..., 0, 1], motion[..., 0, 0] + motion[..., 1, 1]))
+    out = rotation(nearest_angle(motion))
     out[..., :2, 2] = motion[..., :2, 2]
     return out
 

@@ -219,6 +219,8 @@ COMMANDS = {
     "run burst.npz": ["not a configuration", "deepir run nuc data.path=burst.npz"],
     "run nuc": ["data.path is missing"],
     "run nuc --seed 3": ["No such option: --seed", "seed=..."],
+    "run nuc --out folder": ["No such option: --out", "output.dir=FOLDER"],
+    "run nuc path=burst.npz": ["no option 'path'", "did you mean 'data.path'?"],
     "run nuc data.path=burst.npz --plugin nope": ["plugin 'nope' cannot be imported"],
     "resume": ["Missing argument"],
     "resume nope": ["nope: no run in this folder"],

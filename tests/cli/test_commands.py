@@ -32,6 +32,11 @@ def test_version(deepir):
     assert deepir("--version") == (0, f"deepir {package.__version__}\n", "")
 
 
+def test_python_runs_the_package():
+    said = subprocess.check_output([sys.executable, "-m", "deepir", "--version"], text=True)
+    assert said == f"deepir {package.__version__}\n"
+
+
 @pytest.mark.parametrize(
     "command", ["run", "demo", "simulate", "resume", "compare", "batch", "list", "check", "analyze"]
 )

@@ -1,0 +1,95 @@
+"""Clouds and slopes, which say little of where a frame looks: the likelihood of all whole shifts."""
+
+import numpy as np
+import pytest
+import torch
+from registered import SHAPE, apart, camera_of_tones, simulated
+
+from deepir.registration import likelihood, register, vote, whole
+from deepir.registration.even import even
+from deepir.scenes import procedural, sky
+from deepir.simulate import Settings, simulate
+from deepir.simulate.pictures import picture as scene
+
+
+@pytest.mark.parametrize(("number", "n_frames", "camera"), [(1, 3, {}), (2, 5, {}), (3, 3, {"counts": True})])
+def test_clouds_under_a_pattern_stronger_than_they_are_find_their_places(number, n_frames, camera):
+    settings = Settings(n_frames=n_frames, shading=0.0, dead_pixels=0.0, **camera)
+    found = simulate(sky(number, (430, 500)), settings, seed=12)
+    result = register(torch.from_numpy(found.frames.astype(np.float32)))
+    assert result.used.all()
+    assert np.abs((result.motion.numpy() - found.truth.motion)[:, :2, 2]).max() < 0.5
+
+
+@pytest.mark.parametrize(("power", "seed"), [(1, 31), (4, 79), (6, 79)])
+def test_three_frames_of_which_two_lie_close_do_not_end_where_residuals_are_small(power, seed):
+    picture = (
+        scene("moon") if power == 1 else procedural(2 * power - 3, (430, 500)) ** power
+    )  # dark, few details
+    rows = {"photons": 1000.0, "read_noise": 0.002, "gain_row": 0.05, "offset_row": 0.05}
+    camera = rows if power == 1 else {"counts": True, "read_noise": 0.003, "offset_pixel": 0.04}
+    sim = simulate(picture, Settings(shading=0.0, dead_pixels=0.0, n_frames=3, **camera), seed=seed)
+    shifts = register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]
+    assert np.abs(shifts - sim.truth.motion[:, :2, 2]).max() < 0.4
+
+
+@pytest.mark.parametrize("number", [1, 2, 4])
+def test_a_bright_slope_with_three_frames_finds_its_places(number):
+    sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3), seed=31)
+    assert (
+        apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.35
+    )
+
+
+@pytest.mark.parametrize("seed", [30, 35])
+def test_clouds_that_move_are_not_taken_for_still_ones(seed):
+    counts = {"counts": True, "read_noise": 0.003, "photons": 0.0}
+    sim = simulate(sky(1, (430, 500)), camera_of_tones(n_frames=3, **counts), seed=seed)
+    assert (
+        apart(sim, register(torch.from_numpy(sim.frames.astype(np.float32))).motion.numpy()[:, :2, 2]) < 0.3
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "seed", "camera"),
+    [(6, 32, {"counts": True, "read_noise": 0.003, "photons": 0.0}), (2, 57, {})],
+)
+def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, seed, camera, monkeypatch):
+    sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3, **camera), seed=seed)
+    frames = torch.from_numpy(sim.frames.astype(np.float32))
+    assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
+    monkeypatch.setattr(vote, "FEW", 2)
+    assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
+
+
+@pytest.mark.parametrize("name", ["camera", "moon", "gravel", "astronaut"])
+def test_whole_shifts_are_right_to_a_px_or_so_whatever_the_pattern(name):
+    frames, truth = simulated(name, n_frames=4)
+    found = whole.whole_shifts(even(frames, torch.ones(SHAPE)))
+    assert np.abs(found - truth[1:, :2, 2]).max() < 1.5
+
+
+def test_a_frame_beside_another_is_weighed_by_the_first_harmonic_of_their_likelihood():
+    rng = np.random.default_rng(3)
+    spectra = likelihood.Spectra(torch.from_numpy(rng.normal(size=(2, 24, 30)).cumsum(1)))
+    found = whole.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[spectra.known]
+    turns = np.exp(2j * np.pi * np.arange(64) / 64)
+    for wave in ((5, 4), (2, 7), (12, 3)):
+        scene, noise = spectra.scene[wave], spectra.noise[wave]
+        seen, nats = spectra.frames[:, *wave], []
+        for turn in turns:
+            of_scene = scene * np.outer([1, turn], [1, turn.conj()])
+            covariance = of_scene + spectra.pattern + noise * np.eye(2)
+            misfit = (seen.conj() @ np.linalg.solve(covariance, seen)).real
+            nats.append(np.linalg.slogdet(covariance)[1] + misfit)
+        assert np.isclose(found[wave], np.mean(nats * turns.conj()), rtol=1e-6)
+
+
+def test_the_slope_of_the_shifts_likelihood_is_that_of_its_differences():
+    frames, truth = simulated("moon")
+    shifts = truth[1:, :2, 2].ravel() + 0.3
+    spectra = likelihood.Spectra(even(frames, torch.ones(SHAPE)))
+    around = [spectra.nats(shifts + 1e-5 * way * unit)[0] for unit in np.eye(len(shifts)) for way in (1, -1)]
+    np.testing.assert_allclose(
+        spectra.nats(shifts)[1], (np.array(around[::2]) - around[1::2]) / 2e-5, rtol=1e-4
+    )

@@ -1,0 +1,61 @@
+"""Far shifts, turns, stretch and keystone; large frames and small ones."""
+
+import numpy as np
+import pytest
+import torch
+from registered import COUNTS, SHAPE, errors, simulated
+
+from deepir.registration import burst, register
+from deepir.scenes import sky
+from deepir.simulate import Settings, simulate
+
+
+@pytest.mark.parametrize("name", ["camera", "astronaut", "grass"])
+def test_a_quarter_of_the_frame_and_eight_degrees_are_found(name):
+    frames, truth = simulated(name, max_shift=32.0, max_rotation=8.0)
+    result = register(frames)
+    assert result.used.all()
+    assert errors(result, truth).max() < 0.2
+
+
+@pytest.mark.parametrize("model", ["affine", "homography"])
+def test_a_per_cent_of_stretch_and_of_keystone_are_found(model):
+    frames, truth = simulated("astronaut", motion=model, max_rotation=2.0)
+    assert errors(register(frames, model=model), truth).max() < 0.4
+
+
+def test_a_large_frame_is_registered_from_half_its_size(monkeypatch):
+    frames, truth = simulated("camera", **COUNTS)
+    monkeypatch.setattr(burst, "COARSE", 40)
+    assert errors(register(frames), truth).max() < 0.3
+    monkeypatch.setattr(burst, "FINEST", SHAPE[0] * SHAPE[1] // 3)
+    assert errors(register(frames), truth).max() < 0.5
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_frames_of_two_thousand_pixels_are_enough(seed):
+    camera = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0)
+    found = simulate(None, camera, seed=seed)
+    result = register(torch.from_numpy(found.frames.astype(np.float32)))
+    assert result.used.all()
+    shift = result.motion.numpy()[:, :2, 2] - found.truth.motion[:, :2, 2]
+    assert np.abs(shift).max() < 1.0  # a start; the solve goes on from there
+
+
+@pytest.mark.parametrize("name", ["camera", "gravel"])
+def test_frames_that_bend_are_registered_as_homographies(name):
+    frames, truth = simulated(name, n_frames=5, motion="homography", photons=1000.0)
+    assert errors(register(frames), truth).max() > 1
+    assert errors(register(frames, model="auto"), truth).max() < 0.3
+
+
+@pytest.mark.parametrize("frames", [2, 3, 5])
+def test_frames_that_do_not_bend_are_rigid_to_the_bit(frames):
+    frames, _ = simulated("camera", n_frames=frames, max_rotation=3.0, photons=1000.0)
+    assert torch.equal(register(frames, model="auto").motion, register(frames).motion)
+
+
+def test_frames_that_turn_are_not_taken_for_shifted_ones():
+    found = simulate(sky(2), Settings(shape=(160, 192), n_frames=5, counts=True, max_rotation=6.0), seed=32)
+    motion = register(torch.from_numpy(found.frames.astype(np.float32))).motion
+    assert np.abs(motion.numpy() - found.truth.motion)[:, :2, :2].max() < 5e-3
