@@ -14,6 +14,7 @@ with gain and offset held.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 
 import torch
@@ -25,7 +26,7 @@ from deepir.priors.shading import Shading
 
 #: What tells parts apart: the axes along which they are constant; a shading is none of these.
 Kind = tuple[int, ...] | None
-PIXEL, COLUMN, ROW, SHADING = (), (-2,), (-1,), None
+KINDS = PIXEL, COLUMN, ROW, SHADING = (), (-2,), (-1,), None
 
 
 class Eliminated:
@@ -104,11 +105,12 @@ def eliminate(
         ValueError: Two parts are of the same kind, or one is constant along others than columns or rows.
     """
     parts = [_by_kind(each) for each in (gain, offset)]
-    sigma = {kind: _sigmas(parts, kind, flux.device) for kind in (PIXEL, COLUMN, ROW, SHADING)}
+    sigma = dict(zip(KINDS, _sigmas(parts, flux.device), strict=True))
     start = torch.tensor(neutral, dtype=torch.float64, device=flux.device)
     levels = start[1] + (start.new_zeros(len(flux)) if level is None else level.flatten().double())
     make = PixelsOnCPU if flux.device.type == "cpu" else Pixels
-    pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL])
+    lines = torch.maximum(sigma[COLUMN], sigma[ROW])
+    pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL], lines)
     columns, rows = _Lines(pixels.down, sigma[COLUMN]), _Lines(pixels.across, sigma[ROW])
     smooth = _Smooth(_shading(parts), sigma[SHADING], pixels, columns)
     finite = _solve(columns, rows, smooth, pixels)
@@ -133,7 +135,8 @@ def eliminate(
 class _Lines:
     """All columns or all rows, in white coordinates, `value = sigma * white`, (2, lines); from their `sums` (5, lines).
 
-    With the lower triangle L of Cholesky, `L L'` is the block of each line, and `root` `L^-1`.
+    `inverse`, (3, lines), is that of the block of each line, and `weights` that for right-hand sides and values that
+    are not white.
     """
 
     white: Tensor
@@ -141,15 +144,18 @@ class _Lines:
     def __init__(self, sums: Tensor, sigma: Tensor) -> None:
         self.sigma = sigma[:, None]
         s, t = sigma
-        first = (1 + s * s * sums[0]).sqrt()
-        below = s * t * sums[1] / first
-        second = (1 + t * t * sums[2] - below.square()).sqrt()
-        zero = torch.zeros_like(first)
-        self.root = torch.stack((1 / first, zero, -below / (first * second), 1 / second)).unflatten(0, (2, 2))
-        a, b = self.root[:, 0], self.root[:, 1]
-        #: The blocks' inverse, (3, lines), and that for right-hand sides and values that are not white.
-        self.inverse = torch.stack(((a * a).sum(0), (a * b).sum(0), (b * b).sum(0)))
-        self.weights = self.inverse * torch.stack((s * s, s * t, t * t))[:, None]
+        scale = torch.stack((s * s, s * t, t * t))[:, None]
+        aa, ab, bb = scale * sums[:3]
+        aa, bb = 1 + aa, 1 + bb
+        self.block = aa, ab
+        self.inverse = torch.stack((bb, -ab, aa)) / (aa * bb - ab * ab)
+        self.weights = scale * self.inverse
+
+    @functools.cached_property
+    def root(self) -> Tensor:
+        """`L^-1`, (2, 2, lines), of the lower triangles L of Cholesky: `L L'` is the block of each line."""
+        (aa, ab), last = self.block, self.inverse[2].sqrt()
+        return torch.stack((aa.rsqrt(), torch.zeros_like(aa), -ab / aa * last, last)).unflatten(0, (2, 2))
 
     def times_inverse(self, x: Tensor) -> Tensor:
         return symmetric(self.inverse, x)
@@ -252,7 +258,8 @@ def _shading(parts: Sequence[dict[Kind, Part]]) -> Shading | None:
     return next((part for each in parts if isinstance(part := each.get(SHADING), Shading)), None)
 
 
-def _sigmas(parts: Sequence[dict[Kind, Part]], kind: Kind, device: torch.device) -> Tensor:
-    """Prior standard deviations of (gain, offset) for a kind of part, float64; zero where there is none."""
+def _sigmas(parts: Sequence[dict[Kind, Part]], device: torch.device) -> Tensor:
+    """Prior standard deviations of (gain, offset) for each kind of part, (4, 2), float64; zero where there is none."""
     zero = torch.zeros((), dtype=torch.float64, device=device)
-    return torch.stack([each[kind].sigma.double() if kind in each else zero for each in parts])
+    found = [each[kind].sigma.double() if kind in each else zero for kind in KINDS for each in parts]
+    return torch.stack(found).unflatten(0, (-1, 2))

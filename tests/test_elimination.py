@@ -72,6 +72,30 @@ def test_the_optimum_is_that_of_dense_least_squares(gain, offset, zero, pedestal
         assert costs[0] == pytest.approx(costs[1], rel=1e-11)
 
 
+@pytest.mark.parametrize("pixel", [0.0, 1e-4, 0.007, 0.05])
+@pytest.mark.parametrize("pedestal", [0.5, 8000.0])
+def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
+    generator, shape, sigmas = torch.Generator().manual_seed(0), (1, 1, 40, 50), (0.2, 0.2, pixel)
+    z = pedestal * (1 + 0.2 * torch.rand(5, *shape[1:], generator=generator))
+    noise, gain = (
+        torch.randn(z.shape, generator=generator),
+        1 + 0.2 * torch.randn(shape[-1], generator=generator),
+    )
+    y, precision = gain * z + 1e-3 * pedestal * noise, torch.full_like(z, 1e6 / pedestal**2)
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        gains, offsets = (
+            [
+                kind(shape, sigma=unit * sigma)
+                for kind, sigma in zip((Column, Row, Pixel), sigmas, strict=True)
+            ]
+            for unit in (1.0, pedestal)
+        )
+        eliminate(z.to(dtype), y.to(dtype), precision.to(dtype), gains, offsets, neutral=(1.0, 0.0))
+        found.append(torch.cat([part.white.detach().flatten() for part in (*gains, *offsets)]))
+    assert found[0].numpy() == pytest.approx(found[1].numpy(), abs=3e-5)
+
+
 @pytest.mark.parametrize("pedestal", [0.0, 50.0, 8000.0])
 @pytest.mark.parametrize("dead", [0.0, 0.3])
 def test_the_variances_of_pixels_alone_are_those_of_the_dense_inverse(pedestal, dead):

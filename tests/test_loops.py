@@ -36,7 +36,7 @@ def pixels(kind, dtype, size, pedestal, one=False):
     flux = flux[:1].expand(shape) if one else flux  # without a warp, all frames see the same flux
     data, precision = flux + torch.randn(shape, generator=generator), torch.rand(shape, generator=generator)
     sigma, level = torch.tensor([0.02, 50.0], dtype=torch.float64), torch.arange(4, dtype=torch.float64)
-    return kind(flux.to(dtype), data.to(dtype), precision.to(dtype), level, 1.0, sigma)
+    return kind(flux.to(dtype), data.to(dtype), precision.to(dtype), level, 1.0, sigma, sigma)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (60, 80)])

@@ -138,51 +138,57 @@ def _within(f, step, most):
 
 
 @compiled
-def _weights(f, out, start=0):
-    """The spline's weights `out` (4, start + n ..) of the coefficients around points that are `f` beyond the second."""
-    sixth = f.dtype.type(1 / 6)
-    # Slices of rows, and not rows of a slice, of which the compiler does not know that their elements lie side by side.
-    first, second, third, fourth = out[0, start:], out[1, start:], out[2, start:], out[3, start:]
-    for j in range(len(f)):
-        t = f[j]
-        s = ONE - t
-        first[j] = s * s * s * sixth
-        second[j] = (FOUR - THREE * t * t * (TWO - t)) * sixth
-        third[j] = (FOUR - THREE * s * s * (TWO - s)) * sixth
-        fourth[j] = t * t * t * sixth
+def _weights(t):
+    """Six times the spline's weights of the four coefficients around a point that is `t` beyond the second."""
+    s = ONE - t
+    return s * s * s, FOUR - THREE * t * t * (TWO - t), FOUR - THREE * s * s * (TWO - s), t * t * t
 
 
 @compiled
-def _slopes(f, out):
-    """Derivatives of the weights by `f`."""
-    half = f.dtype.type(1 / 2)
-    first, second, third, fourth = out[0], out[1], out[2], out[3]
-    for j in range(len(f)):
-        t = f[j]
-        s = ONE - t
-        first[j] = -s * s * half
-        second[j] = t * (THREE * t - FOUR) * half
-        third[j] = s * (FOUR - THREE * s) * half
-        fourth[j] = t * t * half
+def _slopes(t):
+    """Twice the derivatives of the weights by `t`."""
+    s = ONE - t
+    return -s * s, t * (THREE * t - FOUR), s * (FOUR - THREE * s), t * t
 
 
 @compiled
-def _combine(flat, width, at, ends, wx, wy, out):
-    """`out = Σ wx wy c` over the 16 coefficients `c` of each sample."""
-    j = 0
+def _sum(x, y, first, second, third, fourth, m):
+    """`Σ x y c` over 16 coefficients `c`, four of each row from `m` on."""
+    a = x[0] * first[m] + x[1] * first[m + 1] + x[2] * first[m + 2] + x[3] * first[m + 3]
+    b = x[0] * second[m] + x[1] * second[m + 1] + x[2] * second[m + 2] + x[3] * second[m + 3]
+    c = x[0] * third[m] + x[1] * third[m + 1] + x[2] * third[m + 2] + x[3] * third[m + 3]
+    d = x[0] * fourth[m] + x[1] * fourth[m + 1] + x[2] * fourth[m + 2] + x[3] * fourth[m + 3]
+    return y[0] * a + y[1] * b + y[2] * c + y[3] * d
+
+
+@compiled
+def _combine(flat, width, at, ends, fx, fy, out):
+    """The spline of the coefficients `flat` at each sample."""
+    j, share = 0, out.dtype.type(1 / 36)
     while j < len(at):
         end = ends[j]
         first = flat[at[j] :]
         second, third, fourth = first[width:], first[2 * width :], first[3 * width :]
-        x0, x1, x2, x3 = wx[0, j:end], wx[1, j:end], wx[2, j:end], wx[3, j:end]
-        y0, y1, y2, y3 = wy[0, j:end], wy[1, j:end], wy[2, j:end], wy[3, j:end]
-        into = out[j:end]
+        beside, below, into = fx[j:end], fy[j:end], out[j:end]
         for m in range(end - j):
-            a = x0[m] * first[m] + x1[m] * first[m + 1] + x2[m] * first[m + 2] + x3[m] * first[m + 3]
-            b = x0[m] * second[m] + x1[m] * second[m + 1] + x2[m] * second[m + 2] + x3[m] * second[m + 3]
-            c = x0[m] * third[m] + x1[m] * third[m + 1] + x2[m] * third[m + 2] + x3[m] * third[m + 3]
-            d = x0[m] * fourth[m] + x1[m] * fourth[m + 1] + x2[m] * fourth[m + 2] + x3[m] * fourth[m + 3]
-            into[m] = y0[m] * a + y1[m] * b + y2[m] * c + y3[m] * d
+            x, y = _weights(beside[m]), _weights(below[m])
+            into[m] = share * _sum(x, y, first, second, third, fourth, m)
+        j = end
+
+
+@compiled
+def _combine_slopes(flat, width, at, ends, fx, fy, out_x, out_y):
+    """Its derivatives along x and y."""
+    j, share = 0, out_x.dtype.type(1 / 12)
+    while j < len(at):
+        end = ends[j]
+        first = flat[at[j] :]
+        second, third, fourth = first[width:], first[2 * width :], first[3 * width :]
+        beside, below, into_x, into_y = fx[j:end], fy[j:end], out_x[j:end], out_y[j:end]
+        for m in range(end - j):
+            x, y = _weights(beside[m]), _weights(below[m])
+            into_x[m] = share * _sum(_slopes(beside[m]), y, first, second, third, fourth, m)
+            into_y[m] = share * _sum(x, _slopes(below[m]), first, second, third, fourth, m)
         j = end
 
 
@@ -192,14 +198,11 @@ def pull(first, last, scene, motion, out):
     (frames, channels, h, w), (height, width) = out.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
     fx, fy = np.empty(w, out.dtype), np.empty(w, out.dtype)
-    wx, wy = np.empty((4, w), out.dtype), np.empty((4, w), out.dtype)
     for k in range(frames):
         for i in range(first, last):
             _locate(motion[k], i - (h - 1) / 2, height, width, at, ends, fx, fy)
-            _weights(fx, wx)
-            _weights(fy, wy)
             for c in range(channels):
-                _combine(scene[k % len(scene), c].ravel(), width, at, ends, wx, wy, out[k, c, i])
+                _combine(scene[k % len(scene), c].ravel(), width, at, ends, fx, fy, out[k, c, i])
 
 
 @compiled
@@ -208,6 +211,7 @@ def push(first, last, gradient, motion, scene):
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
     fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
+    share = scene.dtype.type(1 / 36)
     # Room for three at both ends, so that each coefficient is written to once for all samples of a run.
     wx, wy, part = (
         np.zeros((4, w + 6), scene.dtype),
@@ -222,8 +226,9 @@ def push(first, last, gradient, motion, scene):
             if high < first - 3 or low > last + 2:
                 continue  # the whole row looks elsewhere
             _locate(t, y, height, width, at, ends, fx, fy)
-            _weights(fx, wx, 3)
-            _weights(fy, wy)
+            for j in range(w):
+                wx[0, j + 3], wx[1, j + 3], wx[2, j + 3], wx[3, j + 3] = _weights(fx[j])
+                wy[0, j], wy[1, j], wy[2, j], wy[3, j] = _weights(fy[j])
             for c in range(channels):
                 flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
                 j = 0
@@ -238,7 +243,7 @@ def push(first, last, gradient, motion, scene):
                         if first <= top + r < last:
                             v, mine = wy[r, j:end], part[3 : 3 + n]
                             for m in range(n):
-                                mine[m] = v[m] * g[m]
+                                mine[m] = v[m] * g[m] * share
                             into = flat[at[j] + r * width :]
                             for m in range(n + 3):
                                 into[m] += (x0[m] * p0[m] + x1[m] * p1[m]) + (x2[m] * p2[m] + x3[m] * p3[m])
@@ -251,22 +256,15 @@ def turn(first, last, gradient, scene, motion, sums):
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
     fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
-    wx, wy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
-    dx, dy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
     slope_x, slope_y = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
     for k in range(frames):
         t = motion[k]
         for i in range(first, last):
             y = i - (h - 1) / 2
             _locate(t, y, height, width, at, ends, fx, fy)
-            _weights(fx, wx)
-            _weights(fy, wy)
-            _slopes(fx, dx)
-            _slopes(fy, dy)
             for c in range(channels):
                 flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
-                _combine(flat, width, at, ends, dx, wy, slope_x)
-                _combine(flat, width, at, ends, wx, dy, slope_y)
+                _combine_slopes(flat, width, at, ends, fx, fy, slope_x, slope_y)
                 ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 for j in range(w):
                     x = j - (w - 1) / 2
@@ -292,24 +290,17 @@ def shove(first, last, gradient, scene, points, out):
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
     fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
-    wx, wy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
-    dx, dy = np.empty((4, w), scene.dtype), np.empty((4, w), scene.dtype)
     slope_x, slope_y = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
     for k in range(frames):
         for i in range(first, last):
             y = i - (h - 1) / 2
             xs, vs = _row(points[k], y)
             _locate(points[k], y, height, width, at, ends, fx, fy)
-            _weights(fx, wx)
-            _weights(fy, wy)
-            _slopes(fx, dx)
-            _slopes(fy, dy)
             into_x, into_y = out[k, 0, i], out[k, 1, i]
             into_x[:], into_y[:] = 0, 0
             for c in range(channels):
                 flat, row = scene[k % len(scene), c].ravel(), gradient[k, c, i]
-                _combine(flat, width, at, ends, dx, wy, slope_x)
-                _combine(flat, width, at, ends, wx, dy, slope_y)
+                _combine_slopes(flat, width, at, ends, fx, fy, slope_x, slope_y)
                 for j in range(w):
                     # Beyond the edge the scene is flat.
                     into_x[j] += row[j] * slope_x[j] if abs(xs[j]) < (width - 3) / 2 else ONE - ONE
