@@ -41,6 +41,7 @@ class Problem(nn.Module):
     held_out: Tensor
     #: What the data have been divided by, (N, 1, 1, 1), about their middle.
     contrast: Tensor
+    even: Tensor  # whether that was found to be the same for all
 
     def __init__(
         self,
@@ -71,6 +72,7 @@ class Problem(nn.Module):
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
+        self.register_buffer("even", torch.tensor(False))
 
     def values(self, free: Collection[str] | None = None, without: Collection[str] = ()) -> Values:
         """The value of each unknown but those in `without`; those not in `free` carry no gradient (None: all do)."""

@@ -169,7 +169,7 @@ class _Evidence:
         ]
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
         shaded = nats.get((1, 0), math.inf) + CERTAIN < nats.get((0, 0), math.inf)
-        stretched = self.slow.problem.stretched
+        stretched = self.slow.problem.stretched and not self.slow.problem.even
         rare = [FOLLOWS, CERTAIN] if stretched else [CERTAIN, RARE if shaded else CERTAIN]
         asked = used @ torch.tensor(rare, dtype=torch.long)
         found = best[int((torch.tensor(list(nats.values())) + asked).argmin())][1]

@@ -157,7 +157,7 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
 @torch.no_grad()
 def left(problem: Problem) -> Tensor:
     """What the frames are above their prediction, (N, 1, h, w)."""
-    return problem.predict(problem.values()).neg_().add_(problem.data)
+    return problem.data - problem.predict(problem.values())
 
 
 def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:

@@ -16,6 +16,7 @@ MOST = 0.5  # share of a frame at the ends of the range from which these are lef
 DEGREE = 4  # of what is slow over a frame, in which shading looks like contrast
 LARGEST = 3.0  # contrast that is believed
 GROSS = 0.02  # contrasts that a start tells from the pattern
+ALIKE = 0.002  # contrasts that a round finds of pictures that are all of one range
 UNLIKE = 0.02  # contrasts that are worth a message
 
 
@@ -44,9 +45,10 @@ def even_contrast(problem: Problem, least: float = 0.0) -> bool:
 
     About the middle of the samples, where a contrast that is not quite found changes the levels least: these are left
     to the drift. At a start, contrasts that all differ by less than `least` are left as they are, and what stands still
-    is not in the prediction yet. Whether any was divided.
+    is not in the prediction yet. Once a round has shown that all are alike, nothing more is done. Whether any was
+    divided.
     """
-    if not problem.stretched:
+    if not problem.stretched or problem.even:
         return False
     expected = problem.predict(problem.values())
     if least:
@@ -56,6 +58,10 @@ def even_contrast(problem: Problem, least: float = 0.0) -> bool:
     contrast = (contrast / contrast.mean()).clamp(1 / LARGEST, LARGEST)
     if not (contrast - 1).abs().max() > least:
         return False
+    whole = contrast * problem.contrast
+    if not least and (whole / whole.mean() - 1).abs().max() < ALIKE:
+        contrast = 1 / problem.contrast
+        problem.even.fill_(True)
     middle = problem.data[problem.precision > 0].median()
     problem.data.sub_(middle).div_(contrast).add_(middle)
     problem.contrast.mul_(contrast)
