@@ -15,32 +15,36 @@ SURE = 5  # px: side of the windows whose samples are taken together
 #: Gradients of `r` standard deviations of the noise bear `2 ** ((PLAIN / r)² - RICH)` times the natural weight,
 #: `2 ** MOST` at most: the best on the truth of the bursts in docs/how-it-estimates.md.
 PLAIN, RICH, MOST = 2.75, 0.3, 1.5
+#: A scene whose mean gradient is `r` may be held `2 ** (PLAINER / r)²` times as strongly; noise alone has `NOISE`, √π.
+PLAINER, NOISE = 3.1, 1.77
 LEAST = 0.1  # standard deviations: gradients are not told from this
 #: What samples say of a place, to what they say of a usual one, is taken into account between these.
-UNEVEN = (0.2, 4.0)
+UNEVEN = (0.5, 1.0)
 
 
 @torch.no_grad()
 def follow_texture(problem: Problem, cost: float = 0.0) -> None:
-    """Let penalties that may vary be weaker where the scene is rich, stronger where it is plain or its samples sure.
+    """Let penalties that may vary be weaker where the scene is rich or its samples unsure, stronger where it is plain.
 
     Texture is the geometric mean of gradients, over windows, of the scene that was found under next to no prior: edges
     in a plain place are few, and do not count for much. It costs `cost` dB that the pattern is not known: the scene's
     noise is as much above that of its samples, which weigh so much more than they tell.
     """
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    follow = [
-        each for each in penalties if isinstance(each, Local) and each.given is None and each.share.ndim
-    ]
-    if not follow or problem.fields["scene"].shape[0] > 1:
+    free = [each for each in penalties if isinstance(each, Local) and each.given is None and each.share.ndim]
+    if not free or problem.fields["scene"].shape[0] > 1:
         return
     sure, usual = _information(problem)
     above = 10 ** (cost / 20)
-    gradient = squared_gradient(problem.operator.image(problem.fields["scene"]()))
+    image = problem.operator.image(problem.fields["scene"]())
+    gradient = squared_gradient(image)
+    rough = float(gradient[sure > UNEVEN[0] * usual].sqrt().mean()) * usual**0.5
+    plain = (PLAINER / max(rough, NOISE)) ** 2
     texture = _mean((gradient * sure).sqrt_().add_(LEAST).log_(), WINDOW).exp_()
-    share = ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=MOST).exp2_() * (sure / usual).sqrt_() * above
-    for penalty in follow:
-        penalty.share.copy_(share[0, 0])
+    power = ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=max(MOST, plain))
+    share = above * power.exp2_() * (sure / usual).sqrt_()
+    for penalty in free:
+        penalty.share.copy_(share[0, 0] if penalty.follows else share.new_tensor(2**plain))
 
 
 def _information(problem: Problem) -> tuple[Tensor, float]:

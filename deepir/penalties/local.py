@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
@@ -12,6 +14,8 @@ from deepir.priors.field import Shape
 class Local(Penalty):
     """A sum over places. Of a value whose `shape` is given, `share` is how much each counts, (H, W); one at first."""
 
+    #: Whether the weight may follow the scene from place to place.
+    follows: ClassVar[bool] = True
     share: Tensor
 
     def __init__(self, shape: Shape | None = None, *, weight: float | None = None) -> None:

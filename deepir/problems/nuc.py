@@ -69,7 +69,7 @@ class NUC(Definition):
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        short, long, last = (30, 60, 17) if modelled(problem) else (25, 30, 35)
+        short, long, last = (30, 60, 22) if modelled(problem) else (25, 30, 35)
         rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, prepare=smooth_unseen, tolerance=rough)
         third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine)

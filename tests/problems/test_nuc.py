@@ -1,7 +1,6 @@
 """Non-uniformity correction where little is seen."""
 
 import numpy as np
-import pytest
 from scipy import ndimage
 
 import deepir
@@ -23,13 +22,16 @@ def test_a_corner_that_one_frame_alone_shows_is_what_it_shows():
     assert np.abs(error - np.median(error)).max() < 100
 
 
-@pytest.mark.parametrize(("blur", "least", "most"), [(5.0, 2.0, 3.0), (0.0, 0.7, 1.9)])
-def test_a_plain_scene_bears_a_stronger_prior_than_a_rich_one(blur, least, most):
-    camera = Settings(n_frames=5, shape=(96, 120), photons=200.0, shading=0.0, dead_pixels=0.0)
-    sim = simulate(ndimage.gaussian_filter(procedural(6, (260, 300)), blur), camera, seed=14)
-    result = deepir.run("nuc", frames=sim.frames, threads=1)
-    by_noise = TV().natural(NOISE_GAIN * result.metrics["noise_sigma"] / 5**0.5)
-    assert least < result.metrics["strengths"]["scene.tv.weight"] / by_noise < most
+def test_a_plain_scene_bears_a_stronger_prior_than_a_rich_one():
+    camera = Settings(n_frames=5, shape=(96, 120), photons=1000.0, shading=0.0, dead_pixels=0.0)
+    found = []
+    for blur in (5.0, 0.0):
+        sim = simulate(ndimage.gaussian_filter(procedural(6, (260, 300)), blur), camera, seed=14)
+        metrics = deepir.run("nuc", frames=sim.frames, threads=1).metrics
+        by_noise = TV().natural(NOISE_GAIN * metrics["noise_sigma"] / 5**0.5)
+        found.append(metrics["strengths"]["scene.tv.weight"] / by_noise)
+    plain, rich = found
+    assert 1.3 * rich < plain < 8
 
 
 DARK = procedural(6, (260, 300)) ** 3  # photons are few, and noise little, in half of it
