@@ -44,7 +44,10 @@ def follow_texture(problem: Problem, cost: float = 0.0) -> None:
     power = ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=max(MOST, plain))
     share = above * power.exp2_() * (sure / usual).sqrt_()
     for penalty in free:
-        penalty.share.copy_(share[0, 0] if penalty.follows else share.new_tensor(2**plain))
+        if penalty.follows:
+            penalty.share.copy_(share[0, 0])
+        else:
+            penalty.weight.mul_(2**plain)
 
 
 def _information(problem: Problem) -> tuple[Tensor, float]:
