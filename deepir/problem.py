@@ -42,6 +42,9 @@ class Problem(nn.Module):
     #: What the data have been divided by, (N, 1, 1, 1), about their middle.
     contrast: Tensor
     even: Tensor  # whether that was found to be the same for all
+    plain: (
+        Tensor  # the power of two by which a scene so plain bears stronger penalties; zero until it is known
+    )
 
     def __init__(
         self,
@@ -73,6 +76,7 @@ class Problem(nn.Module):
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
         self.register_buffer("even", torch.tensor(False))
+        self.register_buffer("plain", torch.tensor(0.0))
 
     def values(self, free: Collection[str] | None = None, without: Collection[str] = ()) -> Values:
         """The value of each unknown but those in `without`; those not in `free` carry no gradient (None: all do)."""

@@ -18,6 +18,7 @@ from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
 from deepir.noise import MAD
 from deepir.operators import Warp
+from deepir.penalties.local import Local
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
@@ -129,7 +130,12 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
         noise = average * problem.operator.noise_gain
         if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
             noise /= first.noise_gain
-        penalty.weight.fill_(factor * (penalty.natural(noise) if penalty.given is None else penalty.given))
+        natural = penalty.natural(noise)
+        if (
+            isinstance(penalty, Local) and (penalty.share == 1).all()
+        ):  # which do not follow the scene by places
+            natural *= 2 ** float(problem.plain)
+        penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)
 

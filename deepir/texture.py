@@ -30,10 +30,10 @@ def follow_texture(problem: Problem, cost: float = 0.0) -> None:
     in a plain place are few, and do not count for much. It costs `cost` dB that the pattern is not known: the scene's
     noise is as much above that of its samples, which weigh so much more than they tell.
     """
+    if problem.fields["scene"].shape[0] > 1:
+        return
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     free = [each for each in penalties if isinstance(each, Local) and each.given is None and each.share.ndim]
-    if not free or problem.fields["scene"].shape[0] > 1:
-        return
     sure, usual = _information(problem)
     above = 10 ** (cost / 20)
     image = problem.operator.image(problem.fields["scene"]())
@@ -43,6 +43,7 @@ def follow_texture(problem: Problem, cost: float = 0.0) -> None:
     texture = _mean((gradient * sure).sqrt_().add_(LEAST).log_(), WINDOW).exp_()
     power = ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=max(MOST, plain))
     share = above * power.exp2_() * (sure / usual).sqrt_()
+    problem.plain.fill_(plain)
     for penalty in free:
         if penalty.follows:
             penalty.share.copy_(share[0, 0])
