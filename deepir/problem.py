@@ -12,6 +12,7 @@ from deepir.fidelity import Fidelity, Gaussian
 from deepir.half_squares import of_sensor
 from deepir.operators import Chain, Sensor
 from deepir.operators.base import own
+from deepir.penalties.local import Local
 from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
 
@@ -127,7 +128,15 @@ class Problem(nn.Module):
         return self.operator.image(value) if penalty.of_image and name == "scene" else value
 
     def represent(self, name: str, field: Field, penalties: Mapping[str, Penalty]) -> None:
-        """Let another field of the same shape, with penalties of its own, stand for an unknown."""
+        """Let another field of the same shape, with penalties of its own, stand for an unknown.
+
+        Those that may follow the scene from place to place go on as those before did.
+        """
+        before = self.penalties[name].values() if name in self.penalties else ()
+        for old in before:
+            for new in penalties.values():
+                if isinstance(old, Local) and isinstance(new, Local):
+                    new.go_on_from(old)
         self.fields[name] = field  # type: ignore[index]
         self.penalties[name] = nn.ModuleDict(penalties)  # type: ignore[index]
 

@@ -48,7 +48,7 @@ def run(
 
     Args:
         config: A shipped name, a path, a mapping, or a configuration already loaded.
-        overrides: `key=value`, as on the command line: `"scene.penalties.tv.weight=50"`.
+        overrides: `key=value`, as on the command line: `"scene.penalties.foe.weight=50"`.
         frames: (N, h, w) in place of `data.path`.
         callbacks: Called with a `Progress` after each iteration.
         overwrite: Replace a former run in the output folder.

@@ -33,22 +33,30 @@ def follow_texture(problem: Problem, cost: float = 0.0) -> None:
     if problem.fields["scene"].shape[0] > 1:
         return
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    free = [each for each in penalties if isinstance(each, Local) and each.given is None and each.share.ndim]
+    free = [each for each in penalties if isinstance(each, Local) and each.free]
     sure, usual = _information(problem)
     above = 10 ** (cost / 20)
     image = problem.operator.image(problem.fields["scene"]())
     gradient = squared_gradient(image)
-    rough = float(gradient[sure > UNEVEN[0] * usual].sqrt().mean()) * usual**0.5
-    plain = (PLAINER / max(rough, NOISE)) ** 2
-    texture = _mean((gradient * sure).sqrt_().add_(LEAST).log_(), WINDOW).exp_()
-    power = ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=max(MOST, plain))
-    share = above * power.exp2_() * (sure / usual).sqrt_()
+    plain = plainness(float(gradient[sure > UNEVEN[0] * usual].sqrt().mean()) * usual**0.5)
+    share = above * held((gradient * sure).sqrt_(), plain, above) * (sure / usual).sqrt_()
     problem.plain.fill_(plain)
     for penalty in free:
         if penalty.follows:
             penalty.share.copy_(share[0, 0])
         else:
             penalty.weight.mul_(2**plain)
+
+
+def plainness(gradient: float) -> float:
+    """The power of two that a scene may be held by more whose mean gradient, in standard deviations, is given."""
+    return (PLAINER / max(gradient, NOISE)) ** 2
+
+
+def held(gradient: Tensor, plain: float, above: float = 1.0) -> Tensor:
+    """How strongly places (1, 1, H, W) are held that have these gradients, in standard deviations of the noise."""
+    texture = _mean((gradient + LEAST).log_(), WINDOW).exp_()
+    return ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=max(MOST, plain)).exp2_()
 
 
 def _information(problem: Problem) -> tuple[Tensor, float]:

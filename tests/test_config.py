@@ -9,8 +9,7 @@ from deepir.yaml import parse
 
 
 def test_a_prior_is_one_line():
-    config = load("nuc")
-    assert config.prior == "tv"
+    config = load("nuc", ["prior=tv"])
     assert config.scene == {"type": "pixels", "init": "average", "penalties": {"tv": {"weight": "auto"}}}
 
 
@@ -29,6 +28,7 @@ def test_every_shipped_configuration_loads_with_every_prior(name):
 
 def test_a_resolved_configuration_reads_back_the_same(tmp_path):
     changes = [
+        "prior=tv",
         "data.frames=2:5",
         "data.path=007",
         "scene.penalties.tv=null",
@@ -86,7 +86,7 @@ def test_an_option_of_a_component_that_is_only_named():
 
 
 def test_null_removes_a_key():
-    config = load("nuc", ["physics.sensor.gain=null", "scene.penalties.tv=null", "data.mask=null"])
+    config = load("nuc", ["prior=tv", "physics.sensor.gain=null", "scene.penalties.tv=null", "data.mask=null"])
     assert list(config.physics["sensor"]) == ["offset", "level"]
     assert config.scene["penalties"] == {}
     assert list(load("nuc", ["physics.sensor=null"]).physics) == ["warp"]

@@ -22,6 +22,17 @@ class Local(Penalty):
         super().__init__(weight=weight)
         self.register_buffer("share", torch.ones(shape[-2:] if shape else ()))
 
+    @property
+    def free(self) -> bool:
+        """Whether `share` is to be found."""
+        return self.given is None and self.share.ndim > 0
+
+    @torch.no_grad()
+    def go_on_from(self, other: Local) -> None:
+        """Count places as another penalty of the same value does, where both may."""
+        if self.free and self.follows and other.follows:
+            self.share.copy_(other.share)
+
     def typical(self) -> float:
         """The geometric mean of the places' weights."""
         return float(self.weight * self.share.log().mean().exp())
