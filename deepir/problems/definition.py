@@ -15,7 +15,7 @@ from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import doubt_misfits, give_up_dead, left, pattern_left, spread, start_parts, weigh_scene
 from deepir.stretched import GROSS, even_contrast
-from deepir.thin import thinned
+from deepir.thin import counted, thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
 PASSES = 20  # over scene and pattern, at most
@@ -78,7 +78,7 @@ def start_precision(problem: Problem) -> None:
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = thinned(problem.data, usable)
-    spread = float(data[counts].std())
+    spread = float(counted(data, counts).std())
     sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
     problem.precision.copy_(usable / sigma**2)
 
