@@ -101,7 +101,7 @@ class Problem(nn.Module):
 
     def fitted(self) -> Tensor:
         """The precision, zero at held-out samples."""
-        return self.precision.masked_fill(self.held_out, 0)
+        return torch.where(self.held_out, 0, self.precision)
 
     def losses(
         self, values: Values, eliminated: Collection[str] = (), *, precision: Tensor | None = None

@@ -1,7 +1,7 @@
 """A few samples stand for all."""
 
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepir.median import median
@@ -34,6 +34,7 @@ def test_samples_that_do_not_count_are_no_noise():
     assert typical_noise(precision) == 2
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(width=32, allow_nan=False), min_size=1, max_size=40), st.sampled_from([1, 2, 5000]))
 def test_the_median_of_many_is_torch_s(values, times):
     many = torch.tensor(values, dtype=torch.float32).repeat(times)

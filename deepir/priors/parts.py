@@ -111,7 +111,10 @@ class Sum(Field):
         self.members = nn.ModuleDict(members)
 
     def forward(self) -> Tensor:
-        """`neutral + Σ members`."""
+        """`neutral + Σ members`: of parts, in float64, the shortest first."""
+        if parts := self.parts():
+            values = sum(sorted((part.values for part in parts), key=Tensor.numel), self.neutral)
+            return values.to(parts[0].center.dtype).expand(self.shape)
         return functools.reduce(torch.add, (member() for member in self.members.values())) + self.neutral
 
     @torch.no_grad()

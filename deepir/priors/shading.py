@@ -108,7 +108,7 @@ class Shading(Part):
             (x, self.in_x.shape[1], self.powers_x, self.of_x),
         ):
             place = torch.linalg.vander(2 * at / (side - 1), N=len(powers))
-            along.append((place @ powers)[..., order])
+            along.append(place @ powers[:, order])
         return along[0] * along[1]
 
     def sums(self, maps: Tensor) -> Tensor:
