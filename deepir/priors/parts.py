@@ -128,7 +128,7 @@ class Sum(Field):
     def penalty(self) -> Tensor | None:
         """The sum of the members' own."""
         found = [p for member in self.members.values() if (p := member.penalty()) is not None]  # type: ignore[operator]
-        return torch.stack([p.double() for p in found]).sum() if found else None
+        return functools.reduce(torch.add, found) if found else None
 
     def parts(self) -> Sequence[Part]:
         """All parts, if every member is made of parts; otherwise none: the sum has no closed form."""
