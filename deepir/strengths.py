@@ -111,9 +111,10 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
 
 def _bins(values: Tensor, counts: Tensor) -> Tensor:
     """Number of the quantile bin of each value, of those that count."""
-    some = values[:: max(1, len(values) // 20_000)][counts[:: max(1, len(values) // 20_000)]]
-    edges = torch.quantile(some, torch.linspace(0, 1, BINS + 1).to(some))
-    return torch.bucketize(values, edges[1:-1])
+    step = max(1, len(values) // 20_000)
+    some = counted(values[::step], counts[::step])
+    edges = np.quantile(some.cpu().numpy(), np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
+    return torch.bucketize(values, torch.from_numpy(edges).to(values))
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
@@ -148,8 +149,8 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     Pixels that are no part of it are left out. Gains are by the rms of the data: a dark frame with bright spots shows
     next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean.
     """
+    pattern = pattern_left(rest, problem.precision.sign())  # as a float: torch is slow at the bool
     usable = problem.precision > 0
-    pattern = pattern_left(rest, usable)
     data, counts = thinned(problem.data, usable)
     used = counted(data, counts)
     level, rms = float(used.mean().abs()), float(used.square().mean().sqrt())
@@ -172,7 +173,7 @@ def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:
     """The mean of that over the frames, (1, 1, h, w), by the weight of their samples."""
     total, share = (torch.zeros_like(rest[:1]) for _ in range(2))
     for rest_k, weight_k in zip(rest, weight, strict=True):  # one at a time stays in the cache
-        total += rest_k * weight_k
+        total.addcmul_(rest_k, weight_k)
         share += weight_k
     return total.div_(share.clamp_(min=1e-6))
 
@@ -180,8 +181,8 @@ def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:
 @torch.no_grad()
 def give_up_dead(problem: Problem, rest: Tensor, noise: float) -> None:
     """Give up pixels that are dead; from the edge of a block inwards, for its inside shows itself in the average."""
-    usable = problem.precision > 0
-    problem.precision.mul_(~dead(problem.data, pattern_left(rest, usable), usable, noise))
+    pattern = pattern_left(rest, problem.precision.sign())
+    problem.precision.mul_(~dead(problem.data, pattern, problem.precision > 0, noise))
 
 
 @torch.no_grad()

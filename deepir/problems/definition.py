@@ -118,7 +118,7 @@ def start_scene_and_parts(problem: Problem) -> None:
 def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
     """Whether what stands still is stronger than all that is in the average of the frames."""
     scene, weight = problem.backproject(problem.values())
-    pattern = pattern_left(rest, problem.precision > 0)
+    pattern = pattern_left(rest, problem.precision.sign())
     # By the standard deviation: before a black sky the bulk has next to none.
     return spread(pattern) > STRONG * float(scene[weight > SEEN * weight.max()].std())
 
@@ -132,7 +132,7 @@ def take_pattern_out(problem: Problem, noise: float) -> None:
     """
     frames = problem.data.clone()
     for _ in range(PASSES):
-        pattern = pattern_left(left(problem), problem.precision > 0)
+        pattern = pattern_left(left(problem), problem.precision.sign())
         problem.data.sub_(pattern)
         start_scene(problem)
         if spread(pattern) < SETTLED * noise:
