@@ -113,7 +113,9 @@ def _bins(values: Tensor, counts: Tensor) -> Tensor:
     """Number of the quantile bin of each value, of those that count."""
     step = max(1, len(values) // 20_000)
     some = counted(values[::step], counts[::step])
-    edges = np.quantile(some.cpu().numpy(), np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
+    edges = np.quantile(
+        some.cpu().numpy(), np.linspace(0, 1, BINS + 1)[1:-1]
+    )  # torch takes ten times as long
     return torch.bucketize(values, torch.from_numpy(edges).to(values))
 
 

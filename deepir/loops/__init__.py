@@ -44,8 +44,6 @@ def spread(loop: Callable[..., None], count: int, *arguments: Tensor | float) ->
     """
     arrays = [each.numpy() if isinstance(each, Tensor) else each for each in arguments]
     threads = min(available(), max(count, 1))
-    if threads == 1:
-        return loop(0, count, *arrays)
     mine, *others = itertools.pairwise(count * i // threads for i in range(threads + 1))
     waiting = [_pool(os.getpid()).submit(loop, *part, *arrays) for part in others]
     loop(*mine, *arrays)

@@ -113,7 +113,8 @@ class Sum(Field):
     def forward(self) -> Tensor:
         """`neutral + Σ members`: of parts, in float64, the shortest first."""
         if parts := self.parts():
-            values = sum(sorted((part.values for part in parts), key=Tensor.numel), self.neutral)
+            first, *others = sorted((part.values for part in parts), key=Tensor.numel)
+            values = functools.reduce(torch.add, others, self.neutral + first)
             return values.to(parts[0].center.dtype).expand(self.shape)
         return functools.reduce(torch.add, (member() for member in self.members.values())) + self.neutral
 
