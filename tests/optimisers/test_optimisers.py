@@ -164,7 +164,7 @@ def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
     tried, reached = [], []
     for shorter in (lbfgs.SHORTER, 1.0):
         monkeypatch.setattr(lbfgs, "SHORTER", shorter)
-        point, optimiser = make("lbfgs", kinked, start=[0.0] * 300)
+        _, optimiser = make("lbfgs", kinked, start=[0.0] * 300)
         optimiser.curvature = Flat()
         for _ in range(40):
             optimiser.step(fresh=False)
