@@ -179,7 +179,7 @@ class _Smooth:
 
     def __init__(self, shading: Shading | None, sigma: Tensor, pixels: Pixels, columns: _Lines) -> None:
         self.shading, self.size = shading, pixels.maps.shape[1:]
-        self.of = [i for i in range(2) if sigma[i] > 0]  # gain, offset
+        self.of = [i for i, each in enumerate(sigma.tolist()) if each > 0]  # gain, offset
         if shading is None or not self.of:
             self.to_rows, self.to_columns = (sigma.new_zeros(0, 2 * side) for side in self.size)
             self.root, self.rhs, self.sigma = sigma.new_zeros(0, 0), sigma[:0], sigma[:0]
@@ -210,9 +210,9 @@ class _Smooth:
             return self.root.new_zeros(2, self.size[0], 0), self.root.new_zeros(0, self.size[1])
         return self.shading.in_rows(self._spread(self.sigma * self.found)), self.shading.in_x
 
-    @property
+    @functools.cached_property
     def white(self) -> Tensor:
-        """(2, terms)."""
+        """(2, terms), once they are found."""
         return self._spread(self.found)
 
     def variance(self, i: int) -> Tensor:

@@ -58,7 +58,7 @@ def likeliest(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, f
         def cost(logarithms: np.ndarray, typical: Tensor = typical) -> Known:
             found[free] = np.exp(logarithms)
             nats, slope, curvature = _nats(values, typical, found)
-            return nats, slope[free], curvature[np.ix_(free, free)]
+            return nats, slope[free], curvature[free][:, free]
 
         found[free] = np.exp(_least(cost, np.log(found[free]), np.log(low), np.log(high)))
     return torch.from_numpy(found).to(sigma)
@@ -88,7 +88,7 @@ def _least(
         free = ~((x <= low) & (slope > 0) | (x >= high) & (slope < 0))
         if not (free.any() and np.isfinite(curvature).all()):
             break
-        sizes, axes = np.linalg.eigh(curvature[np.ix_(free, free)])
+        sizes, axes = np.linalg.eigh(curvature[free][:, free])
         way = np.zeros_like(x)
         way[free] = -axes @ ((slope[free] @ axes) / np.abs(sizes).clip(min=1e-9))
         trial = (x + way.clip(-LONGEST, LONGEST)).clip(low, high)

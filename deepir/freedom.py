@@ -8,9 +8,12 @@ freedom (Hastie, Tibshirani 1990, "Generalized additive models"). With these giv
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -22,6 +25,8 @@ from deepir.waves import modelled
 #: Under the weak prior, what holds the scene's gradients, as a share of what the frames hold its pixels by.
 HELD = 0.001
 WAVES, PLACES = 24, 5  # along each axis, of the spectrum and of the frame
+#: Six times the weights of a spline's four coefficients, in powers of the shift beyond the second of them.
+TAPS = ((1.0, -3.0, 3.0, -1.0), (4.0, 0.0, -6.0, 3.0), (1.0, 3.0, 3.0, -3.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def moves_with_scene(problem: Problem, group: Collection[str]) -> bool:
@@ -32,23 +37,31 @@ def moves_with_scene(problem: Problem, group: Collection[str]) -> bool:
     return {"scene", motion} <= set(group) and isinstance(problem.fields[motion], Motion)
 
 
-def freedom(motion: Tensor, size: Sequence[int]) -> Tensor:
+def freedom(motion: Tensor, size: tuple[int, int]) -> Tensor:
     """Nats that a scene gains from the noise of frames of `size` (h, w) at motions (N, 3, 3)."""
-    motion = motion.double()
-    waves = (torch.arange(WAVES).to(motion) + 0.5) * (math.pi / WAVES)
-    y, x = (side * torch.linspace(-0.4, 0.4, PLACES).to(motion) for side in size)
-    places = torch.cartesian_prod(x, y, x.new_ones(1)).T
-    moved = motion @ places
+    places, held, response = _fixed(size, motion.device)
+    moved = motion.double() @ places
     shift = (moved[:, :2] / moved[:, 2:] - places[:2]).permute(2, 1, 0)  # (places, x or y, N)
-    along_x, along_y = response(shift, waves).unbind(1)
+    t = shift - shift.floor()
+    square, cube = t * t, t * t * t
+    powers = torch.ones_like(t), t, square, cube, square * square, square * cube, cube * cube
+    along_x, along_y = (torch.stack(powers, -1) @ response).unbind(1)
     seen = along_y.mT @ along_x / len(motion)
-    held = HELD * (4 - 2 * waves.cos() - 2 * waves.cos()[:, None])
     return 0.5 * math.prod(size) * (seen / (seen + held)).mean()
 
 
-def response(shift: Tensor, waves: Tensor) -> Tensor:
-    """Squared response of a cubic B-spline, sampled at shifts (...), to waves (K,) of its coefficients: (..., K)."""
-    t = shift - shift.floor()
-    taps = torch.stack(((1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3), -1) / 6
-    each = [(2 if apart else 1) * (taps[..., apart:] * taps[..., : 4 - apart]).sum(-1) for apart in range(4)]
-    return torch.stack(each, -1) @ (torch.arange(4).to(waves)[:, None] * waves).cos()
+@functools.lru_cache(maxsize=8)  # a solve asks at each evaluation
+def _fixed(size: tuple[int, int], device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Places of the frame (3, K); what holds the waves, (WAVES, WAVES); the spline's squared response to them.
+
+    The latter, (7, WAVES), is of a cubic B-spline sampled at a shift, in powers of this.
+    """
+    waves = (torch.arange(WAVES, dtype=torch.float64) + 0.5) * (math.pi / WAVES)
+    y, x = (side * torch.linspace(-0.4, 0.4, PLACES, dtype=torch.float64) for side in size)
+    places = torch.cartesian_prod(x, y, x.new_ones(1)).T
+    held = HELD * (4 - 2 * waves.cos() - 2 * waves.cos()[:, None])
+    response = waves.new_zeros(7, WAVES)
+    for i, j in itertools.product(range(4), repeat=2):
+        product = torch.from_numpy(np.convolve(TAPS[i], TAPS[j])) / 36
+        response += product[:, None] * ((i - j) * waves).cos()
+    return places.to(device), held.to(device), response.to(device)

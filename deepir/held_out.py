@@ -7,13 +7,14 @@ import math
 import torch
 
 from deepir.problem import Problem
+from deepir.thin import counted
 
 
 @torch.no_grad()
 def held_out_error(problem: Problem) -> float:
     """Root mean square error at the held-out samples, in the data's units; NaN without any."""
-    held = (problem.held_out & (problem.precision > 0)).flatten().nonzero()[:, 0]
-    if not len(held):
+    held = problem.held_out & (problem.precision > 0)
+    if not held.any():
         return math.nan
-    prediction, data = (each.flatten()[held] for each in (problem.predict(problem.values()), problem.data))
-    return float((prediction - data).square().mean().sqrt())
+    residual = counted(problem.predict(problem.values()) - problem.data, held)
+    return float(residual.square().mean().sqrt())

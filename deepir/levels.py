@@ -8,7 +8,7 @@ from torch import Tensor
 from deepir.noise import typical_noise
 from deepir.priors.drift import Drift
 from deepir.problem import Problem
-from deepir.thin import thinned
+from deepir.thin import counted, thinned
 
 #: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
 DRIFT = 0.25
@@ -37,7 +37,7 @@ def start_jumps(problem: Problem) -> bool:
     level = level_residuals(problem)
     level -= level.mean()
     data, precision, expected = thinned(problem.data, problem.precision, problem.predict(problem.values()))
-    rest = (data - expected - level.flatten(1))[precision > 0]
+    rest = counted(data - expected - level.flatten(1), precision > 0)
     if not drifts or not level.abs().max() > JUMP * rest.std():
         return False
     drifts[0].jumps.add_(level)

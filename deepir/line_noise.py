@@ -8,11 +8,13 @@ import torch
 from torch import Tensor
 
 from deepir.levels import level_names
+from deepir.median import median
 from deepir.noise import MAD, typical_noise
 from deepir.priors.line_noise import LineNoise
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.stage import Stage, Step
+from deepir.thin import counted
 
 ENOUGH = 3  # frames: a scene and a pattern explain any two values of a line
 CERTAIN = 3.0  # variance of lines' means, in that of what their halves differ by, from which they jump
@@ -97,14 +99,14 @@ def _means(residual: Tensor, precision: Tensor, field: LineNoise) -> tuple[Tenso
     total, least = u + v, torch.finfo(u.dtype).tiny
     mean = ((a + b) / total.clamp(min=least) + field() - field.neutral) * (total > 0)
     apart = (a / u.clamp(min=least) - b / v.clamp(min=least)) / 2
-    return mean, apart, (u > 0) & (v > 0), float(total[total > 0].median().reciprocal())
+    return mean, apart, (u > 0) & (v > 0), 1 / median(counted(total, total > 0))
 
 
 def _variance(values: Tensor, known: Tensor, across: int) -> float:
     """Of lines that lie side by side, without what is slow across them, or far out."""
     count = known.shape[across] - 1
     both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
-    return float((MAD * values.diff(dim=across)[both].abs().median()) ** 2) / 2
+    return (MAD * median(counted(values.diff(dim=across), both).abs())) ** 2 / 2
 
 
 def in_polynomials(problem: Problem, frame: Shading) -> Tensor:

@@ -11,10 +11,12 @@ from scipy.ndimage import find_objects, label
 from torch import Tensor
 
 from deepir.defects import around
+from deepir.median import median
 from deepir.noise import MAD
 from deepir.operators import Warp
 from deepir.operators.base import own
 from deepir.problem import Problem, Values
+from deepir.thin import counted
 
 APART = 5.0  # gap between the frames, in robust standard deviations, from which a place shows two things
 FAR = 12.0  # the same, of one place at least of each region that does
@@ -87,8 +89,8 @@ def _widest_gap(seen: Tensor, known: Tensor, least: float) -> tuple[Tensor, Tens
 def _usual(seen: Tensor, known: Tensor) -> float:
     """Robust standard deviation of frames (N, h, w) from their mean at each place."""
     count = known.sum(0)
-    apart = (seen - (seen * known).sum(0) / count.clamp(min=1))[known & (count > 1)]
-    return float(MAD * apart.abs().median() * (len(seen) / (len(seen) - 1)) ** 0.5)
+    apart = seen - (seen * known).sum(0) / count.clamp(min=1)
+    return MAD * median(counted(apart.abs_(), known & (count > 1))) * (len(seen) / (len(seen) - 1)) ** 0.5
 
 
 def _regions(wide: Tensor, far: Tensor) -> Iterator[tuple[tuple[slice, ...], Tensor]]:

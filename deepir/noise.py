@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.thin import ENOUGH, thinned
+from deepir.median import median
+from deepir.thin import ENOUGH, counted, thinned
 
 WINDOW = 15  # px: side of the windows in which noise is looked for
 FLATTEST = 0.885  # a tenth of such medians of nothing but noise are less, in its own
@@ -22,8 +23,8 @@ def sample_noise(frames: Tensor, usable: Tensor) -> float:
     if len(frames) > 1:
         frames, usable = (frames[1:] - frames[:-1]) / 2**0.5, usable[1:] & usable[:-1]
     some, counts = thinned(*(each[:, None] for each in detail(frames, usable)))
-    found = some[counts].abs()
-    return float(MAD * torch.median(found)) if found.numel() else 0.0
+    found = counted(some, counts).abs()
+    return MAD * median(found) if found.numel() else 0.0
 
 
 def flat_noise(frames: Tensor, usable: Tensor) -> float:
@@ -53,4 +54,4 @@ def detail(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
 def typical_noise(precision: Tensor) -> float:
     """Median standard deviation of the samples (N, C, h, w) that count; NaN if none does."""
     (some,) = thinned(precision, enough=ENOUGH // len(precision))
-    return float(some[some > 0].median().rsqrt())
+    return median(counted(some, some > 0)) ** -0.5

@@ -17,18 +17,22 @@ from deepir.stage import Stage, Step
 def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
     """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
-    moving = moves_with_scene(problem, [name for step in stage.steps for name in step.group])
+    group = {name for step in stage.steps for name in step.group}
+    moving, size = moves_with_scene(problem, group), (problem.data.shape[-2], problem.data.shape[-1])
     precision = problem.precision if stage.use_held_out else problem.fitted()
 
+    awake = {name for name in group if name in eliminated or free_parameters(problem, [name])}
     with torch.no_grad():  # once: gain and offset of several parts are not free
-        fixed = problem.values(without={name for step in stage.steps for name in step.group})
+        fixed = problem.values(without=awake)
+        still = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
 
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
         values = fixed | problem.values(free, without=[*eliminated, *fixed])
-        terms = problem.losses(values, eliminated, precision=precision)
+        terms = [still, problem.misfit(values, eliminated, precision)]
+        terms += problem.priors({name: values[name] for name in awake}, eliminated).values()
         if moving:
-            terms["freedom"] = freedom(values[problem.slots["warp.motion"]], problem.data.shape[-2:])
-        return torch.stack([term.double() for term in terms.values()]).sum(), values
+            terms.append(freedom(values[problem.slots["warp.motion"]], size))
+        return torch.stack([term.double() for term in terms]).sum(), values
 
     return evaluate
 

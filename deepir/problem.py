@@ -102,7 +102,7 @@ class Problem(nn.Module):
 
     def fitted(self) -> Tensor:
         """The precision, zero at held-out samples."""
-        return self.precision.masked_fill(self.held_out, 0)
+        return torch.where(self.held_out, 0, self.precision)
 
     def losses(
         self, values: Values, eliminated: Collection[str] = (), *, precision: Tensor | None = None
@@ -113,8 +113,14 @@ class Problem(nn.Module):
         may lack them, is updated. `precision` stands in for that of the samples that are fitted.
         """
         precision = self.fitted() if precision is None else precision
-        terms = {"data": self._misfit(values, eliminated, precision)}
+        return {"data": self.misfit(values, eliminated, precision)} | self.priors(values, eliminated)
+
+    def priors(self, values: Values, eliminated: Collection[str] = ()) -> Values:
+        """Those of the terms that are of the unknowns alone, for which there are values."""
+        terms = {}
         for name, field in self.fields.items():
+            if name not in values:
+                continue
             with torch.set_grad_enabled(torch.is_grad_enabled() and name not in eliminated):
                 prior = field.penalty()
             if prior is not None:
@@ -140,7 +146,8 @@ class Problem(nn.Module):
         self.fields[name] = field  # type: ignore[index]
         self.penalties[name] = nn.ModuleDict(penalties)  # type: ignore[index]
 
-    def _misfit(self, values: Values, eliminated: Collection[str], precision: Tensor) -> Tensor:
+    def misfit(self, values: Values, eliminated: Collection[str], precision: Tensor) -> Tensor:
+        """That of them which is of the data, see `losses`."""
         name, last = self.operator.named()[-1]
         if not isinstance(last, Sensor):
             return self.fidelity(self.predict(values), self.data, precision)

@@ -17,11 +17,13 @@ from torch import Tensor
 
 from deepir.elimination import COLUMN, PIXEL, ROW
 from deepir.line_noise import less_lines, lines_jump
+from deepir.median import median
 from deepir.priors.field import Field
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.slow import Slow, Variances, expected
 from deepir.slow_strengths import RARE, jumps, slow_unknowns
+from deepir.thin import counted
 from deepir.white_evidence import Evidence, normal_matrix
 
 ENOUGH = 4  # frames: three tell smooth gains from the scene hardly at all
@@ -86,7 +88,7 @@ class _Smooth:
         self.shape = flux[0, 0, *some].shape
         z, data, precision = (each[:, 0, *some].flatten(1) for each in seen)
         self.level = float(z.double().square().mean().sqrt())
-        self.spread = float(data[precision > 0].std())
+        self.spread = float(counted(data, precision > 0).std())
         of_gain, of_offset = (_variances(field) for field in _fields(problem))
         gain, offset = (_quick_lines(field, frame)[some].to(flux).flatten() for field in _fields(problem))
         residual = data - (1 + gain) * z - offset
@@ -95,8 +97,9 @@ class _Smooth:
             expected({PIXEL: 0.0} | lines, frame) * unit
             for lines, unit in ((of_offset, 1.0), (of_gain, self.level**2))
         ]
-        middle = residual[precision > 0].median()
-        limit = OUTLIER * (residual[precision > 0] - middle).abs().median()
+        left = counted(residual, precision > 0)
+        middle = median(left)
+        limit = OUTLIER * median((left - middle).abs())
         residual = middle + (residual - middle).clamp(-limit, limit)
         z = z.double() / self.level
         own = torch.stack((pixels[0] ** 0.5 * z, pixels[1] ** 0.5 * torch.ones_like(z)), 1)

@@ -55,9 +55,7 @@ class Slow:
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
         self.step, self.terms = (step_y, step_x), terms
         seen = late(problem, self.scene.at(points[..., 1], points[..., 0]))
-        together = seen.transpose(0, 1).flatten(1)  # one system for all frames
-        carried = torch.linalg.lstsq(terms, together, driver="gels").solution
-        self.carried = carried.unflatten(1, seen.shape[::2]).transpose(0, 1)
+        self.carried = torch.linalg.solve(terms.T @ terms, terms.T @ seen)  # next to orthogonal
         few = slice(None), 0, slice(None, None, step_y), slice(None, None, step_x)
         weights = problem.precision[few].masked_fill(problem.held_out[few], 0).double().flatten(1)
         area = height * width / weights.shape[1]

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from deepir.elimination import COLUMN, ROW
 from deepir.line_noise import in_polynomials
+from deepir.median import median
 from deepir.operators import Add, Blur, Lag, Sensor, Warp
 from deepir.operators.points import displaced
 from deepir.priors.drift import Drift
@@ -17,7 +18,7 @@ from deepir.priors.shading import Shading
 from deepir.priors.terms import Terms
 from deepir.problem import Problem, Values
 from deepir.slow import Slow, expected, variances
-from deepir.thin import thinned
+from deepir.thin import counted, thinned
 from deepir.white_evidence import Evidence
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
@@ -100,7 +101,7 @@ def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Dr
 def contrast(problem: Problem) -> Tensor:
     """Standard deviation of the data."""
     data, precision = thinned(problem.data, problem.precision)
-    return data[precision > 0].std()
+    return counted(data, precision > 0).std()
 
 
 def added_flux(problem: Problem) -> list[str]:
@@ -136,8 +137,8 @@ class _Evidence:
         self.jumps = bool(jumps(problem).any())
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = thinned(residual[:, None])
-        middle = some.median()
-        limit = OUTLIER * float((some - middle).abs().median())
+        middle = median(some)
+        limit = OUTLIER * median((some - middle).abs())
         self.count, free = len(residual), len(self.slow.scene.white) + 1
         levels = self.slow.levels()
         normal = self.slow.normal(levels)

@@ -16,6 +16,7 @@ from torch import Tensor
 from deepir.defects import crowded, dead, defective, deviating
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
+from deepir.median import median
 from deepir.noise import MAD
 from deepir.operators import Warp
 from deepir.penalties.local import Local
@@ -23,7 +24,7 @@ from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.slow_strengths import estimate_slow
-from deepir.thin import thinned
+from deepir.thin import counted, thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
 OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
@@ -97,7 +98,7 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
         fitted, new = residuals[i : i + 2]
         if len(new) >= 20:
             rows.append((1.0, sum(totals[i : i + 2]) / sum(sizes[i : i + 2])))
-            seen.append(float(MAD**2 * fitted.median() * new.median()) + rounding)
+            seen.append(MAD**2 * median(fitted) * median(new) + rounding)
     if not rows:
         return None
     design, variance = np.array(rows), np.array(seen)
@@ -110,9 +111,12 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
 
 def _bins(values: Tensor, counts: Tensor) -> Tensor:
     """Number of the quantile bin of each value, of those that count."""
-    some = values[:: max(1, len(values) // 20_000)][counts[:: max(1, len(values) // 20_000)]]
-    edges = torch.quantile(some, torch.linspace(0, 1, BINS + 1).to(some))
-    return torch.bucketize(values, edges[1:-1])
+    step = max(1, len(values) // 20_000)
+    some = counted(values[::step], counts[::step])
+    edges = np.quantile(
+        some.cpu().numpy(), np.linspace(0, 1, BINS + 1)[1:-1]
+    )  # torch takes ten times as long
+    return torch.bucketize(values, torch.from_numpy(edges).to(values))
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
@@ -125,7 +129,7 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
         scene = problem.fields["scene"]()
     # Of frames that show the same scene the information adds up.
     precision = problem.precision.sum(0) if len(scene) == 1 else thinned(problem.precision)[0]
-    average = float(precision[precision > 0].median().rsqrt())
+    average = median(counted(precision, precision > 0)) ** -0.5
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         noise = average * problem.operator.noise_gain
         if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
@@ -147,10 +151,11 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     Pixels that are no part of it are left out. Gains are by the rms of the data: a dark frame with bright spots shows
     next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean.
     """
+    pattern = pattern_left(rest, problem.precision.sign())  # as a float: torch is slow at the bool
     usable = problem.precision > 0
-    pattern = pattern_left(rest, usable)
     data, counts = thinned(problem.data, usable)
-    level, rms = float(data[counts].mean().abs()), float(data[counts].square().mean().sqrt())
+    used = counted(data, counts)
+    level, rms = float(used.mean().abs()), float(used.square().mean().sqrt())
     for slot, unit, most in (("gain", rms, level), ("offset", 1.0, 1.0)):
         for part in _all_parts(problem, slot):
             if not (part.given or isinstance(part, Shading)):
@@ -170,7 +175,7 @@ def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:
     """The mean of that over the frames, (1, 1, h, w), by the weight of their samples."""
     total, share = (torch.zeros_like(rest[:1]) for _ in range(2))
     for rest_k, weight_k in zip(rest, weight, strict=True):  # one at a time stays in the cache
-        total += rest_k * weight_k
+        total.addcmul_(rest_k, weight_k)
         share += weight_k
     return total.div_(share.clamp_(min=1e-6))
 
@@ -178,8 +183,8 @@ def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:
 @torch.no_grad()
 def give_up_dead(problem: Problem, rest: Tensor, noise: float) -> None:
     """Give up pixels that are dead; from the edge of a block inwards, for its inside shows itself in the average."""
-    usable = problem.precision > 0
-    problem.precision.mul_(~dead(problem.data, pattern_left(rest, usable), usable, noise))
+    pattern = pattern_left(rest, problem.precision.sign())
+    problem.precision.mul_(~dead(problem.data, pattern, problem.precision > 0, noise))
 
 
 @torch.no_grad()
@@ -193,7 +198,7 @@ def doubt_misfits(problem: Problem, rest: Tensor) -> None:
     most = problem.precision.amax()
     rest = rest - pattern_left(rest, problem.precision / most)
     some, known = thinned(rest, problem.precision)
-    if (usual := spread(some[known > 0])) > 0:  # one frame leaves nothing
+    if (usual := spread(counted(some, known > 0))) > 0:  # one frame leaves nothing
         for rest_k, precision_k in zip(rest, problem.precision, strict=True):
             doubt = rest_k.div_(OUTLIER * usual).square_().add_(1)
             torch.div(precision_k > 0, doubt, out=precision_k).mul_(most)
@@ -212,7 +217,7 @@ def share(pattern: Tensor, part: Part) -> Tensor:
 
 def spread(values: Tensor) -> float:
     """Standard deviation of the bulk of the values."""
-    return float(MAD * (values - values.median()).abs().median())
+    return MAD * median((values - median(values)).abs())
 
 
 @torch.no_grad()

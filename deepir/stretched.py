@@ -52,7 +52,7 @@ def even_contrast(problem: Problem, least: float = 0.0) -> bool:
         return False
     expected = problem.predict(problem.values())
     if least:
-        expected = expected + pattern_left(left(problem), problem.precision > 0)
+        expected = expected + pattern_left(left(problem), problem.precision.sign())
     slopes = [_slope(*each) for each in zip(problem.data, expected, problem.precision, strict=True)]
     contrast = torch.stack(slopes).to(problem.data)[:, None, None, None]
     contrast = (contrast / contrast.mean()).clamp(1 / LARGEST, LARGEST)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import torch
 from torch import Tensor
 
 ENOUGH = 40_000  # samples of each frame
@@ -16,3 +17,10 @@ def thinned(*frames: Tensor, enough: int = ENOUGH) -> list[Tensor]:
     while math.gcd(step, width) > 1:  # it would meet the same columns again and again
         step += 1
     return [each.flatten(1)[:, ::step] for each in frames]
+
+
+def counted(values: Tensor, counts: Tensor) -> Tensor:
+    """Those of the values that count, (K,): by numpy, where torch takes ten times as long."""
+    if values.device.type != "cpu":
+        return values[counts]
+    return torch.from_numpy(values.numpy()[counts.numpy()])

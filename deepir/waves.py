@@ -108,12 +108,14 @@ def common(problem: Problem) -> Iterator[Tensor]:
     motion = problem.fields[problem.slots["warp.motion"]]().double()
     height, width = problem.data.shape[-2:]
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
-    for at in torch.cartesian_prod(parts * width, parts * height):
-        shift = displaced(motion, at)
-        along_y, along_x = y * shift[:, 1], x * shift[:, :1]  # (ny, N) and (N, nx)
-        cos, sin = along_y.cos().float(), along_y.sin().float()
-        both = torch.cat((along_x.cos(), along_x.sin())).float()
-        real, imaginary = torch.cat((cos, -sin), 1) @ both, torch.cat((sin, cos), 1) @ both
+    places = torch.cartesian_prod(parts * width, parts * height)
+    shifts = torch.stack([displaced(motion, at) for at in places])
+    along_y, along_x = y * shifts[:, None, :, 1], shifts[:, :, :1] * x  # (places, ny, N) and (places, N, nx)
+    cos, sin = along_y.cos(), along_y.sin()
+    in_y = torch.cat((torch.cat((cos, -sin), 2), torch.cat((sin, cos), 2)), 1).float()
+    in_x = torch.cat((along_x.cos(), along_x.sin()), 1).float()
+    for of_y, of_x in zip(in_y, in_x, strict=True):
+        real, imaginary = (of_y @ of_x).chunk(2)
         yield real.square_().addcmul_(imaginary, imaginary)
 
 

@@ -1,11 +1,12 @@
 """A few samples stand for all."""
 
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepir.median import median
 from deepir.noise import typical_noise
-from deepir.thin import ENOUGH, thinned
+from deepir.thin import ENOUGH, counted, thinned
 
 
 @given(height=st.integers(200, 600), width=st.integers(200, 800))
@@ -31,3 +32,15 @@ def test_samples_that_do_not_count_are_no_noise():
     precision = torch.full((2, 1, 30, 40), 0.25)
     precision[:, :, ::2] = 0
     assert typical_noise(precision) == 2
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(width=32, allow_nan=False), min_size=1, max_size=40), st.sampled_from([1, 2, 5000]))
+def test_the_median_of_many_is_torch_s(values, times):
+    many = torch.tensor(values, dtype=torch.float32).repeat(times)
+    assert median(many) == float(many.median())
+
+
+def test_those_that_count_are_in_order():
+    values, counts = torch.rand(3, 4, 5), torch.rand(3, 4, 5) > 0.5
+    assert torch.equal(counted(values, counts), values[counts])

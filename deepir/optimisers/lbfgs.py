@@ -13,6 +13,8 @@ from deepir.problem import Problem
 
 MEMORY = 10
 SCALED = 4  # pairs until which a known curvature is scaled to the last of them
+#: From then on steps that go too far, as the slope at their ends says, in its share at their starts, shorten the next.
+TOO_FAR, SHORTER = 0.5, 0.7
 ARMIJO, CURVATURE, MAX_TRIALS = 1e-4, 0.9, 20
 
 
@@ -114,6 +116,8 @@ class LBFGS(Optimiser):
             else:
                 best = (x, value, slope)
                 if along >= CURVATURE * descent:
+                    if along > -TOO_FAR * descent and len(self.pairs) >= SCALED:
+                        self.scale = SHORTER * self.scale
                     return best
                 low = step
             step = (low + high) / 2 if high < float("inf") else 2 * low

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.curvature import Curvature
-from deepir.priors.line_noise import LineNoise
+from deepir.priors.strength import Held
 from deepir.problem import Problem, Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
@@ -20,7 +20,7 @@ def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter
     """The parameters of the group's fields that can move, and those that their penalties have."""
     penalties = problem.penalties
     fields = [module for name in group for module in problem.fields[name].modules()]
-    asleep = {id(f.values) for f in fields if isinstance(f, LineNoise) and not f.sigma > 0}
+    asleep = {id(p) for f in fields if isinstance(f, Held) and not f.sigma > 0 for p in f.parameters()}
     mine = [p for name in group for p in problem.fields[name].parameters() if id(p) not in asleep]
     mine += [p for name in group if name in penalties for p in penalties[name].parameters()]  # type: ignore[attr-defined]
     return [p for p in mine if p.requires_grad and p.numel()]

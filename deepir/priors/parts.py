@@ -111,7 +111,11 @@ class Sum(Field):
         self.members = nn.ModuleDict(members)
 
     def forward(self) -> Tensor:
-        """`neutral + Σ members`."""
+        """`neutral + Σ members`: of parts, in float64, the shortest first."""
+        if parts := self.parts():
+            first, *others = sorted((part.values for part in parts), key=Tensor.numel)
+            values = functools.reduce(torch.add, others, self.neutral + first)
+            return values.to(parts[0].center.dtype).expand(self.shape)
         return functools.reduce(torch.add, (member() for member in self.members.values())) + self.neutral
 
     @torch.no_grad()
@@ -125,7 +129,7 @@ class Sum(Field):
     def penalty(self) -> Tensor | None:
         """The sum of the members' own."""
         found = [p for member in self.members.values() if (p := member.penalty()) is not None]  # type: ignore[operator]
-        return torch.stack([p.double() for p in found]).sum() if found else None
+        return functools.reduce(torch.add, found) if found else None
 
     def parts(self) -> Sequence[Part]:
         """All parts, if every member is made of parts; otherwise none: the sum has no closed form."""

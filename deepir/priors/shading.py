@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -46,15 +48,8 @@ class Shading(Part):
         orders = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 0]
         for k, axis in enumerate("yx"):
             side = shape[k - 2]
-            more = torch.from_numpy(_legendre(side, min(2 * degree, side - 1)))
-            polynomials = more[: degree + 1]
-            products = (polynomials[:, None] * polynomials) @ more.T / side
-            powers = torch.linalg.vander(torch.linspace(-1, 1, side, dtype=torch.float64), N=degree + 1)
-            solved = torch.linalg.lstsq(powers, polynomials.T, driver="gels").solution
-            self.register_buffer(f"in_{axis}", polynomials, persistent=False)
-            self.register_buffer(f"powers_{axis}", solved, persistent=False)
-            self.register_buffer(f"more_{axis}", more, persistent=False)
-            self.register_buffer(f"products_{axis}", products.flatten(0, 1), persistent=False)
+            for name, table in zip(("in", "powers", "more", "products"), _tables(side, degree), strict=True):
+                self.register_buffer(f"{name}_{axis}", table, persistent=False)
             self.register_buffer(
                 f"of_{axis}", torch.tensor([each[k] for each in orders], dtype=torch.long), persistent=False
             )
@@ -108,7 +103,7 @@ class Shading(Part):
             (x, self.in_x.shape[1], self.powers_x, self.of_x),
         ):
             place = torch.linalg.vander(2 * at / (side - 1), N=len(powers))
-            along.append((place @ powers)[..., order])
+            along.append(place @ powers[:, order])
         return along[0] * along[1]
 
     def sums(self, maps: Tensor) -> Tensor:
@@ -141,6 +136,17 @@ class Shading(Part):
     def example(cls) -> Shading:
         """A map of 6 x 7 px."""
         return cls((1, 1, 6, 7), 1.0, sigma=0.1)
+
+
+@functools.lru_cache(maxsize=16)  # a run builds its problem twice, for gain and offset
+def _tables(side: int, degree: int) -> tuple[Tensor, ...]:
+    """`in`, `powers`, `more` and `products` of an axis."""
+    more = torch.from_numpy(_legendre(side, min(2 * degree, side - 1)))
+    polynomials = more[: degree + 1]
+    products = (polynomials[:, None] * polynomials) @ more.T / side
+    powers = torch.linalg.vander(torch.linspace(-1, 1, side, dtype=torch.float64), N=degree + 1)
+    solved = torch.linalg.lstsq(powers, polynomials.T, driver="gels").solution
+    return polynomials, solved, more, products.flatten(0, 1)
 
 
 def _legendre(side: int, degree: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import doubt_misfits, give_up_dead, left, pattern_left, spread, start_parts, weigh_scene
 from deepir.stretched import GROSS, even_contrast
-from deepir.thin import thinned
+from deepir.thin import counted, thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
 PASSES = 20  # over scene and pattern, at most
@@ -78,7 +78,7 @@ def start_precision(problem: Problem) -> None:
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = thinned(problem.data, usable)
-    spread = float(data[counts].std())
+    spread = float(counted(data, counts).std())
     sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
     problem.precision.copy_(usable / sigma**2)
 
@@ -118,7 +118,7 @@ def start_scene_and_parts(problem: Problem) -> None:
 def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
     """Whether what stands still is stronger than all that is in the average of the frames."""
     scene, weight = problem.backproject(problem.values())
-    pattern = pattern_left(rest, problem.precision > 0)
+    pattern = pattern_left(rest, problem.precision.sign())
     # By the standard deviation: before a black sky the bulk has next to none.
     return spread(pattern) > STRONG * float(scene[weight > SEEN * weight.max()].std())
 
@@ -132,7 +132,7 @@ def take_pattern_out(problem: Problem, noise: float) -> None:
     """
     frames = problem.data.clone()
     for _ in range(PASSES):
-        pattern = pattern_left(left(problem), problem.precision > 0)
+        pattern = pattern_left(left(problem), problem.precision.sign())
         problem.data.sub_(pattern)
         start_scene(problem)
         if spread(pattern) < SETTLED * noise:

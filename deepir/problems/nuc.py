@@ -31,6 +31,8 @@ from deepir.waves import modelled
 WEAK = 0.05
 #: Gain of ten iterations, in nats for each sample, below which a round of the sensor's ends: the first ones, the last.
 ROUGH, FINE = 2e-3, 3e-4
+#: The same of the scene's own stage, for each of its pixels: dark scenes gain for longer.
+SETTLED = 0.1
 
 
 @register("problem", "nuc")
@@ -69,11 +71,12 @@ class NUC(Definition):
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        short, long, last = (30, 60, 22) if modelled(problem) else (25, 30, 35)
-        rough, fine = (ROUGH, FINE) if modelled(problem) else (1e-5, 1e-5)
+        short, long, last = (30, 60, 30) if modelled(problem) else (25, 30, 35)
+        settled = SETTLED / len(problem.data)
+        rough, fine, rest = (ROUGH, FINE, settled) if modelled(problem) else (1e-5, 1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, prepare=smooth_unseen, tolerance=rough)
         third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine)
-        scene = Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True)
+        scene = Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True, tolerance=rest)
         shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
         return [
             first,

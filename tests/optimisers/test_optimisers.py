@@ -2,12 +2,13 @@
 
 import itertools
 import math
+from typing import ClassVar
 
 import pytest
 import torch
 from torch import nn
 
-from deepir.optimisers import OPTIMISERS
+from deepir.optimisers import OPTIMISERS, lbfgs
 from deepir.optimisers.lbfgs import LBFGS
 
 each_method = pytest.mark.parametrize("method", OPTIMISERS)
@@ -141,3 +142,33 @@ def test_what_is_fixed_or_empty_is_left_alone():
     assert [p is point.x for p in optimiser.parameters] == [True]
     optimiser.step(fresh=False)
     assert torch.equal(point.fields["x"].fixed, torch.ones(3))
+
+
+def kinked(x):
+    """Total variation of a noisy step: its slopes change at once where neighbours become alike."""
+    noise = torch.randn(len(x), generator=torch.Generator().manual_seed(0), dtype=x.dtype)
+    data = noise + 10 * (torch.arange(len(x)) > len(x) / 2)
+    return (x - data).square().sum() / 2 + 3 * (x.diff().square() + 1e-3).sqrt().sum()
+
+
+class Flat:
+    """A curvature that knows nothing of kinks."""
+
+    tensors: ClassVar[dict[str, torch.Tensor]] = {}
+
+    def solve(self, slope):
+        return slope.clone()
+
+
+def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
+    tried, reached = [], []
+    for shorter in (lbfgs.SHORTER, 1.0):
+        monkeypatch.setattr(lbfgs, "SHORTER", shorter)
+        _, optimiser = make("lbfgs", kinked, start=[0.0] * 300)
+        optimiser.curvature = Flat()
+        for _ in range(40):
+            optimiser.step(fresh=False)
+        tried.append(optimiser.take_count())
+        reached.append(optimiser.value)
+    assert tried[0] < 0.9 * tried[1]
+    assert reached[0] < reached[1]
