@@ -11,6 +11,7 @@ from deepir.config import Config
 from deepir.errors import DataError
 from deepir.problems.definition import Definition, filled
 from deepir.registration import register
+from deepir.registration.interlaced import fields_apart, interlaced_message
 from deepir.registration.shutter import one_pattern, shutter_message
 from deepir.registry import components
 
@@ -46,9 +47,11 @@ def registered(
             f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
             f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
         )
+    kept = torch.from_numpy(used)
     messages = shutter_message(part, len(frames)) + found.messages
+    messages += interlaced_message(fields_apart(frames[kept], motion[kept], ignore))
     if definition.motion:
-        messages += _demand_motion(motion[torch.from_numpy(used)], burst)
+        messages += _demand_motion(motion[kept], burst)
     return motion, used, messages
 
 
