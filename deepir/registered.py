@@ -11,7 +11,7 @@ from deepir.config import Config
 from deepir.errors import DataError
 from deepir.problems.definition import Definition, filled
 from deepir.registration import register
-from deepir.registration.interlaced import fields_apart, interlaced_message
+from deepir.registration.interlaced import are_interlaced
 from deepir.registration.shutter import one_pattern, shutter_message
 from deepir.registry import components
 
@@ -49,7 +49,11 @@ def registered(
         )
     kept = torch.from_numpy(used)
     messages = shutter_message(part, len(frames)) + found.messages
-    messages += interlaced_message(fields_apart(frames[kept], motion[kept], ignore))
+    if are_interlaced(frames[kept], motion[kept], ignore):
+        messages += [
+            "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
+            "modelled. Record progressive frames, or keep every second row: frames[:, ::2]"
+        ]
     if definition.motion:
         messages += _demand_motion(motion[kept], burst)
     return motion, used, messages

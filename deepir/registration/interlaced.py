@@ -14,23 +14,23 @@ ENOUGH = 3  # frames: a scene and a pattern explain any two
 PASSES = 3  # over scene and pattern
 CLASSES = 4  # of rows: two of each field
 CERTAIN = 5.0  # times as far apart as rows of one field; progressive frames come to 2.5, interlaced ones to 9 and more
-LEAST = 0.1  # px: what is less apart costs little
+LEAST = 0.1  # px: what asks for less is little apart
 
 
 @torch.no_grad()
-def fields_apart(frames: Tensor, motion: Tensor, ignore: Tensor | None = None) -> float:
-    """By how many px the odd rows of frames `(N, H, W)` at motions `(N, 3, 3)` are off the even ones, root mean square.
+def are_interlaced(frames: Tensor, motion: Tensor, ignore: Tensor | None = None) -> bool:
+    """Whether the odd rows of frames `(N, H, W)` at motions `(N, 3, 3)` are off the even ones, not by chance.
 
-    Zero where that may be chance: rows of one field, two and two, say how far chance sets them apart.
+    Rows of one field, two and two, say how far chance sets rows apart. ignore: `(H, W)` bool, pixels without use.
     """
     if len(frames) < ENOUGH:
-        return 0.0
+        return False
     steps = steps_of_rows(middle(frames[:MOST]), motion[:MOST], None if ignore is None else middle(ignore))
     first, second, third, fourth = steps.unbind()
     between = (first - second + third - fourth) / 2
     within = torch.stack((first + second - third - fourth, first - second - third + fourth)) / 2
     apart, chance = (float(each.square().sum(-1).mean().sqrt()) for each in (between, within))
-    return apart if apart > max(LEAST, CERTAIN * chance) else 0.0
+    return apart > max(LEAST, CERTAIN * chance)
 
 
 def middle(images: Tensor) -> Tensor:
@@ -68,13 +68,3 @@ def steps_of_rows(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tens
         normal = design @ some[0].mT + 1e-9 * torch.eye(3, dtype=torch.float64)
         found.append(torch.linalg.solve(normal, design @ right[:, :, None])[:, :2, 0])
     return torch.stack(found)
-
-
-def interlaced_message(apart: float) -> list[str]:
-    """Say so if fields are apart, by so many px."""
-    if not apart:
-        return []
-    return [
-        f"the frames are interlaced: their odd rows are of another time than their even ones, {apart:.2g} px apart, "
-        "which is not modelled. Record progressive frames, or keep every second row: frames[:, ::2]"
-    ]
