@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config
@@ -25,7 +27,7 @@ from deepir.slow_strengths import shading_message
 from deepir.solve import Progress, solve
 from deepir.solved import collect
 from deepir.strengths import hold_out
-from deepir.stretched import contrast_message
+from deepir.stretched import contrast_message, equalised_message
 from deepir.uncertainty import pattern_cost
 
 
@@ -49,6 +51,8 @@ def joint(
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
     problem.stretched = burst.stretched
+    if burst.stretched:
+        messages += equalised_message(np.where(valid, burst.frames, np.nan)[taken])
     messages += given_noise(problem, config)
     given = problem.precision.amax((0, 1)) > 0
     definition.initialise(problem, config.seed)

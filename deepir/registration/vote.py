@@ -18,7 +18,7 @@ FEW = 5  # frames up to which residuals may be least at a wrong place that is fa
 FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there would end, too
 APART = 0.2  # px at the frame's corners: what is closer is the same
 STRETCHED = ("affine", "homography")  # models of which only the shift is changed
-LEAST = 64  # px: of smaller frames a part says too little
+LEAST = 16  # px: of smaller frames a part says too little
 
 
 def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
