@@ -13,7 +13,7 @@ import torch
 from scipy.optimize import nnls
 from torch import Tensor
 
-from deepir.defects import crowded, dead, defective, deviating
+from deepir.defects import OUTLIER, crowded, dead, defective, deviating
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
 from deepir.noise import MAD
@@ -26,7 +26,6 @@ from deepir.slow_strengths import estimate_slow
 from deepir.thin import thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
-OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
 SLOW = 8  # degree of what is slow along the lines, of 64 and more
 ROUNDS = 2  # of the parts' strengths at each update

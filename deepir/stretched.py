@@ -33,7 +33,7 @@ def is_stretched(frames: Array) -> bool:
     return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
 
 
-def clipped(frames: Array) -> Array:
+def cut_off(frames: Array) -> Array:
     """Samples of frames (N, h, w), bool, at an end of the range: cut off. Not of frames that mostly are."""
     cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
     return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MOST))

@@ -7,6 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from deepir.clipping import give_up_stuck
 from deepir.levels import start_jumps
 from deepir.noise import sample_noise, typical_noise
 from deepir.problem import Problem
@@ -89,6 +90,7 @@ def start_scene_and_parts(problem: Problem) -> None:
     Scene and weights by turns: in an average, who walks through two frames of five is half as far off as he is from
     what the others show.
     """
+    give_up_stuck(problem)
     start_scene(problem)
     for _ in range(TURNS):
         uneven = even_contrast(problem, GROSS)
@@ -112,6 +114,8 @@ def start_scene_and_parts(problem: Problem) -> None:
         rest = left(problem)
         give_up_dead(problem, rest, noise)
         doubt_misfits(problem, rest)
+    if problem.ends is not None:  # what is given up for its other samples is no bound either
+        problem.ends.mul_((problem.precision > 0) | (problem.ends != 0).all(0))
 
 
 @torch.no_grad()
