@@ -16,7 +16,7 @@ from torch import Tensor
 from deepir.defects import OUTLIER, crowded, dead, defective, deviating
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
-from deepir.noise import MAD
+from deepir.noise import MAD, ROUNDED, step
 from deepir.operators import Warp
 from deepir.penalties.local import Local
 from deepir.priors.parts import Part
@@ -91,12 +91,13 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
     residuals, totals = residual[order].split(sizes), np.bincount(group, signal.cpu().numpy(), 2 * BINS)
     # Data that are rounded more coarsely than they are noisy may leave no residual at all.
     rounding = (torch.finfo(problem.data.dtype).eps * float((signal * counts).max())) ** 2
+    least = (ROUNDED * step(problem.data, problem.precision > 0)) ** 2
     rows, seen = [], []
     for i in range(0, 2 * BINS, 2):
         fitted, new = residuals[i : i + 2]
         if len(new) >= 20:
             rows.append((1.0, sum(totals[i : i + 2]) / sum(sizes[i : i + 2])))
-            seen.append(float(MAD**2 * fitted.median() * new.median()) + rounding)
+            seen.append(max(float(MAD**2 * fitted.median() * new.median()) + rounding, least))
     if not rows:
         return None
     design, variance = np.array(rows), np.array(seen)

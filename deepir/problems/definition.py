@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepir.clipping import give_up_stuck
 from deepir.levels import start_jumps
-from deepir.noise import sample_noise, typical_noise
+from deepir.noise import ROUNDED, sample_noise, step, typical_noise
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
@@ -80,7 +80,9 @@ def start_precision(problem: Problem) -> None:
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = thinned(problem.data, usable)
     spread = float(data[counts].std())
-    sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
+    rounded = ROUNDED * step(problem.data, usable)  # in a plain scene differences may be all zero
+    # Noiseless data: a solve still wants finite weights.
+    sigma = max(sigma, rounded, 1e-4 * spread)
     problem.precision.copy_(usable / sigma**2)
 
 
