@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.defects import OUTLIER
+from deepir.defects import OFF, OUTLIER
 from deepir.noise import typical_noise
 from deepir.problem import Problem
+from deepir.strengths import left, pattern_left, spread
 
 Array = np.ndarray[Any, Any]
 LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # of integers: more cannot be stored
@@ -69,17 +70,20 @@ def hold_bounds(problem: Problem) -> None:
 
 @torch.no_grad()
 def give_up_stuck(problem: Problem) -> None:
-    """Give up pixels that are cut off in all frames, though most of what others see of the same places is not."""
+    """Give up pixels that are cut off in all frames, though most of what others see there is not, and far from it."""
     if problem.ends is None:
         return
     cut, usable, values = problem.ends != 0, problem.precision > 0, problem.values()
-    weights = [problem.backproject(values, each)[1] for each in (cut & usable, usable)]
-    share = weights[0] / weights[1].clamp(min=1e-6)
+    share = problem.backproject(values, cut & usable)[1] / problem.backproject(values, usable)[1].clamp(
+        min=1e-6
+    )
     nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
-    stuck = cut & (problem.predict(values | {"scene": share}) - nothing < OTHERS)
-    stuck = stuck.all(0)
-    problem.precision.mul_(~stuck)
-    problem.ends.mul_(~stuck)
+    lonely = problem.predict(values | {"scene": share}) - nothing < OTHERS
+    rest = left(problem)
+    far = problem.ends * rest > OFF * spread(pattern_left(rest, usable))
+    live = ~(cut & lonely & far).all(0)
+    problem.precision.mul_(live)
+    problem.ends.mul_(live)
 
 
 @torch.no_grad()

@@ -67,7 +67,8 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         seen_k.clamp_(min=0).mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
         misfit[k].div_(seen_k)
     if settled:
-        usable &= ~defective(misfit, usable)
+        bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
+        usable &= ~defective(misfit, bounds)
     for k, variance_k in enumerate(prediction):
         doubt = crowded(misfit[k : k + 1], usable[k : k + 1])[0]
         doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)

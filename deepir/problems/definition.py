@@ -92,8 +92,8 @@ def start_scene_and_parts(problem: Problem) -> None:
     Scene and weights by turns: in an average, who walks through two frames of five is half as far off as he is from
     what the others show.
     """
-    give_up_stuck(problem)
     start_scene(problem)
+    give_up_stuck(problem)
     for _ in range(TURNS):
         uneven = even_contrast(problem, GROSS)
         if not start_jumps(problem) and not uneven:
