@@ -20,7 +20,7 @@ PILE = 4.0  # times as many share it as share a value next to it
 NEXT = 5  # such values
 SHORT = 2.0  # standard deviations of the noise by which a prediction is short of a bound
 OTHERS = 0.5  # share of a place's samples that are cut off if it is bright
-SEEN = 0.3  # frames that must show a pixel of the scene unclipped, for it to be known
+SEEN = 0.3  # frames that must show a pixel of the scene at least
 
 
 def clipped(frames: Array) -> Array | None:
@@ -88,7 +88,7 @@ def give_up_stuck(problem: Problem) -> None:
 
 @torch.no_grad()
 def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
-    """The scene's image, beyond the bound where nothing but samples that are cut off sees it; and where, 1 or -1."""
+    """The scene's image, at the bound or beyond where most samples that see it are cut off; and where, 1 or -1."""
     where = torch.zeros_like(image, dtype=torch.int8)
     if problem.ends is None:
         return image, where
@@ -97,9 +97,9 @@ def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
     for sign in (1, -1):
         if (cut := problem.ends == sign).any():
             bound, share = problem.backproject(values, cut)
-            only = (share > SEEN) & (seen < SEEN)
-            image = torch.where(only, sign * torch.maximum(sign * image, sign * bound), image)
-            where[only] = sign
+            most = share > seen.clamp(min=SEEN)
+            image = torch.where(most, sign * torch.maximum(sign * image, sign * bound), image)
+            where[most] = sign
     return image, where
 
 
