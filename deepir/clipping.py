@@ -19,7 +19,7 @@ FEW = 20  # samples that may share an end of the range by chance
 PILE = 4.0  # times as many share it as share a value next to it
 NEXT = 5  # such values
 SHORT = 2.0  # standard deviations of the noise by which a prediction is short of a bound
-OTHERS = 0.5  # share of a place's samples that are cut off if it is bright
+OTHERS = 0.5  # share of a place's samples that are cut off, if it is beyond the range
 SEEN = 0.3  # frames that must show a pixel of the scene at least
 
 
@@ -74,9 +74,8 @@ def give_up_stuck(problem: Problem) -> None:
     if problem.ends is None:
         return
     cut, usable, values = problem.ends != 0, problem.precision > 0, problem.values()
-    share = problem.backproject(values, cut & usable)[1] / problem.backproject(values, usable)[1].clamp(
-        min=1e-6
-    )
+    those, all_of_them = (problem.backproject(values, each)[1] for each in (cut & usable, usable))
+    share = those / all_of_them.clamp(min=1e-6)
     nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
     lonely = problem.predict(values | {"scene": share}) - nothing < OTHERS
     rest = left(problem)
@@ -116,4 +115,4 @@ def clipping_message(problem: Problem, where: Array) -> list[str]:
                 f"{float(cut.double().mean()):.2%} of the samples are cut off at {end:g}: the scene is {name} as much "
                 f"at {int((where == sign).sum())} pixels"
             )
-    return ["; ".join(said) + " ('clipped' in result.npz)"]
+    return ["; ".join(said) + " ('clipped' in result.npz)"] if said else []
