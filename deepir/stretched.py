@@ -56,7 +56,7 @@ def equalised_message(frames: Array) -> list[str]:
     ]
 
 
-def clipped(frames: Array) -> Array:
+def cut_off(frames: Array) -> Array:
     """Samples of frames (N, h, w), bool, at an end of the range: cut off. Not of frames that mostly are."""
     cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
     return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MOST))

@@ -9,7 +9,7 @@ import deepir
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.solve import Progress
-from deepir.stretched import clipped, is_equalised, is_stretched
+from deepir.stretched import cut_off, is_equalised, is_stretched
 
 CAMERA = Settings(n_frames=6, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.002)
 
@@ -67,7 +67,7 @@ def test_eight_bits_and_frames_of_one_range_are_stretched_and_counts_are_not():
 def test_what_is_black_in_most_of_a_frame_is_no_clipping():
     frames = np.zeros((2, 16, 16))
     frames[0, :4], frames[1, :12] = np.arange(16), np.arange(1, 17)
-    cut = clipped(frames)
+    cut = cut_off(frames)
     assert not cut[0].any()
     assert cut[1].sum() == 4 * 16 + 12
 
