@@ -10,11 +10,10 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 from torch import Tensor
 
 from deepir.registration.align import standing
-from deepir.registration.even import even
 from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import identity
 from deepir.registration.pyramid import Level, average, build_level
-from deepir.registration.vote import SIZE
+from deepir.registration.vote import SIZE, reduced
 from deepir.registration.whole import whole_shifts
 
 MUCH = (30.0, 10.0)  # times the median of what changes: where somebody passes; and where he may
@@ -72,8 +71,7 @@ def passes(change: np.ndarray, much: float, factor: int, size: tuple[int, int]) 
 
 def likeliest(frames: Tensor, weight: Tensor) -> Tensor:
     """The likeliest shifts of frames, as motions; what has no weight is left out."""
-    factor = max(1, -(-max(weight.shape) // SIZE))
-    seen = even(average(frames.float(), factor), average(weight[None], factor)[0])
+    seen, factor = reduced(frames, weight)
     motion = identity(len(frames))
     motion[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, whole_shifts(seen)))
     return motion
