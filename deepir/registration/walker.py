@@ -20,8 +20,8 @@ MUCH = (30.0, 10.0)  # times the median of what changes: where somebody passes; 
 AROUND = 3.0  # px, of frames of 320 px at most: over so many that is taken
 RIM = 3  # px of these by which such places are larger than they look
 LEAST = 0.05  # share of the frame that changes so much, if he is worth a second look
-HARDLY = 0.4  # of what no motion leaves unexplained beside him: plain skies alone come to 0.37
-CLEARLY = 1.5  # times more unexplained: a worse motion
+HARDLY = 0.15  # of what no motion leaves unexplained beside him: less is explained well
+LIKELY, CLEARLY = 1.2, 1.5  # times more unexplained than by another motion: before that is refined, and after
 
 #: Motions of least residuals, of frames that are zero where their weights are, from others.
 Refine = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -48,9 +48,13 @@ def beside_walker(
     surely, likely = (weight * ~passes(change, much, factor, level.shape) for much in MUCH)
     if not left(surely, motion) > HARDLY * left(surely, identity(len(frames))):
         return motion, weight
-    found = [refine(flat * places, places, likeliest(frames, places)) for places in (surely, likely)]
+    start, had = likeliest(frames, surely), left(likely, motion)
+    if not had > LIKELY * left(likely, start):
+        return motion, weight
+    starts = (surely, start), (likely, likeliest(frames, likely))
+    found = [refine(flat * places, places, at) for places, at in starts]
     best = min(found, key=lambda each: left(likely, each))
-    return (best, likely) if CLEARLY * left(likely, best) < left(likely, motion) else (motion, weight)
+    return (best, likely) if had > CLEARLY * left(likely, best) else (motion, weight)
 
 
 def changes(frames: Tensor) -> np.ndarray:
