@@ -20,7 +20,9 @@ MUCH = (30.0, 10.0)  # times the median of what changes: where somebody passes; 
 AROUND = 3.0  # px, of frames of 320 px at most: over so many that is taken
 RIM = 3  # px of these by which such places are larger than they look
 LEAST = 0.05  # share of the frame that changes so much, if he is worth a second look
-HARDLY = 0.15  # of what no motion leaves unexplained beside him: less is explained well
+#: Of what no motion leaves unexplained beside him: more is hardly explained, less is well explained; plain skies alone
+#: come to 0.37.
+HARDLY, WELL = 0.4, 0.15
 LIKELY, CLEARLY = 1.2, 1.5  # times more unexplained than by another motion: before that is refined, and after
 
 #: Motions of least residuals, of frames that are zero where their weights are, from others.
@@ -46,10 +48,11 @@ def beside_walker(
         return standing(build_level(flat * places, places, level.factor), at)[1]
 
     surely, likely = (weight * ~passes(change, much, factor, level.shape) for much in MUCH)
-    if not left(surely, motion) > HARDLY * left(surely, identity(len(frames))):
+    unexplained, at_rest = left(surely, motion), left(surely, identity(len(frames)))
+    if not unexplained > WELL * at_rest:
         return motion, weight
     start, had = likeliest(frames, surely), left(likely, motion)
-    if not had > LIKELY * left(likely, start):
+    if unexplained <= HARDLY * at_rest and had < LIKELY * left(likely, start):
         return motion, weight
     starts = (surely, start), (likely, likeliest(frames, likely))
     found = [refine(flat * places, places, at) for places, at in starts]
