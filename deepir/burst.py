@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepir.clipping import clipped
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
@@ -16,7 +17,7 @@ from deepir.io.checks import empty
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
-from deepir.stretched import clipped, is_stretched
+from deepir.stretched import cut_off, is_stretched
 
 Array = np.ndarray[Any, Any]
 #: Of a truth, what it has for each frame.
@@ -29,7 +30,8 @@ class Burst:
 
     `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
     masked ones among them. `truth` holds what is known of the scene (h, w), or (N, h, w) if each frame has its own, of
-    gain, offset, motion ... by name, and `radiometry` makes kelvin of counts.
+    gain, offset, motion ... by name, and `radiometry` makes kelvin of counts. `clipped` (N, h, w) is 1 or -1 for
+    samples that are cut off at an end of the range, else 0; None if none is.
     """
 
     frames: Array
@@ -40,6 +42,7 @@ class Burst:
     truth: dict[str, Array] = field(default_factory=dict)
     radiometry: Radiometry | None = None
     stretched: bool = False
+    clipped: Array | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -87,11 +90,12 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     stretched = is_stretched(stack)
     valid &= ~empty(stack)
     if stretched:
-        valid &= ~clipped(stack)
+        valid &= ~cut_off(stack)
     bad |= valid.mean(0) < 0.5
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
-    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin, stretched)
+    ends = None if stretched else clipped(np.where(valid, stack, np.nan))
+    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin, stretched, ends)
 
 
 def _array(frames: Any) -> Array:

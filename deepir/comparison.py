@@ -28,9 +28,11 @@ def compared(result: Result, burst: Burst) -> dict[str, float | None]:
             f"data.truth: the scene is {truth['scene'].shape}, the result {result.scene.shape}: not compared"
         )
         return {}
-    found: dict[str, float | None] = {k: float(v) for k, v in scores(result.scene, truth["scene"]).items()}
+    bound = result.extra.get("clipped", np.zeros((), np.int8)) != 0  # of which the frames do not show more
+    known = np.where(bound, np.nan, truth["scene"])
+    found: dict[str, float | None] = {k: float(v) for k, v in scores(result.scene, known).items()}
     if burst.radiometry is not None:
-        kelvin = [burst.radiometry.kelvin(each).astype(float) for each in (result.scene, truth["scene"])]
+        kelvin = [burst.radiometry.kelvin(each).astype(float) for each in (result.scene, known)]
         found["radiometric_rmse_mk"] = 1000 * float(np.nanstd(kelvin[0] - kelvin[1]))
     maps = {"gain": result.gain, "offset": result.offset, "stray": result.extra.get("stray")}
     for name, array in maps.items():

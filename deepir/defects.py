@@ -21,6 +21,7 @@ CALM = 0.3  # standard deviation over the frames, in that of the noise, below wh
 OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
 WINDOW = 5  # px: side of a neighbourhood
 ENOUGH = 128  # pixels of a line are enough for its median
+OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 CROWD = 2.0  # mean squared misfit of a neighbourhood from which it shows something else
 
 

@@ -6,6 +6,9 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+import torch
+
 from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config
@@ -25,7 +28,7 @@ from deepir.slow_strengths import shading_message
 from deepir.solve import Progress, solve
 from deepir.solved import collect
 from deepir.strengths import hold_out
-from deepir.stretched import contrast_message
+from deepir.stretched import contrast_message, equalised_message
 from deepir.uncertainty import pattern_cost
 
 
@@ -49,8 +52,12 @@ def joint(
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
     problem.stretched = burst.stretched
+    if burst.stretched:
+        messages += equalised_message(np.where(valid, burst.frames, np.nan)[taken])
+    if burst.clipped is not None:
+        problem.ends = torch.from_numpy(burst.clipped[taken])[:, None].to(problem.data.device)
     messages += given_noise(problem, config)
-    given = problem.precision.amax((0, 1)) > 0
+    given = problem.alive()
     definition.initialise(problem, config.seed)
     _demand_strengths(problem)
     stages = plan(problem, definition, config)
@@ -60,7 +67,7 @@ def joint(
     messages += definition.remarks(problem) + line_noise_message(problem)
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
         messages += drift_message(problem) + shading_message(problem) + contrast_message(problem)
-    found = given & ~(problem.precision.amax((0, 1)) > 0)
+    found = given & ~problem.alive()
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost(problem, definition.weak)
     result = collect(problem, geometry, solution, burst, used, taken, messages, cost)

@@ -10,6 +10,8 @@ from deepir.thin import ENOUGH, counted, thinned
 
 WINDOW = 15  # px: side of the windows in which noise is looked for
 FLATTEST = 0.885  # a tenth of such medians of nothing but noise are less, in its own
+FEW = 5000  # samples of each frame are enough for the step of their values
+ROUNDED = 12**-0.5  # standard deviation that rounding makes, in steps
 MAD = 1.4826  # standard deviation of a Gaussian per median absolute deviation
 
 
@@ -49,6 +51,13 @@ def detail(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
     fine = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
     whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
     return fine, whole
+
+
+def step(frames: Tensor, usable: Tensor) -> float:
+    """What most neighbouring values of samples (N, 1, h, w) are apart; usable, bool. The step of rounded ones."""
+    some, counts = thinned(frames, usable, enough=FEW)
+    apart = some[counts].unique().diff()
+    return float(apart.quantile(0.25)) if len(apart) else 0.0
 
 
 def typical_noise(precision: Tensor) -> float:

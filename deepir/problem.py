@@ -42,6 +42,8 @@ class Problem(nn.Module):
     held_out: Tensor
     #: What the data have been divided by, (N, 1, 1, 1), about their middle.
     contrast: Tensor
+    #: 1 or -1 where a sample is cut off, and the data a bound, (N, C, h, w) int8; None: nowhere.
+    ends: Tensor | None
     even: Tensor  # whether that was found to be the same for all
     plain: (
         Tensor  # the power of two by which a scene so plain bears stronger penalties; zero until it is known
@@ -75,6 +77,7 @@ class Problem(nn.Module):
         self.register_buffer("data", data)
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
+        self.register_buffer("ends", None)
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
         self.register_buffer("even", torch.tensor(False))
         self.register_buffer("plain", torch.tensor(0.0))
@@ -161,6 +164,11 @@ class Problem(nn.Module):
             return of_sensor(flux, self.data, precision, sensor, freedom)
         return self.fidelity(last(flux, **slots), self.data, precision)
 
+    def alive(self) -> Tensor:
+        """Pixels (h, w), bool, of which some sample counts, or is a bound that may count."""
+        some = self.precision > 0
+        return (some if self.ends is None else some | (self.ends != 0)).any(0).any(0)
+
     def free(self) -> list[str]:
         """The unknowns that can move: those with parameters that are not fixed."""
         return [
@@ -183,21 +191,24 @@ class Problem(nn.Module):
         mask = torch.ones_like(values["scene"])
         return (self.operator.valid(mask, **self._slot_values(values)) > 0.5).expand_as(self.data)
 
-    def backproject(self, values: Values) -> tuple[Tensor, Tensor]:
+    def backproject(self, values: Values, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Registered average of the data on the scene's grid, and the weight of each of its pixels, in frames.
 
-        With `y = A x + b`, and in W the precisions, as shares of the largest: `A' W (y - b) / A' W A 1`.
+        With `y = A x + b`, and in W the `weights`, or else the precisions, as shares of the largest:
+        `A' W (y - b) / A' W A 1`.
         """
         zero = torch.zeros_like(values["scene"])
+        weights = self.precision / self.precision.amax().clamp(min=1e-30) if weights is None else weights
         at_zero = self.predict(values | {"scene": zero})
-        weight = self._back(self.predict(values | {"scene": zero + 1}) - at_zero, at_zero.shape, values)
-        total = self._back(self.data - at_zero, at_zero.shape, values)
+        weight = self._back(
+            self.predict(values | {"scene": zero + 1}) - at_zero, weights, at_zero.shape, values
+        )
+        total = self._back(self.data - at_zero, weights, at_zero.shape, values)
         return total / weight.clamp(min=1e-6), weight
 
-    def _back(self, frames: Tensor, shape: Sequence[int], values: Values) -> Tensor:
+    def _back(self, frames: Tensor, weights: Tensor, shape: Sequence[int], values: Values) -> Tensor:
         """`A' W` of frames; without a warp, one prediction of that shape stands for all of them."""
-        share = self.precision / self.precision.amax().clamp(min=1e-30)
-        counted = torch.where(share > 0, share * frames, 0).sum_to_size(shape)
+        counted = torch.where(weights > 0, weights * frames, 0).sum_to_size(shape)
         return self.operator.adjoint(counted, tuple(values["scene"].shape), **self._slot_values(values))
 
     @torch.no_grad()

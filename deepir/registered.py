@@ -11,6 +11,7 @@ from deepir.config import Config
 from deepir.errors import DataError
 from deepir.problems.definition import Definition, filled
 from deepir.registration import register
+from deepir.registration.interlaced import are_interlaced
 from deepir.registration.shutter import one_pattern, shutter_message
 from deepir.registry import components
 
@@ -46,9 +47,15 @@ def registered(
             f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
             f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
         )
+    kept = torch.from_numpy(used)
     messages = shutter_message(part, len(frames)) + found.messages
+    if are_interlaced(frames[kept], motion[kept], ignore):
+        messages += [
+            "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
+            "modelled. Record progressive frames, or keep every second row: frames[:, ::2]"
+        ]
     if definition.motion:
-        messages += _demand_motion(motion[torch.from_numpy(used)], burst)
+        messages += _demand_motion(motion[kept], burst)
     return motion, used, messages
 
 

@@ -28,7 +28,8 @@ from deepir.white_evidence import Evidence, normal_matrix
 
 ENOUGH = 4  # frames: three tell smooth gains from the scene hardly at all
 CERTAIN = 10  # nats by which a shaded gain has to make the frames likelier
-MOST = 0.08  # strength of a gain's shading: what seems to be more is something else
+STRONG, SURE = 0.08, 150  # strength from which it has to by so many: skies and walkers seem to have some, too
+MOST = 0.18  # what seems to be more is something else: a vignetting of 60 % has 0.08 to 0.15
 SAMPLES = 16_000  # pixels at most that are asked
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 FEW = 1000  # of them at a time
@@ -70,7 +71,8 @@ def _likeliest(problem: Problem) -> list[float] | None:
     evidence, drift = _Smooth(problem), bool(slow_unknowns(problem)[2])
     even, _ = evidence.best(shaded=False, drift=drift)
     nats, found = evidence.best(shaded=True, drift=drift)
-    return found if nats + CERTAIN < even and found[-1] < MOST else None
+    certain = CERTAIN if found[-1] < STRONG else SURE
+    return found if nats + certain < even and found[-1] < MOST else None
 
 
 class _Smooth:

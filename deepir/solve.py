@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from deepir.clipping import hold_bounds, let_go
 from deepir.errors import SolverError
 from deepir.held_out import held_out_error
 from deepir.objective import objective, optimisers_of
@@ -95,6 +96,7 @@ def solve(
                 stage.change(problem)
             if stage.prepare is not None:
                 stage.prepare(problem)
+            hold_bounds(problem)
             optimisers = optimisers_of(problem, stage)
         reason = _run(problem, plan, optimisers, at, callbacks, save)
         for optimiser, _ in optimisers:
@@ -104,6 +106,7 @@ def solve(
                 objective(problem, stage)(())  # they follow the others' last step
         if at.iteration and not stage.use_held_out and problem.held_out.any():
             at.history[-1]["held_out"] = held_out_error(problem)
+        let_go(problem)
         at.stage, at.iteration, optimisers = at.stage + 1, 0, None
     with torch.no_grad():
         values = problem.values()

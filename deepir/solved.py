@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from deepir.burst import Burst
+from deepir.clipping import bounded, clipping_message
 from deepir.geometry import Geometry
 from deepir.noise import typical_noise
 from deepir.operators.points import displacements, homographies
@@ -36,8 +37,8 @@ def collect(
 ) -> Result:
     """The result of frames that are `taken` into the problem, though perhaps not `used` in the fit."""
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
-    scene = problem.operator.image(solution.values["scene"]).cpu().numpy()
-    result = neutral(geometry.crop(scene), len(used), burst.size, burst.bad_pixels)
+    scene, clipped = bounded(problem, problem.operator.image(solution.values["scene"]))
+    result = neutral(geometry.crop(scene.cpu().numpy()), len(used), burst.size, burst.bad_pixels)
     for slot, name in problem.slots.items():
         value, kind = values[name], slot.rpartition(".")[2]
         if kind in ("gain", "offset"):
@@ -53,6 +54,10 @@ def collect(
                 result.extra["flow"][taken] = flow
         else:
             result.extra[name] = value.squeeze()
+    where = geometry.crop(clipped.cpu().numpy())
+    if where.any():
+        result.extra["clipped"] = where
+    messages = messages + clipping_message(problem, where)
     result.frames_used, result.history, result.messages = used, solution.history, messages
     gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
     known = not any(name in problem.free() for name in gains)

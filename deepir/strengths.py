@@ -13,11 +13,11 @@ import torch
 from scipy.optimize import nnls
 from torch import Tensor
 
-from deepir.defects import crowded, dead, defective, deviating
+from deepir.defects import OUTLIER, crowded, dead, defective, deviating
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
 from deepir.median import median
-from deepir.noise import MAD
+from deepir.noise import MAD, ROUNDED, step
 from deepir.operators import Warp
 from deepir.penalties.local import Local
 from deepir.priors.parts import Part
@@ -27,7 +27,6 @@ from deepir.slow_strengths import estimate_slow
 from deepir.thin import counted, thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
-OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 BINS = 10  # of the signal, in which the noise is measured
 SLOW = 8  # degree of what is slow along the lines, of 64 and more
 ROUNDS = 2  # of the parts' strengths at each update
@@ -69,7 +68,8 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         seen_k.clamp_(min=0).mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
         misfit[k].div_(seen_k)
     if settled:
-        usable &= ~defective(misfit, usable)
+        bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
+        usable &= ~defective(misfit, bounds)
     for k, variance_k in enumerate(prediction):
         doubt = crowded(misfit[k : k + 1], usable[k : k + 1])[0]
         doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)
@@ -93,12 +93,13 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
     residuals, totals = residual[order].split(sizes), np.bincount(group, signal.cpu().numpy(), 2 * BINS)
     # Data that are rounded more coarsely than they are noisy may leave no residual at all.
     rounding = (torch.finfo(problem.data.dtype).eps * float((signal * counts).max())) ** 2
+    least = (ROUNDED * step(problem.data, problem.precision > 0)) ** 2
     rows, seen = [], []
     for i in range(0, 2 * BINS, 2):
         fitted, new = residuals[i : i + 2]
         if len(new) >= 20:
             rows.append((1.0, sum(totals[i : i + 2]) / sum(sizes[i : i + 2])))
-            seen.append(MAD**2 * median(fitted) * median(new) + rounding)
+            seen.append(max(MAD**2 * median(fitted) * median(new) + rounding, least))
     if not rows:
         return None
     design, variance = np.array(rows), np.array(seen)

@@ -18,6 +18,7 @@ LARGEST = 3.0  # contrast that is believed
 GROSS = 0.02  # contrasts that a start tells from the pattern
 ALIKE = 0.002  # contrasts that a round finds of pictures that are all of one range
 UNLIKE = 0.02  # contrasts that are worth a message
+EQUAL = 0.01  # of the samples: equalised frames have so many of each range of values; others are 0.13 and more off
 
 
 def is_stretched(frames: Array) -> bool:
@@ -33,7 +34,29 @@ def is_stretched(frames: Array) -> bool:
     return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
 
 
-def clipped(frames: Array) -> Array:
+def is_equalised(frames: Array) -> bool:
+    """Whether the histogram of each of frames (N, h, w), NaN where unknown, is even: a sample's value is its rank."""
+    for frame in frames:
+        values, counts = np.unique(frame[np.isfinite(frame)], return_counts=True)
+        if len(values) < 3:
+            return False
+        below = counts[1:].cumsum() / counts[1:].sum()
+        if np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max() > EQUAL:
+            return False
+    return True
+
+
+def equalised_message(frames: Array) -> list[str]:
+    """Say so if frames (N, h, w), NaN where unknown, are equalised."""
+    if not is_equalised(frames):
+        return []
+    return [
+        "each frame's histogram is equalised: its values are ranks, not flux, so that neither gain and offset nor the "
+        "scene's contrasts mean much. Record the raw (radiometric) stream of 14 or 16 bits, or a linear gain"
+    ]
+
+
+def cut_off(frames: Array) -> Array:
     """Samples of frames (N, h, w), bool, at an end of the range: cut off. Not of frames that mostly are."""
     cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
     return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MOST))

@@ -89,3 +89,15 @@ def test_dead_and_flickering_pixels_of_a_burst_are_found_and_filled():
     assert (found & ~truth).sum() <= 0.002 * truth.size
     error = np.abs(result.scene - sim.truth.scene - (result.scene - sim.truth.scene).mean())
     assert np.median(error[truth]) < 0.05 * sim.settings.contrast
+
+
+def test_a_plain_scene_in_coarse_steps_has_no_dead_pixels():
+    camera = Settings(n_frames=5, shape=(64, 80), counts=True, shading=0.0, dead_pixels=0.0, contrast=600)
+    sim = simulate(None, camera, seed=5)
+    steps = [deepir.run("nuc", frames=sim.frames // step * step, threads=1) for step in (1, 64)]
+    fine, coarse = (
+        np.abs(each.scene - np.median(each.scene - sim.truth.scene) - sim.truth.scene) for each in steps
+    )
+    assert steps[1].bad_pixels.mean() < 0.002
+    assert np.median(coarse) < 20
+    assert np.median(fine) < np.median(coarse)

@@ -10,6 +10,7 @@ import deepir
 from deepir.errors import ConfigError
 from deepir.half_squares import of_sensor
 from deepir.priors.line_noise import ColumnNoise, RowNoise
+from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
 
 CAMERA = Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0)
@@ -51,6 +52,13 @@ def test_where_no_line_jumps_nothing_changes(effects):
     result = run(sim)
     assert not any("jump" in message for message in result.messages)
     np.testing.assert_array_equal(result.scene, run(sim, WITHOUT).scene)
+
+
+def test_edges_as_long_as_a_short_line_do_not_make_it_jump():
+    camera = dataclasses.replace(CAMERA, shape=(24, 32), offset_pixel=0.04, offset_row=0.03)
+    for seed in range(4):
+        sim = simulate(procedural(2, (430, 500)), dataclasses.replace(camera, max_shift=4.0), seed=seed)
+        assert not any("jump" in message for message in run(sim).messages)
 
 
 def test_two_frames_leave_no_jump_to_be_seen():

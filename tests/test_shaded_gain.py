@@ -34,6 +34,12 @@ def test_a_shaded_gain_is_found(camera, better):
     assert psnr(result, sim) > psnr(even, sim) + better
 
 
+def test_a_gain_that_falls_to_half_in_the_corners_is_found():
+    result, sim = run(gain_shading=0.8, n_frames=8, **COUNTS)
+    assert strength(result) > 0.08
+    assert psnr(result, sim) > 48
+
+
 @pytest.mark.parametrize(
     "effects",
     [

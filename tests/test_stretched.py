@@ -1,5 +1,7 @@
 """Pictures of an automatic gain: each frame has a contrast and a level of its own, and is cut off at both ends."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ import deepir
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.solve import Progress
-from deepir.stretched import clipped, is_stretched
+from deepir.stretched import cut_off, is_equalised, is_stretched
 
 CAMERA = Settings(n_frames=6, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.002)
 
@@ -65,6 +67,25 @@ def test_eight_bits_and_frames_of_one_range_are_stretched_and_counts_are_not():
 def test_what_is_black_in_most_of_a_frame_is_no_clipping():
     frames = np.zeros((2, 16, 16))
     frames[0, :4], frames[1, :12] = np.arange(16), np.arange(1, 17)
-    cut = clipped(frames)
+    cut = cut_off(frames)
     assert not cut[0].any()
     assert cut[1].sum() == 4 * 16 + 12
+
+
+def equalised(frames):
+    """Each sample's rank within its frame, in 8 bits."""
+    ranks = [np.searchsorted(np.sort(frame, None), frame, "right") / frame.size for frame in frames]
+    return np.rint(255 * np.array(ranks))
+
+
+@pytest.mark.parametrize("shape", [(24, 32), (80, 96)])
+def test_an_equalised_histogram_is_told_and_no_other_picture_is_taken_for_one(shape):
+    frames = simulate(None, dataclasses.replace(CAMERA, shape=shape), seed=3).frames
+    fixed = np.rint((frames - frames.min()) / np.ptp(frames) * 255)
+    assert is_equalised(equalised(frames))
+    assert not any(is_equalised(each) for each in (frames, fixed, automatic_gain(frames)))
+
+
+def test_what_an_equalised_histogram_means_is_said():
+    messages = deepir.run("nuc", frames=equalised(simulate(None, CAMERA, seed=3).frames), threads=1).messages
+    assert any("ranks, not flux" in message for message in messages)

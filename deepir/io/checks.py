@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import label
 
 from deepir.errors import DataError
 
@@ -14,6 +15,12 @@ SMALLEST = 16
 
 LARGEST = 1e15
 """Of a frame's values: squares of what is larger, or of one over it, are beyond float32."""
+
+BLUNT = 0.05
+"""Share of the line beside a bar that may hold its value: else it is no bar, but a scene at the range's end."""
+
+REGION, CORE = 20, 0.3
+"""Pixels of a region that shows something too cold, inside and at the rim, and share of the inside in the rim's."""
 
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
@@ -61,21 +68,41 @@ def empty(frames: np.ndarray[Any, Any]) -> Mask:
     """Samples of frames `(N, h, w)` in which nothing was recorded.
 
     Bars: whole rows and columns, from the edge on, that hold one value in all frames of a burst. And lost samples, rows
-    or packets: zeros further below all else than all else spans.
+    or packets: zeros further below all else than all else spans, but for those of a scene that is too cold.
     """
+    bars = _bars(frames) if len(frames) > 1 else np.zeros(frames.shape[1:], bool)
     zero = frames == 0
-    lost = np.zeros_like(zero)
     if zero.any() and not zero.all():
         low, high = np.nanquantile(frames[~zero][:: max(1, frames.size // 100_000)], (0.01, 0.99))
-        lost = zero & (low > high - low)
-    if len(frames) < 2:
-        return lost
-    for axis in (1, 2):
-        lines = np.moveaxis(frames, axis, 0)
-        bar = (lines == lines[:, :1, :1]).all((1, 2))
-        bar &= np.logical_and.accumulate(bar) | np.logical_and.accumulate(bar[::-1])[::-1]
-        np.moveaxis(lost, axis, 0)[bar] = True
-    return lost
+        if low > high - low:
+            return bars | zero & ~_cold(zero & ~bars)
+    return np.broadcast_to(bars, frames.shape)
+
+
+def _bars(frames: np.ndarray[Any, Any]) -> Mask:
+    """Pixels (h, w) of bars; where the line beside one goes on with its value, it is a scene at the range's end."""
+    found, bars = (np.zeros(frames.shape[1:], bool) for _ in range(2))
+    ways = [(axis, way) for axis in (0, 1) for way in (slice(None), slice(None, None, -1))]
+    widths = []
+    for axis, way in ways:
+        lines = np.moveaxis(frames, axis + 1, 0)[way]
+        bar = np.logical_and.accumulate((lines == lines[:, :1, :1]).all((1, 2)))
+        widths.append(int(bar.sum()))
+        np.moveaxis(found, axis, 0)[way][bar] = True
+    for (axis, way), width in zip(ways, widths, strict=True):
+        lines, known = np.moveaxis(frames, axis + 1, 0)[way], ~np.moveaxis(found, axis, 0)[way]
+        beside = lines[width][:, known[width]] if 0 < width < len(lines) else np.zeros((1, 0))
+        if beside.size and (beside == lines[0, 0, 0]).mean() < BLUNT:
+            np.moveaxis(bars, axis, 0)[way][:width] = True
+    return bars
+
+
+def _cold(zero: Mask) -> Mask:
+    """Pixels (h, w) of regions that are zero in all frames inside and in some at the rim, as the camera moves."""
+    always, region = zero.all(0), label(zero.any(0))[0]
+    inside, rim = (np.bincount(region.flat, each.flat) for each in (always, zero.any(0) & ~always))
+    cold = (np.minimum(inside, rim) >= REGION) & (inside > CORE * rim)
+    return np.asarray(cold[region])
 
 
 def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, Any]:

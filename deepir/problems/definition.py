@@ -7,8 +7,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from deepir.clipping import give_up_stuck
 from deepir.levels import start_jumps
-from deepir.noise import sample_noise, typical_noise
+from deepir.noise import ROUNDED, sample_noise, step, typical_noise
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.slow_strengths import estimate_slow
@@ -79,7 +80,9 @@ def start_precision(problem: Problem) -> None:
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = thinned(problem.data, usable)
     spread = float(counted(data, counts).std())
-    sigma = max(sigma, 1e-4 * spread)  # noiseless data: a solve still wants finite weights
+    rounded = ROUNDED * step(problem.data, usable)  # in a plain scene differences may be all zero
+    # Noiseless data: a solve still wants finite weights.
+    sigma = max(sigma, rounded, 1e-4 * spread)
     problem.precision.copy_(usable / sigma**2)
 
 
@@ -90,6 +93,7 @@ def start_scene_and_parts(problem: Problem) -> None:
     what the others show.
     """
     start_scene(problem)
+    give_up_stuck(problem)
     for _ in range(TURNS):
         uneven = even_contrast(problem, GROSS)
         if not start_jumps(problem) and not uneven:
@@ -112,6 +116,8 @@ def start_scene_and_parts(problem: Problem) -> None:
         rest = left(problem)
         give_up_dead(problem, rest, noise)
         doubt_misfits(problem, rest)
+    if problem.ends is not None:  # what is given up for its other samples is no bound either
+        problem.ends.mul_((problem.precision > 0) | (problem.ends != 0).all(0))
 
 
 @torch.no_grad()

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepir.errors import DataError, nearest
 from deepir.registration.align import Aligned, align, standing
-from deepir.registration.bend import bends
+from deepir.registration.bend import bent
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, left, one_scene
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
@@ -78,8 +78,8 @@ def register(
             coarse = build_level(flat, weight, coarse.factor)
             found = Aligned(moved, *standing(coarse.of(used), moved))
             levels = fine(flat[some], weight, coarse.factor)
-        if model == AUTO and bends(levels[-1], moved):
-            moved = align(levels[-1], moved, "homography", ROUNDS).motion
+        if model == AUTO:
+            moved = bent(frames.detach().cpu()[some], weight, levels[-1], moved, ROUNDS)
         found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
     still = at_rest(coarse, found)
     if still.any():

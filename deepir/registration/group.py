@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.registration.align import Aligned, align
-from deepir.registration.motion import identity
+from deepir.registration.motion import identity, relative
 from deepir.registration.pull import pull
 from deepir.registration.pyramid import Level
 from deepir.registration.refine import tukey
@@ -22,6 +22,10 @@ SAME = 1.3  # times what is left with motions, for each degree of freedom: frame
 #: few frames see is easily explained.
 FAR, SAME_IF_FAR = 0.3, 4.0
 ROUGH = 3  # rounds of alignment
+PANNED, PANS = (
+    0.2,
+    3,
+)  # share of the frame from which a camera pans, and times frames are looked for from the middle
 
 
 def one_scene(level: Level, model: str) -> tuple[Tensor, Tensor, Aligned]:
@@ -40,6 +44,8 @@ def one_scene(level: Level, model: str) -> tuple[Tensor, Tensor, Aligned]:
             best = clear, used, found
     assert best is not None
     clear, used, found = best
+    if used.sum() > 2 and is_far(level, found.motion, PANNED):
+        clear, used, found = from_the_middle(level, clear, used, found, model)
     if 1 < used.sum() < len(used):  # the mean of these frames sees more of the scene than one of them
         picture = pull(level.of(used), found.pattern, found.motion).mean
         motion, again = match(picture, level.frames - found.pattern, level, model, standing=False)
@@ -48,6 +54,33 @@ def one_scene(level: Level, model: str) -> tuple[Tensor, Tensor, Aligned]:
         if not torch.equal(more, used):
             used, found = consistent(level, more, motion, model)
     return clear, used, found
+
+
+def from_the_middle(
+    level: Level, clear: Tensor, used: Tensor, found: Aligned, model: str
+) -> tuple[Tensor, Tensor, Aligned]:
+    """The same of frames that are far from each other, all of which see something of what the one in their middle sees.
+
+    Correlations know shifts up to half a frame only, and take one that is longer for another.
+    """
+    for _ in range(PANS):
+        shifts = found.motion[:, :2, 2]
+        middle = int((shifts - (shifts.amin(0) + shifts.amax(0)) / 2).norm(dim=1).argmin())
+        picture = pull(level.of(used), found.pattern, relative(found.motion, middle)).mean
+        motion, again = match(picture, level.frames - found.pattern, level, model, standing=False)
+        more, better = consistent(level, used | (again > 1), motion, model)
+        grown = int(more.sum()) - int(used.sum())
+        if grown < 0 or left(better) > CLEARLY * left(found):
+            break
+        clear, used, found = again, more, better
+        if not grown:
+            break
+    return clear, used, found
+
+
+def is_far(level: Level, motion: Tensor, share: float) -> bool:
+    """Whether a motion `(N, 3, 3)` shifts by more than a share of the frame."""
+    return bool((motion[:, :2, 2].abs() > share * torch.tensor(level.shape[::-1])).any())
 
 
 def consistent(level: Level, used: Tensor, motion: Tensor, model: str) -> tuple[Tensor, Aligned]:
@@ -77,8 +110,8 @@ def at_rest(level: Level, found: Aligned) -> Tensor:
     if len(frames) < 3:
         return torch.zeros_like(same)
     change = float((frames - frames.mean(0)).square().mean() / frames.square().mean().clamp_min(1e-12))
-    far = found.motion[:, :2, 2].abs() > FAR * torch.tensor(level.shape[::-1])
-    return same & (change / (len(frames) - 1) < (SAME_IF_FAR if far.any() else SAME) * left(found))
+    times = SAME_IF_FAR if is_far(level, found.motion, FAR) else SAME
+    return same & (change / (len(frames) - 1) < times * left(found))
 
 
 def agreement(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:

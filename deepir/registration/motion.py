@@ -24,6 +24,12 @@ def normalised(motion: Tensor) -> Tensor:
     return motion / motion[..., 2:, 2:]
 
 
+def carried(motion: Tensor, points: Tensor) -> Tensor:
+    """Points `(x, y, 1)`, `(3, M)`, moved by homographies `(N, 3, 3)`: x and y `(N, 2, M)`."""
+    at = motion @ points
+    return at[:, :2] / at[:, 2:]
+
+
 def rotation(angle: Tensor) -> Tensor:
     """Rotations `(..., 3, 3)` by angles `(...)` in radians; positive turns +x towards +y."""
     out = torch.zeros(*angle.shape, 3, 3, dtype=torch.float64)

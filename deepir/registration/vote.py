@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepir.registration.even import even
 from deepir.registration.likelihood import Spectra, likeliest_shifts
-from deepir.registration.motion import identity, relative
+from deepir.registration.motion import carried, identity, relative
 from deepir.registration.pyramid import average
 from deepir.registration.whole import whole_shifts
 
@@ -18,7 +20,11 @@ FEW = 5  # frames up to which residuals may be least at a wrong place that is fa
 FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there would end, too
 APART = 0.2  # px at the frame's corners: what is closer is the same
 STRETCHED = ("affine", "homography")  # models of which only the shift is changed
-LEAST = 64  # px: of smaller frames a part says too little
+LEAST = 16  # px: of smaller frames a part says too little
+FOUR = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
+NINE = (0, 4), (3, 7), (6, 10)  # or tenths
+
+Parts = tuple[tuple[int, int], ...]
 
 
 def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
@@ -30,11 +36,9 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
     """
     if len(frames) < 3 or min(weight.shape) < LEAST:
         return motion
-    factor = max(1, -(-max(weight.shape) // SIZE))
-    small = even(average(frames.float(), factor), average(weight[None], factor)[0])
+    small, factor = reduced(frames, weight)
     residual = relative(motion)
-    turned = turns(residual, weight)
-    residual[:, :2, 2] /= factor
+    turned, residual = turns(residual, weight), scaled(residual, factor)
     best = residual
     linear = best.clone() if model in STRETCHED else identity(len(motion))
     for start in starts(small, residual[1:, :2, 2].numpy(), turned):
@@ -42,10 +46,21 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
         after[1:, :2, 2] = torch.from_numpy(likeliest_shifts(small, start))
         if factor * apart(best, after, small) >= APART and preferred(small, best, after):
             best = after
-    if best is residual:
-        return motion
-    best[:, :2, 2] *= factor
-    return best
+    return motion if best is residual else scaled(best, 1 / factor)
+
+
+def reduced(frames: Tensor, weight: Tensor) -> tuple[Tensor, int]:
+    """Frames `(N, h, w)` as the likelihood looks at frames `(N, H, W)`, and how much smaller they are."""
+    factor = max(1, -(-max(weight.shape) // SIZE))
+    return even(average(frames.float(), factor), average(weight[None], factor)[0]), factor
+
+
+def scaled(motion: Tensor, factor: float) -> Tensor:
+    """Motions `(N, 3, 3)` in px that are `factor` times as large."""
+    scaled = motion.clone()
+    scaled[:, :2, 2] /= factor
+    scaled[:, 2, :2] *= factor
+    return scaled
 
 
 def turns(motion: Tensor, weight: Tensor) -> bool:
@@ -69,29 +84,37 @@ def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
     """How far motions `(N, 3, 3)` are apart at most, in px, at the corners of frames."""
     h, w = frames.shape[1:]
     corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
-    return float(((after - before) @ corners)[:, :2].norm(dim=1).max())
+    return float((carried(after, corners) - carried(before, corners)).norm(dim=1).max())
 
 
 def preferred(frames: Tensor, before: Tensor, after: Tensor) -> bool:
     """Whether all parts of frames but the one that gains most gain from motions `(N, 3, 3)` to others, in sum."""
-    gained = gains(frames, before, after)
-    return sum(gained) >= max(gained)
+    return all_but_one(gains(frames, before, after, FOUR)) >= 0
 
 
-def gains(frames: Tensor, before: Tensor, after: Tensor) -> list[float]:
-    """In nats, what each of four parts, two thirds of height and width, gains from motions `(N, 3, 3)` to others.
+def all_but_one(gained: list[float]) -> float:
+    """The sum of all but the greatest."""
+    return sum(gained) - max(gained)
+
+
+def gains(frames: Tensor, before: Tensor, after: Tensor, parts: Parts) -> list[float]:
+    """In nats, what each part of frames gains from motions `(N, 3, 3)` to others.
 
     A part only shifts, and its powers are those that are found at either.
     """
     h, w = frames.shape[1:]
+    rows, columns = (
+        [slice(a * side // parts[-1][1], b * side // parts[-1][1]) for a, b in parts] for side in (h, w)
+    )
     found = []
-    for y in (slice(0, 2 * h // 3), slice(h // 3, h)):
-        for x in (slice(0, 2 * w // 3), slice(w // 3, w)):
-            centre = torch.tensor([x.start + x.stop - w, y.start + y.stop - h, 2.0], dtype=torch.float64) / 2
-            spectra, gain = Spectra(frames[:, y, x]), 0.0
-            old, new = ((motion[1:] @ centre - centre)[:, :2].numpy() for motion in (before, after))
-            for shifts in (new, old):
-                spectra.update(shifts)
-                gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]
-            found.append(gain)
+    for y, x in itertools.product(rows, columns):
+        centre = (
+            torch.tensor([[x.start + x.stop - w], [y.start + y.stop - h], [2.0]], dtype=torch.float64) / 2
+        )
+        spectra, gain = Spectra(frames[:, y, x]), 0.0
+        old, new = ((carried(motion[1:], centre) - centre[:2])[:, :, 0].numpy() for motion in (before, after))
+        for shifts in (new, old):
+            spectra.update(shifts)
+            gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]
+        found.append(gain)
     return found

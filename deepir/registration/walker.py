@@ -10,19 +10,20 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 from torch import Tensor
 
 from deepir.registration.align import standing
-from deepir.registration.even import even
 from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import identity
 from deepir.registration.pyramid import Level, average, build_level
-from deepir.registration.vote import SIZE
+from deepir.registration.vote import SIZE, reduced
 from deepir.registration.whole import whole_shifts
 
 MUCH = (30.0, 10.0)  # times the median of what changes: where somebody passes; and where he may
 AROUND = 3.0  # px, of frames of 320 px at most: over so many that is taken
 RIM = 3  # px of these by which such places are larger than they look
 LEAST = 0.05  # share of the frame that changes so much, if he is worth a second look
-HARDLY = 0.4  # of what no motion leaves unexplained beside him: plain skies alone come to 0.37
-CLEARLY = 1.5  # times more unexplained: a worse motion
+#: Of what no motion leaves unexplained beside him: more is hardly explained, less is well explained; plain skies alone
+#: come to 0.37.
+HARDLY, WELL = 0.4, 0.15
+LIKELY, CLEARLY = 1.2, 1.5  # times more unexplained than by another motion: before that is refined, and after
 
 #: Motions of least residuals, of frames that are zero where their weights are, from others.
 Refine = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -47,11 +48,16 @@ def beside_walker(
         return standing(build_level(flat * places, places, level.factor), at)[1]
 
     surely, likely = (weight * ~passes(change, much, factor, level.shape) for much in MUCH)
-    if not left(surely, motion) > HARDLY * left(surely, identity(len(frames))):
+    unexplained, at_rest = left(surely, motion), left(surely, identity(len(frames)))
+    if not unexplained > WELL * at_rest:
         return motion, weight
-    found = [refine(flat * places, places, likeliest(frames, places)) for places in (surely, likely)]
+    start, had = likeliest(frames, surely), left(likely, motion)
+    if unexplained <= HARDLY * at_rest and had < LIKELY * left(likely, start):
+        return motion, weight
+    starts = (surely, start), (likely, likeliest(frames, likely))
+    found = [refine(flat * places, places, at) for places, at in starts]
     best = min(found, key=lambda each: left(likely, each))
-    return (best, likely) if CLEARLY * left(likely, best) < left(likely, motion) else (motion, weight)
+    return (best, likely) if had > CLEARLY * left(likely, best) else (motion, weight)
 
 
 def changes(frames: Tensor) -> np.ndarray:
@@ -72,8 +78,7 @@ def passes(change: np.ndarray, much: float, factor: int, size: tuple[int, int]) 
 
 def likeliest(frames: Tensor, weight: Tensor) -> Tensor:
     """The likeliest shifts of frames, as motions; what has no weight is left out."""
-    factor = max(1, -(-max(weight.shape) // SIZE))
-    seen = even(average(frames.float(), factor), average(weight[None], factor)[0])
+    seen, factor = reduced(frames, weight)
     motion = identity(len(frames))
     motion[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, whole_shifts(seen)))
     return motion

@@ -102,3 +102,16 @@ def test_bars_at_the_edge_are_empty_and_a_line_within_or_one_that_changes_is_not
     expected = np.zeros(frames.shape, bool)
     expected[:, :6] = expected[:, -3:] = expected[:, :, :5] = True
     assert np.array_equal(empty(frames), expected)
+
+
+def test_a_sky_below_the_range_is_neither_a_bar_nor_lost():
+    frames = counts()
+    for k, sky in enumerate((9, 12, 10, 14)):
+        frames[k, :sky] = 0
+        frames[k, sky, :20] = 0
+    assert not empty(frames).any()
+    assert not empty(np.where(frames == 0, 16383, frames)).any()
+    frames[2, 30:33], frames[:, 20:26, 30:36] = 0, 0  # a packet, and a dead block
+    lost = np.zeros(frames.shape, bool)
+    lost[2, 30:33] = lost[:, 20:26, 30:36] = True
+    assert np.array_equal(empty(frames), lost)

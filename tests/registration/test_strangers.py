@@ -90,6 +90,14 @@ def test_somebody_hot_before_a_plain_scene_is_not_followed(number, seed):
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
+def test_somebody_before_a_plain_scene_is_not_followed_in_three_frames():
+    walker = {"walker": 0.5, "walker_contrast": 0.3, "walker_speed": 4.0}
+    counts = {"counts": True, "read_noise": 0.004, "photons": 0.0}
+    sim = simulate(scene("moon"), camera_of_tones(n_frames=3, **walker, **counts), seed=51)
+    frames = torch.from_numpy(sim.frames.astype(np.float32))
+    assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.3
+
+
 def test_a_hole_is_filled_from_around_it():
     rows = torch.arange(40.0)[:, None].expand(40, 50)
     good = torch.ones(40, 50, dtype=torch.bool)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import torch
-from registered import COUNTS, SHAPE, errors, simulated
+from registered import COUNTS, SHAPE, camera_of_tones, errors, simulated
 
 from deepir.registration import burst, register
-from deepir.scenes import sky
-from deepir.simulate import Settings, simulate
+from deepir.scenes import procedural, sky
+from deepir.simulate import Settings, optics, simulate
 
 
 @pytest.mark.parametrize("name", ["camera", "astronaut", "grass"])
@@ -53,6 +53,35 @@ def test_frames_that_bend_are_registered_as_homographies(name):
 def test_frames_that_do_not_bend_are_rigid_to_the_bit(frames):
     frames, _ = simulated("camera", n_frames=frames, max_rotation=3.0, photons=1000.0)
     assert torch.equal(register(frames, model="auto").motion, register(frames).motion)
+
+
+def test_a_thousandth_of_keystone_is_found_in_three_frames(monkeypatch):
+    monkeypatch.setattr(optics, "WARP", 0.002)
+    frames, truth = simulated("gravel", n_frames=3, motion="homography", counts=True, offset_pixel=0.04)
+    rigid = errors(register(frames), truth).max()
+    assert errors(register(frames, model="auto"), truth).max() < min(0.2, rigid / 2)
+
+
+@pytest.mark.parametrize(
+    ("number", "seed", "camera"),
+    [(4, 33, {}), (5, 32, {"counts": True, "read_noise": 0.003, "photons": 0.0})],
+)
+def test_what_lines_and_noise_make_of_a_plain_sky_is_no_bend(number, seed, camera):
+    sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=5, **camera), seed=seed)
+    frames = torch.from_numpy(sim.frames.astype(np.float32))
+    assert torch.equal(register(frames, model="auto").motion, register(frames).motion)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_pan_by_more_than_half_a_frame_is_followed_to_its_end(seed):
+    scene, rng = procedural(seed, (130, 260)), np.random.default_rng(seed)
+    pattern = 1 + 0.03 * rng.normal(size=(120, 160)) + 0.03 * rng.normal(size=160)
+    frames = np.stack([scene[k % 3 :, 12 * k :][:120, :160] * pattern for k in range(8)])
+    frames += 0.004 * rng.normal(size=frames.shape)
+    result = register(torch.from_numpy(frames.astype(np.float32)))
+    assert result.used.all()
+    true = np.array([(12 * k, k % 3) for k in range(8)])
+    assert np.abs(result.motion.numpy()[:, :2, 2] - true).max() < 0.3
 
 
 def test_frames_that_turn_are_not_taken_for_shifted_ones():
