@@ -30,7 +30,7 @@ import deepir
 from deepir import Result
 from deepir.simulate import Simulation
 
-PRIORS = ("tv", "tgv", "red", "deep_decoder", "siren")
+PRIORS = ("tv", "foe", "tgv", "red", "deep_decoder", "siren")
 Quality = Callable[[np.ndarray, Simulation], float]
 
 
