@@ -86,7 +86,9 @@ def test_an_option_of_a_component_that_is_only_named():
 
 
 def test_null_removes_a_key():
-    config = load("nuc", ["prior=tv", "physics.sensor.gain=null", "scene.penalties.tv=null", "data.mask=null"])
+    config = load(
+        "nuc", ["prior=tv", "physics.sensor.gain=null", "scene.penalties.tv=null", "data.mask=null"]
+    )
     assert list(config.physics["sensor"]) == ["offset", "level"]
     assert config.scene["penalties"] == {}
     assert list(load("nuc", ["physics.sensor=null"]).physics) == ["warp"]

@@ -69,7 +69,7 @@ def test_samples_half_as_sure_are_held_less():
 
 def test_a_weight_that_is_given_is_the_same_everywhere():
     scene = np.linspace(0, 1, 48)[:, None] * np.ones(64)
-    assert (weights(scene, "scene.penalties={tv: 3.0}") == 3).all()
+    assert (weights(scene, "prior=tv", "scene.penalties.tv=3.0") == 3).all()
 
 
 def test_a_penalty_of_no_shape_is_the_same_everywhere():

@@ -51,5 +51,5 @@ def test_frames_show_the_same_before_and_after():
 
 def test_counts_do_not_keep_a_solve_busy_at_the_edge():
     camera = Settings(n_frames=5, shape=(96, 112), counts=True, shading=0.0, dead_pixels=0.0)
-    result = deepir.run("nuc", frames=simulate(None, camera, seed=1).frames, threads=1)
+    result = deepir.run("nuc", prior="tv", frames=simulate(None, camera, seed=1).frames, threads=1)
     assert result.metrics["iterations"] < 90

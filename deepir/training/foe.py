@@ -27,6 +27,8 @@ BLUR = (0.4, 0.6)  # px: standard deviation of the optics
 NOISE = (0.002, 0.03)  # of a picture's range, in the frames' mean; each factor equally often
 SHIFT = 2  # px, at most
 ROUNDING = 0.09
+STEPS = 40  # of L-BFGS to the minimum, and fifteen to a start
+PRODUCTS = 25  # of conjugate gradients: more follow what is not quite convex
 WEAK = 0.05 / 1.6  # of total variation, while it is asked how plain a scene is
 
 
@@ -72,7 +74,7 @@ class FieldsOfExperts(Training):
             def objective(scene: Tensor) -> Tensor:
                 return bursts.misfit(scene) + _energy(scene, share, *learned)
 
-            scene = _minimum(objective, scene, 40).requires_grad_()
+            scene = _minimum(objective, scene, STEPS).requires_grad_()
             shown = _spline(torch.zeros(())) @ scene @ _spline(torch.zeros(())).T
             error = (shown - bursts.truth).square().mean((1, 2)).log10().mean()
             (wanted,) = torch.autograd.grad(error, scene)
@@ -161,14 +163,14 @@ def _minimum(objective: Callable[[Tensor], Tensor], start: Tensor, iterations: i
     return scene.detach()
 
 
-def _solved(slope: Tensor, scene: Tensor, wanted: Tensor, products: int = 25) -> Tensor:
+def _solved(slope: Tensor, scene: Tensor, wanted: Tensor) -> Tensor:
     """`H⁻¹ wanted` of the objective's second derivatives, of each scene, by conjugate gradients."""
 
     def dot(a: Tensor, b: Tensor) -> Tensor:
         return (a * b).sum((1, 2), keepdim=True)
 
     found, rest, step = torch.zeros_like(wanted), wanted, wanted
-    for _ in range(products):
+    for _ in range(PRODUCTS):
         (across,) = torch.autograd.grad(slope, scene, step, retain_graph=True)
         bent = dot(step, across)
         share = torch.where(

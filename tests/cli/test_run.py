@@ -132,9 +132,9 @@ def test_a_run_does_not_replace_its_own_input(nuc, folder):
 
 
 def test_the_written_configuration_runs_again(nuc, deepir, folder):
-    nuc("data.path=burst.npz", "physics.sensor.offset=null", "scene.penalties.tv=null")
+    nuc("data.path=burst.npz", "physics.sensor.offset=null", "scene.penalties.foe=null")
     first = np.load("runs/nuc/result.npz")["scene"]
-    assert deepir("run", "runs/nuc/config.yaml", "output.dir=again", "scene.penalties.tv=null")[0] == 0
+    assert deepir("run", "runs/nuc/config.yaml", "output.dir=again", "scene.penalties.foe=null")[0] == 0
     assert np.array_equal(np.load("again/result.npz")["scene"], first)
 
 
