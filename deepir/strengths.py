@@ -112,11 +112,9 @@ def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float,
 
 def _bins(values: Tensor, counts: Tensor) -> Tensor:
     """Number of the quantile bin of each value, of those that count."""
-    step = max(1, len(values) // 20_000)
-    some = counted(values[::step], counts[::step])
-    edges = np.quantile(
-        some.cpu().numpy(), np.linspace(0, 1, BINS + 1)[1:-1]
-    )  # torch takes ten times as long
+    each = max(1, len(values) // 20_000)
+    some = counted(values[::each], counts[::each]).cpu().numpy()
+    edges = np.quantile(some, np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
     return torch.bucketize(values, torch.from_numpy(edges).to(values))
 
 
@@ -136,9 +134,7 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
         if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
             noise /= first.noise_gain
         natural = penalty.natural(noise)
-        if (
-            isinstance(penalty, Local) and (penalty.share == 1).all()
-        ):  # which do not follow the scene by places
+        if isinstance(penalty, Local) and not penalty.follows:  # by places, as the others do
             natural *= 2 ** float(problem.plain)
         penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
         with torch.no_grad():
