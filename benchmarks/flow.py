@@ -35,10 +35,10 @@ from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
 from deepir.registration import register
 from deepir.report.panels import write_panels
+from deepir.residual_noise import update_noise
 from deepir.simulate import Settings, Simulation, simulate
 from deepir.solve import solve
 from deepir.stage import Stage, Step
-from deepir.strengths import update_noise
 
 PICTURES = ("coffee", "rocket", "procedural 40")
 PRIORS = ("tv", "tgv", "red")

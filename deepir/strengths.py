@@ -8,26 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-import numpy as np
 import torch
-from scipy.optimize import nnls
 from torch import Tensor
 
-from deepir.defects import OUTLIER, crowded, dead, defective, deviating
+from deepir.defects import OUTLIER, dead, deviating
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
 from deepir.median import median
-from deepir.noise import MAD, ROUNDED, step
+from deepir.noise import MAD
 from deepir.operators import Warp
 from deepir.penalties.local import Local
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
+from deepir.residual_noise import update_noise
 from deepir.slow_strengths import estimate_slow
 from deepir.thin import counted, thinned
 
 HELD_OUT = 0.02  # share of the samples that no fit sees
-BINS = 10  # of the signal, in which the noise is measured
 SLOW = 8  # degree of what is slow along the lines, of 64 and more
 ROUNDS = 2  # of the parts' strengths at each update
 #: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
@@ -48,74 +46,6 @@ def update_strengths(problem: Problem) -> None:
     update_noise(problem)
     keep_gauge(problem)
     update_parts(problem, unasked={field.along for field in new})
-
-
-@torch.no_grad()
-def update_noise(problem: Problem, *, settled: bool = False) -> None:
-    """Set each sample's precision to 1 / (read² + signal / photons): the noise that is given, or the measured one.
-
-    Samples that misfit count less; with `settled`, pixels that misfit throughout are given up.
-    """
-    prediction = problem.predict(problem.values())
-    noise = problem.noise or _measured_noise(problem, prediction)
-    if noise is None:
-        return
-    read, photon, least = noise
-    usable, misfit = problem.precision > 0, torch.empty_like(prediction)
-    # A frame at a time: what is needed on the way stays in the cache.
-    for k, (seen_k, data_k) in enumerate(zip(prediction, problem.data, strict=True)):
-        torch.sub(seen_k, data_k, out=misfit[k]).square_().mul_(usable[k])
-        seen_k.clamp_(min=0).mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
-        misfit[k].div_(seen_k)
-    if settled:
-        bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
-        usable &= ~defective(misfit, bounds)
-    for k, variance_k in enumerate(prediction):
-        doubt = crowded(misfit[k : k + 1], usable[k : k + 1])[0]
-        doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)
-        torch.div(usable[k], doubt, out=problem.precision[k])
-
-
-def _measured_noise(problem: Problem, prediction: Tensor) -> tuple[float, float, float] | None:
-    """Variance of the noise at no signal, for each unit of it, and at least; None if too few residuals tell.
-
-    Residuals of fitted samples are too small, by the freedom that the fit has, and those of held-out samples too
-    large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
-    the noise. It is taken in bins of the signal, from medians, which leave outliers out.
-    """
-    frames = thinned(prediction, problem.data, problem.precision, problem.held_out)
-    some, data, precision, held = (each.flatten() for each in frames)
-    counts, residual, signal = precision > 0, (some - data).abs_(), some.clamp(min=0)
-    # By bin, the fitted samples and those held out: each group's lie side by side, which spares twenty masks.
-    group = (2 * _bins(signal, counts) + held).where(counts, 2 * BINS).to(torch.uint8).cpu().numpy()
-    order = torch.from_numpy(np.argsort(group, kind="stable")).to(residual.device)
-    sizes = np.bincount(group, minlength=2 * BINS + 1).tolist()
-    residuals, totals = residual[order].split(sizes), np.bincount(group, signal.cpu().numpy(), 2 * BINS)
-    # Data that are rounded more coarsely than they are noisy may leave no residual at all.
-    rounding = (torch.finfo(problem.data.dtype).eps * float((signal * counts).max())) ** 2
-    least = (ROUNDED * step(problem.data, problem.precision > 0)) ** 2
-    rows, seen = [], []
-    for i in range(0, 2 * BINS, 2):
-        fitted, new = residuals[i : i + 2]
-        if len(new) >= 20:
-            rows.append((1.0, sum(totals[i : i + 2]) / sum(sizes[i : i + 2])))
-            seen.append(max(MAD**2 * median(fitted) * median(new) + rounding, least))
-    if not rows:
-        return None
-    design, variance = np.array(rows), np.array(seen)
-    unit = design.max(0).clip(min=1e-30)
-    relative = design / unit / variance[:, None]  # errors are in proportion to the variance
-    share, _ = nnls(relative, np.ones(len(rows)))
-    read, photon = share / unit
-    return float(read), float(photon), 0.1 * float(variance.min())
-
-
-def _bins(values: Tensor, counts: Tensor) -> Tensor:
-    """Number of the quantile bin of each value, of those that count."""
-    each = max(1, len(values) // 20_000)
-    some = counted(values[::each], counts[::each]).cpu().numpy()
-    edges = np.quantile(some, np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
-    return torch.bucketize(values, torch.from_numpy(edges).to(values))
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:

@@ -12,12 +12,12 @@ from deepir.moving import doubt_moving
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
+from deepir.residual_noise import update_noise
 from deepir.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import (
     hold_out,
-    update_noise,
     update_strengths,
     weigh_scene,
 )
