@@ -77,29 +77,38 @@ class FoE(Rounded):
                 value, self.share, self.filters, self.costs, tails, float(self.edge)
             )
             return energy
-        long = self._lengths(value)
-        tails = tails[:, None, None].to(long)
-        costs = self.costs[:, None, None].to(long) * 2 * long / (1 + (1 + long / tails).sqrt())
-        return (self._middles() * costs).sum(dtype=torch.float64)
+        return counted(value, self.share, self.filters, self.costs, tails, self.edge)
 
     def stiffness(self, value: Tensor) -> tuple[float, float]:
         """The mean of `weight share Σ w_c |f_c|² φ' / 4 |f_c * x|`: a filter's share of the gradient's waves."""
-        long = self._lengths(value, THIN)
+        long = lengths(value, self.filters, self.edge, THIN)
         bent = (1 + long * (self.weight / self.tails)[:, None, None]).rsqrt() / (long + self.edge)
-        stiff = self._middles()[..., ::THIN, ::THIN] * (self.costs[:, None, None] * bent)
+        stiff = middles(self.share, value.shape)[..., ::THIN, ::THIN] * (self.costs[:, None, None] * bent)
         return 0.0, float(self.weight * stiff.mean((-2, -1)).sum(-1).mean() / 2)  # |f_c|² is two
 
-    def _lengths(self, value: Tensor, step: int = 1) -> Tensor:
-        """`sqrt((f_c * x)² + e²) - e`, (..., C, H - 4, W - 4), without its cancellation."""
-        flat = value.reshape(-1, 1, *value.shape[-2:])
-        squared = F.conv2d(flat, self.filters[:, None].to(flat), stride=step).square()
-        long = squared / ((squared + self.edge.square()).sqrt() + self.edge)
-        return long.reshape(*value.shape[:-2], *long.shape[1:])
 
-    def _middles(self) -> Tensor:
-        """How much the places count in whose middle a filter can lie."""
-        inside = slice(SIDE // 2, -(SIDE // 2))
-        return self.share[inside, inside] if self.share.ndim else self.share.expand(1, 1)
+def counted(
+    value: Tensor, share: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, edge: Tensor | float
+) -> Tensor:
+    """The energy of values (..., H, W), with slopes for whatever asks for them; share: (..., H, W), or one number."""
+    long = lengths(value, filters, edge)
+    tails, costs = (each[:, None, None].to(long) for each in (tails, costs))
+    each = costs * 2 * long / (1 + (1 + long / tails).sqrt())
+    return (middles(share, value.shape) * each).sum(dtype=torch.float64)
+
+
+def lengths(value: Tensor, filters: Tensor, edge: Tensor | float, step: int = 1) -> Tensor:
+    """`sqrt((f_c * x)² + e²) - e`, (..., C, H - 4, W - 4), without its cancellation."""
+    flat = value.reshape(-1, 1, *value.shape[-2:])
+    squared = F.conv2d(flat, filters[:, None].to(flat), stride=step).square()
+    long = squared / ((squared + edge**2).sqrt() + edge)
+    return long.reshape(*value.shape[:-2], *long.shape[1:])
+
+
+def middles(share: Tensor, shape: Shape) -> Tensor:
+    """How much the places count in whose middle a filter can lie, (..., 1, H - 4, W - 4)."""
+    inside = slice(SIDE // 2, -(SIDE // 2))
+    return share.expand(*share.shape[:-2], *shape[-2:])[..., None, inside, inside]
 
 
 class _OnCPU(torch.autograd.Function):

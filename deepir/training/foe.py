@@ -9,9 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.interpolate import BSpline
+from scipy.ndimage import gaussian_filter
 from torch import Tensor, nn
 
-from deepir.penalties.foe import SIDE, Experts
+from deepir.operators.spline import image
+from deepir.penalties.foe import Experts, counted
 from deepir.penalties.penalty import squared_gradient
 from deepir.registry import register
 from deepir.scenes import procedural, sky
@@ -29,6 +32,7 @@ SHIFT = 2  # px, at most
 ROUNDING = 0.09
 STEPS = 40  # of L-BFGS to the minimum, and fifteen to a start
 PRODUCTS = 25  # of conjugate gradients: more follow what is not quite convex
+SPLINE = BSpline.basis_element(range(-2, 3), extrapolate=False)
 WEAK = 0.05 / 1.6  # of total variation, while it is asked how plain a scene is
 
 
@@ -69,13 +73,14 @@ class FieldsOfExperts(Training):
         with torch.autocast("cpu", enabled=False):
             bursts = self._bursts()
             scene, share = self._weakly_held(bursts)
-            learned = network()
+            filters, costs, tails = network()
 
             def objective(scene: Tensor) -> Tensor:
-                return bursts.misfit(scene) + _energy(scene, share, *learned)
+                return bursts.misfit(scene) + counted(scene, share, filters, costs, tails, ROUNDING)
 
             scene = _minimum(objective, scene, STEPS).requires_grad_()
-            shown = _spline(torch.zeros(())) @ scene @ _spline(torch.zeros(())).T
+            inside = slice(MARGIN, -MARGIN)
+            shown = image(scene[:, None])[:, 0, inside, inside]
             error = (shown - bursts.truth).square().mean((1, 2)).log10().mean()
             (wanted,) = torch.autograd.grad(error, scene)
             (slope,) = torch.autograd.grad(objective(scene), scene, create_graph=True)
@@ -110,11 +115,7 @@ class FieldsOfExperts(Training):
             piece = piece.T
         if self.rng.integers(2):
             piece = 1 - piece
-        reach = 2 * times
-        kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / (times * self.rng.uniform(*BLUR))) ** 2)
-        kernel /= kernel.sum()
-        wide = F.pad(piece[None, None], (reach,) * 4, mode="reflect")
-        return F.conv2d(F.conv2d(wide, kernel[None, None, None]), kernel[None, None, :, None])[0, 0], times
+        return torch.from_numpy(gaussian_filter(piece.numpy(), times * self.rng.uniform(*BLUR))), times
 
     @staticmethod
     def _frame(picture: Tensor, times: int, y: int, x: int) -> Tensor:
@@ -131,20 +132,10 @@ class FieldsOfExperts(Training):
             return bursts.misfit(scene) + WEAK * length
 
         scene = _minimum(weak, start, 15)
-        around = F.pad(scene[:, None], (1,) * 4, mode="replicate")
-        kernel = torch.tensor([1, 4, 1]) / 6
-        shown = F.conv2d(around, (kernel[:, None] * kernel)[None, None])
-        gradient = math.sqrt(12) * squared_gradient(shown).sqrt()  # in standard deviations of a pixel's mean
+        gradient = (
+            math.sqrt(12) * squared_gradient(image(scene[:, None])[:, 0]).sqrt()
+        )  # in standard deviations of a pixel's mean
         return scene, torch.cat([held(each[None], plainness(float(each.mean()))) for each in gradient])
-
-
-def _energy(scene: Tensor, share: Tensor, filters: Tensor, costs: Tensor, tails: Tensor) -> Tensor:
-    """What `deepir.penalties.foe.FoE` computes, with slopes for what is learned."""
-    answers = F.conv2d(scene[:, None], filters[:, None])
-    long = (answers.square() + ROUNDING**2).sqrt() - ROUNDING
-    costs, tails = costs[:, None, None], tails[:, None, None]
-    inside = slice(SIDE // 2, -(SIDE // 2))
-    return (share[..., inside, inside] * costs * 2 * long / (1 + (1 + long / tails).sqrt())).sum()
 
 
 def _minimum(objective: Callable[[Tensor], Tensor], start: Tensor, iterations: int) -> Tensor:
@@ -184,9 +175,8 @@ def _solved(slope: Tensor, scene: Tensor, wanted: Tensor) -> Tensor:
 def _spline(shifts: Tensor) -> Tensor:
     """Weights (..., h, H) of cubic B-splines along a scene at a frame's pixels, moved by `shifts` (...)."""
     places = torch.arange(FRAME)[:, None] + MARGIN + shifts[..., None, None]
-    away = (places - torch.arange(FRAME + 2 * MARGIN)).abs()
-    near, far = 2 / 3 - away**2 + away**3 / 2, (2 - away).clamp(min=0) ** 3 / 6
-    return torch.where(away < 1, near, far)
+    away = places - torch.arange(FRAME + 2 * MARGIN)
+    return torch.from_numpy(np.nan_to_num(SPLINE(away.numpy()))).float()
 
 
 def _photographs() -> list[np.ndarray]:
