@@ -17,6 +17,7 @@ from torch import Tensor
 from deepir.build import build_scene
 from deepir.components import validate
 from deepir.config import Config
+from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
 from deepir.problems.definition import filled
 from deepir.schema import Fit
@@ -43,14 +44,27 @@ class Contest:
         `weigh` sets the weights of its penalties.
         """
         fit, stopped = self.fit, self.fit.average > 0
-        before = [dataclasses.replace(s, use_held_out=s.use_held_out and not stopped) for s in stages]
         step = Step(("scene",), fit.method, fit.lr, average=fit.average)
+        last = stages[-1] if isinstance(self.field, Pixels) and fit.method == "lbfgs" else Stage("", ())
+        steps = (step, *(each for each in last.steps if each.method == "eliminate"))
+        before = [self._before(each, stopped=stopped, fixed=len(steps) > 1) for each in stages]
         rounds = [f"prior {i + 1}" for i in range(fit.rounds)] if fit.rounds > 1 else ["prior"]
         mine = [
-            Stage(name, (step,), fit.iterations, prepare=weigh, use_held_out=not stopped) for name in rounds
+            Stage(name, steps, fit.iterations, prepare=weigh, use_held_out=not stopped, fine=last.fine)
+            for name in rounds
         ]
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
         return [*before, *mine]
+
+    @staticmethod
+    def _before(stage: Stage, *, stopped: bool, fixed: bool) -> Stage:
+        """A stage before the prior's; if the sensor follows that one's scene it need not follow this one's."""
+        stage = dataclasses.replace(stage, use_held_out=stage.use_held_out and not stopped)
+        if not (stage.fine and fixed):
+            return stage
+        return dataclasses.replace(
+            stage, fine=False, steps=tuple(s for s in stage.steps if s.method != "eliminate")
+        )
 
     @torch.no_grad()
     def enter(self, problem: Problem) -> None:

@@ -34,7 +34,7 @@ from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.slow import Slow, Variances, variances
 from deepir.slow_curvature import slow_system
-from deepir.waves import PLACES, additive, along_waves, common, modelled
+from deepir.waves import PLACES, additive, along_waves, common, frequencies, modelled
 
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
 #: to run to where a weak prior has its optimum: pattern in the scene.
@@ -42,6 +42,7 @@ FLOOR = 0.3
 FLOOR_OF_LINES = 0.03  # those of strong lines are few, and the lines' prior holds them
 #: Information of all samples on a pixel of the scene, in that of usual ones, that is made use of.
 UNEVEN = (0.5, 30.0)
+SLOW = 1 / 4  # radians a px: waves that are slower stay as they are where only the fine ones are asked for
 
 
 class Curvature:
@@ -49,7 +50,7 @@ class Curvature:
 
     @torch.no_grad()
     def __init__(
-        self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str]
+        self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str], *, fine: bool
     ) -> None:
         fields = {id(p): field for field in innermost(problem) for p in field.parameters()}
         mine = [fields[id(p)] for p in parameters]
@@ -59,11 +60,14 @@ class Curvature:
         self.others = [i for i, f in enumerate(mine) if isinstance(f, Drift | Terms) and f.sigma > 0]
         others: Any = [mine[i] for i in self.others]
         # With the pattern known, and no stray flux, what is slow is nothing special.
-        told = bool(eliminated) or any(isinstance(each, Terms) for each in others)
+        told = not fine and (bool(eliminated) or any(isinstance(each, Terms) for each in others))
         self.shape = tuple(parameters[self.scene].shape)
         slow = Slow(problem, self.shape) if told else None
         self.basis = slow.scene if slow else None
         self.tensors = _tensors(problem, mine, parameters, slow, others, eliminated)
+        if fine:
+            for name in {"waves", "lines"} & self.tensors.keys():
+                self.tensors[name] *= ~slow_waves(self.shape, self.tensors[name].device)
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
@@ -106,14 +110,24 @@ def innermost(problem: Problem) -> Iterator[Field]:
 
 
 def curvature(
-    problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str] = ()
+    problem: Problem,
+    parameters: Sequence[nn.Parameter],
+    eliminated: Collection[str] = (),
+    *,
+    fine: bool = False,
 ) -> Curvature | None:
     """For pixels that a moving sensor sees; None where the parameters or the physics are others."""
     of_fields = {id(p) for field in problem.fields.values() for p in field.parameters()}
     of_scene = {id(p) for p in problem.fields["scene"].parameters()}
     mine = {id(p) for p in parameters}
     known = mine <= of_fields and bool(mine & of_scene)  # a penalty may have unknowns of its own
-    return Curvature(problem, parameters, eliminated) if known and modelled(problem) else None
+    return Curvature(problem, parameters, eliminated, fine=fine) if known and modelled(problem) else None
+
+
+def slow_waves(shape: Sequence[int], device: torch.device) -> Tensor:
+    """The waves of a real Fourier transform, (H, W / 2 + 1) bool, that are slow."""
+    y, x = frequencies(shape[-2:], device)
+    return y.square() + x.square() < SLOW**2
 
 
 @torch.no_grad()

@@ -49,5 +49,5 @@ def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, step in found:
         if step.method == "lbfgs":
-            optimiser.curvature = curvature(problem, optimiser.parameters, eliminated)
+            optimiser.curvature = curvature(problem, optimiser.parameters, eliminated, fine=stage.fine)
     return found

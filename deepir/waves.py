@@ -47,7 +47,7 @@ def unsureness(problem: Problem, eliminated: Collection[str], weak: float = 1.0)
 
 def spline_response(problem: Problem) -> Tensor:
     """Squared response, along each wave, of the spline at the pixels to its coefficients."""
-    return _response(*_frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
+    return _response(*frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
 
 
 def additive(problem: Problem, eliminated: Collection[str]) -> Variances:
@@ -68,7 +68,7 @@ def along_waves(
     free.
     """
     scene, count = problem.fields["scene"](), len(problem.data)
-    y, x = _frequencies(scene.shape[-2:], scene.device)
+    y, x = frequencies(scene.shape[-2:], scene.device)
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     stiffness = [penalty.stiffness(scene) for penalty in penalties]
     of_value, of_gradient = (weak * sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
@@ -104,7 +104,7 @@ def _shared(
 
 def common(problem: Problem) -> Iterator[Tensor]:
     """`|Σ_j exp(i k d_j)|²` of each wave at places of the frame: where the camera turns, d differs among them."""
-    y, x = _frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
+    y, x = frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
     motion = problem.fields[problem.slots["warp.motion"]]().double()
     height, width = problem.data.shape[-2:]
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
@@ -119,7 +119,7 @@ def common(problem: Problem) -> Iterator[Tensor]:
         yield real.square_().addcmul_(imaginary, imaginary)
 
 
-def _frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
+def frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
     """Of the waves of a real Fourier transform, radians a px: (H, 1) and (W / 2 + 1,)."""
     height, width = size
     y = 2 * math.pi * torch.fft.fftfreq(height, dtype=torch.float64, device=device)[:, None]
