@@ -23,6 +23,7 @@ from deepir.problems.definition import filled
 from deepir.schema import Fit
 from deepir.stage import Stage, Step
 from deepir.strengths import weigh_scene
+from deepir.waves import modelled
 
 ROUNDS = 30  # of the registered average
 
@@ -37,6 +38,9 @@ class Contest:
         device = problem.data.device
         self.field = field.to(device)
         self.penalties = {name: penalty.to(device) for name, penalty in penalties.items()}
+        together = self.fit.with_sensor and isinstance(field, Pixels) and modelled(problem)
+        #: Gain and offset, if these follow the scene.
+        self.follows = tuple(problem.closed_form()) if together else ()
 
     def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:
         """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them.
@@ -44,27 +48,23 @@ class Contest:
         `weigh` sets the weights of its penalties.
         """
         fit, stopped = self.fit, self.fit.average > 0
-        step = Step(("scene",), fit.method, fit.lr, average=fit.average)
-        last = stages[-1] if isinstance(self.field, Pixels) and fit.method == "lbfgs" else Stage("", ())
-        steps = (step, *(each for each in last.steps if each.method == "eliminate"))
-        before = [self._before(each, stopped=stopped, fixed=len(steps) > 1) for each in stages]
+        before = [dataclasses.replace(s, use_held_out=s.use_held_out and not stopped) for s in stages]
+        follow = (Step(self.follows, "eliminate"),) if self.follows else ()
+        steps = (Step(("scene",), fit.method, fit.lr, average=fit.average), *follow)
         rounds = [f"prior {i + 1}" for i in range(fit.rounds)] if fit.rounds > 1 else ["prior"]
         mine = [
-            Stage(name, steps, fit.iterations, prepare=weigh, use_held_out=not stopped, fine=last.fine)
+            Stage(
+                name,
+                steps,
+                fit.iterations,
+                prepare=weigh,
+                use_held_out=not stopped,
+                fine=bool(follow),
+            )
             for name in rounds
         ]
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
         return [*before, *mine]
-
-    @staticmethod
-    def _before(stage: Stage, *, stopped: bool, fixed: bool) -> Stage:
-        """A stage before the prior's; if the sensor follows that one's scene it need not follow this one's."""
-        stage = dataclasses.replace(stage, use_held_out=stage.use_held_out and not stopped)
-        if not (stage.fine and fixed):
-            return stage
-        return dataclasses.replace(
-            stage, fine=False, steps=tuple(s for s in stage.steps if s.method != "eliminate")
-        )
 
     @torch.no_grad()
     def enter(self, problem: Problem) -> None:

@@ -50,7 +50,12 @@ class Curvature:
 
     @torch.no_grad()
     def __init__(
-        self, problem: Problem, parameters: Sequence[nn.Parameter], eliminated: Collection[str], *, fine: bool
+        self,
+        problem: Problem,
+        parameters: Sequence[nn.Parameter],
+        eliminated: Collection[str],
+        *,
+        fine: bool = False,
     ) -> None:
         fields = {id(p): field for field in innermost(problem) for p in field.parameters()}
         mine = [fields[id(p)] for p in parameters]

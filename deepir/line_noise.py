@@ -44,7 +44,7 @@ def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
     step = Step((*scene.steps[0].group, *levels))
     return [
         dataclasses.replace(scene, needed=lambda it: not lines_jump(it)),
-        dataclasses.replace(scene, steps=(step, *scene.steps[1:]), needed=lines_jump),
+        dataclasses.replace(scene, steps=(step,), needed=lines_jump),
     ]
 
 

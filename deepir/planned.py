@@ -32,6 +32,7 @@ def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage
             for s in given
         ]
     if contest is not None:
+        problem.follows = bool(contest.follows)
         stages = contest.after(stages, definition.weigh)
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")

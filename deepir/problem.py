@@ -66,6 +66,8 @@ class Problem(nn.Module):
         self.noise: tuple[float, float, float] | None = None
         #: Whether frames may have contrasts of their own, by which their data are divided on the way.
         self.stretched = False
+        #: Whether gain and offset follow the scene in the last stage: its penalties need not know what they cost it.
+        self.follows = False
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
         self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]

@@ -80,6 +80,7 @@ class Fit(_Strict):
     iterations: int = Field(300, ge=0)  # of each round
     rounds: int = Field(1, ge=1, le=1000)  # at whose begin penalties learn from the scene what they need
     average: float = Field(0.0, ge=0, lt=1)
+    with_sensor: bool = False  # gain and offset follow the scene, where they have a closed form
 
 
 class StageConfig(_Strict):

@@ -7,7 +7,7 @@ import torch
 from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.curvature import Curvature
+from deepir.curvature import Curvature, slow_waves
 from deepir.elimination import COLUMN
 from deepir.objective import objective
 from deepir.penalties.ridge import Ridge
@@ -73,7 +73,7 @@ def test_it_saves_iterations(problem, monkeypatch):
     for known in (True, False):
         problem.load_state_dict(start)
         if not known:
-            monkeypatch.setattr("deepir.objective.curvature", lambda *_: None)
+            monkeypatch.setattr("deepir.objective.curvature", lambda *_, **__: None)
         reached[known] = solve(problem, [stage]).history[-1]["loss"]
     assert reached[True] < reached[False]
 
@@ -118,7 +118,7 @@ def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
         fields["value"].init_from(torch.zeros(maps))
         fields["scene"].init_from(data[:1].mean().expand(1, 1, *canvas))
         if not known:
-            monkeypatch.setattr("deepir.objective.curvature", lambda *_: None)
+            monkeypatch.setattr("deepir.objective.curvature", lambda *_, **__: None)
         solve(problem, [Stage("stray", (Step(("scene", "value")),), 15, tolerance=0.0)])
         reached[known] = float((fields["value"]().detach() - stray).std())
     assert reached[True] < 0.2
@@ -148,3 +148,18 @@ def test_strong_columns_leave_open_the_scene_times_a_wave_rather_than_a_wave(see
         made.penalties["scene"]["tv"].weight.fill_(1.0)
         reached[strong] = solve(made, [Stage("sensor", free, 10, tolerance=0.0)]).history[-1]["loss"]
     assert reached[0.05] < reached[9.0] - 50
+
+
+def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem):
+    steps, scene = (Step(("scene",)), Step(("offset",), "eliminate")), problem.fields["scene"]
+    slow = slow_waves(scene.shape, scene.values.device)
+    start = {name: value.clone() for name, value in problem.state_dict().items()}
+    moved = {}
+    for fine in (True, False):
+        problem.load_state_dict(start)
+        before = torch.fft.rfft2(scene().detach())
+        solve(problem, [Stage("scene", steps, iterations=8, tolerance=0.0, fine=fine)])
+        change = (torch.fft.rfft2(scene().detach()) - before).abs().square()[0, 0]
+        moved[fine] = float(change[slow].sum()), float(change[~slow].sum())
+    assert moved[True][0] < 0.05 * moved[False][0]
+    assert moved[True][1] > 0.5 * moved[False][1]

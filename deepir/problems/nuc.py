@@ -76,16 +76,7 @@ class NUC(Definition):
         rough, fine, rest = (ROUGH, FINE, settled) if modelled(problem) else (1e-5, 1e-5, 1e-5)
         first = Stage("sensor 1", (Step(still), *eliminate), short, prepare=smooth_unseen, tolerance=rough)
         third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine)
-        follow = eliminate if modelled(problem) else ()
-        scene = Stage(
-            "scene",
-            (Step(("scene",)), *follow),
-            last,
-            prepare=functools.partial(_finish, fixed=not follow),
-            use_held_out=True,
-            tolerance=rest,
-            fine=bool(follow),
-        )
+        scene = Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True, tolerance=rest)
         shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
         return [
             first,
@@ -103,12 +94,12 @@ def update(problem: Problem) -> None:
     weigh_scene(problem, WEAK)
 
 
-def finish(problem: Problem, *, fixed: bool = True) -> None:
-    """Strengths for the scene's own stage, in which the sensor is `fixed` or follows."""
+def finish(problem: Problem) -> None:
+    """Strengths for the scene's own stage."""
     even_contrast(problem)
     update_noise(problem, settled=True)
     weigh_scene(problem)
-    cost = pattern_cost(problem, WEAK) if fixed else 0.0
+    cost = 0.0 if problem.follows else pattern_cost(problem, WEAK)
     follow_texture(problem, 0.0 if math.isnan(cost) else cost)
 
 
@@ -118,8 +109,8 @@ def _update(problem: Problem, *, settled: bool = True) -> None:
     doubt_moving(problem, settled=settled)
 
 
-def _finish(problem: Problem, *, fixed: bool) -> None:
-    finish(problem, fixed=fixed)
+def _finish(problem: Problem) -> None:
+    finish(problem)
     doubt_moving(problem)
 
 
