@@ -39,8 +39,8 @@ class Contest:
         self.field = field.to(device)
         self.penalties = {name: penalty.to(device) for name, penalty in penalties.items()}
         together = self.fit.with_sensor and isinstance(field, Pixels) and modelled(problem)
-        #: Gain and offset, if these follow the scene.
-        self.follows = tuple(problem.closed_form()) if together else ()
+        #: Gain and offset, if these follow the scene; where samples are cut off it is not sure enough of itself.
+        self.follows = tuple(problem.closed_form()) if together and problem.ends is None else ()
 
     def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:
         """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them.

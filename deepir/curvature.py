@@ -34,6 +34,7 @@ from deepir.priors.terms import Terms
 from deepir.problem import Problem
 from deepir.slow import Slow, Variances, variances
 from deepir.slow_curvature import slow_system
+from deepir.unseen import SEEN
 from deepir.waves import PLACES, additive, along_waves, common, frequencies, modelled
 
 #: Least curvature along a wave that is made use of, as a share of the mean. Waves that the motion leaves open are not
@@ -71,8 +72,16 @@ class Curvature:
         self.basis = slow.scene if slow else None
         self.tensors = _tensors(problem, mine, parameters, slow, others, eliminated)
         if fine:
-            for name in {"waves", "lines"} & self.tensors.keys():
-                self.tensors[name] *= ~slow_waves(self.shape, self.tensors[name].device)
+            self._hold_slow(problem)
+
+    def _hold_slow(self, problem: Problem) -> None:
+        """No step along slow waves, nor where hardly a frame looks: what is done there is made up for elsewhere."""
+        found = self.tensors
+        seen = _information(problem, typical_noise(problem.precision) ** -2) > SEEN / len(problem.data)
+        for name in {"waves", "lines"} & found.keys():
+            found[name] *= ~slow_waves(self.shape, found[name].device)
+        for name in {"even", "bright"} & found.keys():
+            found[name] *= seen
 
     @torch.no_grad()
     def solve(self, slope: Tensor) -> Tensor:
@@ -183,11 +192,16 @@ def _floored(problem: Problem, precision: float, pattern: Variances, floor: floa
 
 def _even(problem: Problem, precision: float) -> Tensor:
     """Square root of what usual samples would say of each pixel of the scene, in what these say, (H, W)."""
+    return _information(problem, precision).clamp_(*UNEVEN).rsqrt_()
+
+
+def _information(problem: Problem, precision: float) -> Tensor:
+    """What all samples say of each pixel of the scene, in what usual ones of this precision would, (H, W)."""
     slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
     weighed = problem.precision * slots["sensor.gain"]  # once more by the adjoint
     canvas = (1, 1, *problem.fields["scene"].shape[-2:])
-    told = problem.operator.adjoint(weighed, canvas, **slots)[0, 0]
-    return told.div_(precision * len(weighed)).clamp_(*UNEVEN).rsqrt_()
+    told: Tensor = problem.operator.adjoint(weighed, canvas, **slots)[0, 0]
+    return told.div_(precision * len(weighed))
 
 
 def _lags(problem: Problem, parameter: nn.Parameter) -> bool:
