@@ -27,7 +27,8 @@ FIRST, SCENES, SKIES, SHAPE = 1000, 12, 4, (432, 540)  # seeds of the drawn scen
 COUNT, FRAME, MARGIN = 10, 40, 4  # bursts of an iteration, px of their frames and of the scene around them
 FINER = (2, 5)  # times: a picture's px in one of a frame; from, below
 BLUR = (0.4, 0.6)  # px: standard deviation of the optics
-NOISE = (0.002, 0.03)  # of a picture's range, in the frames' mean; each factor equally often
+FRAMES = (3, 5, 10)  # of a burst
+NOISE = (0.0005, 0.03)  # of a picture's range, in the frames' mean; each factor equally often
 SHIFT = 2  # px, at most
 ROUNDING = 0.09
 STEPS = 40  # of L-BFGS to the minimum, and fifteen to a start
@@ -88,7 +89,7 @@ class FieldsOfExperts(Training):
             return 10 * (error.detach() + moved - moved.detach())
 
     def _bursts(self) -> Bursts:
-        count = int(self.rng.choice((3, 5)))
+        count = int(self.rng.choice(FRAMES))
         frames, truth, rows, columns = zip(*(self._burst(count) for _ in range(COUNT)), strict=True)
         return Bursts(*(torch.stack(each) for each in (frames, truth, rows, columns)))
 
