@@ -16,7 +16,7 @@ from deepir.registration.whole import whole_shifts
 
 SIZE = 320  # px: of larger frames, means over blocks are looked at
 TURNED = 6.0  # px at the frame's edge up to which a motion may be a shift
-FEW = 5  # frames up to which residuals may be least at a wrong place that is far away
+MOST = 20  # frames up to which it is asked where else the likelihood may climb to: that takes their square in time
 FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there would end, too
 APART = 0.2  # px at the frame's corners: what is closer is the same
 STRETCHED = ("affine", "homography")  # models of which only the shift is changed
@@ -69,12 +69,12 @@ def turns(motion: Tensor, weight: Tensor) -> bool:
 
 
 def starts(frames: Tensor, residual: np.ndarray, turned: bool) -> list[np.ndarray]:
-    """Shifts `(N - 1, 2)` from which the likelihood climbs: where residuals are least, and, of few frames, elsewhere.
+    """Shifts `(N - 1, 2)` from which the likelihood climbs: where residuals are least, and elsewhere.
 
     A turn is no shift; but where the search was taken in by the pattern, it found a turn, as often as not.
     """
     found = [] if turned else [residual.copy()]
-    if len(frames) > FEW:
+    if len(frames) > MOST:
         return found
     whole = whole_shifts(frames)
     return [*found, whole] if np.abs(whole - residual).max() > FAR else found

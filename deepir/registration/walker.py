@@ -1,84 +1,66 @@
-"""Somebody hot who walks before a plain scene: he is what registers, unless the places where he passes are left out."""
+"""Somebody who walks through a burst: in which samples he stands, and frames in which he is filled in."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
-from scipy.ndimage import binary_dilation, gaussian_filter
+from scipy.ndimage import binary_dilation, binary_opening, label, uniform_filter
 from torch import Tensor
 
-from deepir.registration.align import standing
-from deepir.registration.likelihood import likeliest_shifts
-from deepir.registration.motion import identity
-from deepir.registration.pyramid import Level, average, build_level
-from deepir.registration.vote import SIZE, reduced
-from deepir.registration.whole import whole_shifts
+from deepir.noise import MAD
+from deepir.registration.pyramid import Level, average, sample
+from deepir.registration.vote import SIZE
 
-MUCH = (30.0, 10.0)  # times the median of what changes: where somebody passes; and where he may
-AROUND = 3.0  # px, of frames of 320 px at most: over so many that is taken
-RIM = 3  # px of these by which such places are larger than they look
-LEAST = 0.05  # share of the frame that changes so much, if he is worth a second look
-#: Of what no motion leaves unexplained beside him: more is hardly explained, less is well explained; plain skies alone
-#: come to 0.37.
-HARDLY, WELL = 0.4, 0.15
-LIKELY, CLEARLY = 1.2, 1.5  # times more unexplained than by another motion: before that is refined, and after
-
-#: Motions of least residuals, of frames that are zero where their weights are, from others.
-Refine = Callable[[Tensor, Tensor, Tensor], Tensor]
+SMOOTH = 3  # px, of frames of 320 px at most: side of the windows whose mean change is looked at
+STANDS, REACHES = (
+    8.0,
+    16.0,
+)  # robust standard deviations of it: where somebody stands; and what he reaches somewhere
+THIN = 5  # px of these: what is thinner is an edge of the scene
+RIM = 4  # px of these by which he is larger than he looks
+MOST = 1 / 3  # share of a frame that he covers: where more differs, it is of another place
+CLEAR = 0.99  # share of a sample between pixels that are of the scene, if it is
+PASSES = 3  # over scene and pattern
 
 
-def beside_walker(
-    frames: Tensor, flat: Tensor, weight: Tensor, level: Level, motion: Tensor, refine: Refine
-) -> tuple[Tensor, Tensor]:
-    """Motions `(N, 3, 3)` of what is not in the places where somebody passes, and weights that are zero there.
+def someone(flat: Tensor) -> Tensor:
+    """The samples `(N, H, W)`, bool, of flat frames in which somebody stands, who is elsewhere in others.
 
-    They are those that are given, if these explain the rest as well. frames, flat: `(N, H, W)`, as they are and flat.
-    weight: `(H, W)`.
+    They differ from the median of all frames in regions that are nowhere thin, as the edges of a scene that moves are.
     """
-    known = torch.where(weight > 0, frames.float(), 0.0)
-    factor = max(1, -(-max(weight.shape) // SIZE))
-    change = changes(average(known, factor) / average(weight[None], factor).clamp_min(1e-6))
-    passed = (change > MUCH[0]).mean()
-    if len(frames) < 3 or not passed > LEAST:
-        return motion, weight
-
-    def left(places: Tensor, at: Tensor) -> float:
-        return standing(build_level(flat * places, places, level.factor), at)[1]
-
-    surely, likely = (weight * ~passes(change, much, factor, level.shape) for much in MUCH)
-    unexplained, at_rest = left(surely, motion), left(surely, identity(len(frames)))
-    if not unexplained > WELL * at_rest:
-        return motion, weight
-    start, had = likeliest(frames, surely), left(likely, motion)
-    if unexplained <= HARDLY * at_rest and had < LIKELY * left(likely, start):
-        return motion, weight
-    starts = (surely, start), (likely, likeliest(frames, likely))
-    found = [refine(flat * places, places, at) for places, at in starts]
-    best = min(found, key=lambda each: left(likely, each))
-    return (best, likely) if had > CLEARLY * left(likely, best) else (motion, weight)
+    h, w = flat.shape[1:]
+    factor = max(1, -(-max(h, w) // SIZE))
+    seen = average(flat, factor)
+    seen = seen - seen.flatten(1).median(1).values[:, None, None]
+    change = np.abs(uniform_filter((seen - seen.median(0).values).numpy(), (0, SMOOTH, SMOOTH)))
+    usual = MAD * float(np.median(change))
+    wide = binary_opening(change > STANDS * usual, np.ones((1, THIN, THIN)))
+    in_frame = np.arange(27).reshape(3, 3, 3) // 9 == 1  # neighbours of a sample
+    regions, _ = label(wide, in_frame)
+    held = np.unique(regions[wide & (change > REACHES * usual)])
+    stands = binary_dilation(np.isin(regions, held), in_frame, iterations=RIM)
+    stands &= stands.mean((1, 2), keepdims=True) < MOST
+    stands = stands.repeat(factor, 1).repeat(factor, 2)
+    rest = (0, 0), (0, h - stands.shape[1]), (0, w - stands.shape[2])
+    return torch.from_numpy(np.pad(stands, rest, mode="edge"))
 
 
-def changes(frames: Tensor) -> np.ndarray:
-    """What changes from frame to frame `(N, h, w)` around each pixel, squared, over the median of it."""
-    apart = frames - frames.mean(0)
-    apart -= apart.flatten(1).median(1).values[:, None, None]
-    change = gaussian_filter(apart.square().mean(0).numpy(), AROUND, mode="nearest")
-    return np.asarray(change / max(float(np.median(change)), 1e-30))
+def filled(frames: Tensor, stands: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
+    """Frames `(N, H, W)` with what the others show at motions `(N, 3, 3)` in the place of samples `(N, H, W)`.
 
-
-def passes(change: np.ndarray, much: float, factor: int, size: tuple[int, int]) -> Tensor:
-    """The pixels `(H, W)` of the frames where so much changes, and those next to them."""
-    places = binary_dilation(change > much, iterations=RIM)
-    h, w = size
-    whole = places.repeat(factor, 0).repeat(factor, 1)
-    return torch.from_numpy(np.pad(whole, ((0, h - len(whole)), (0, w - whole.shape[1])), mode="edge"))
-
-
-def likeliest(frames: Tensor, weight: Tensor) -> Tensor:
-    """The likeliest shifts of frames, as motions; what has no weight is left out."""
-    seen, factor = reduced(frames, weight)
-    motion = identity(len(frames))
-    motion[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, whole_shifts(seen)))
-    return motion
+    weight: `(H, W)`, zero where a pixel is bad.
+    """
+    level = Level(1, frames, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
+    levels = frames.flatten(1).median(1).values[:, None, None]
+    seen, free, back = frames - levels, weight * ~stands, torch.linalg.inv(motion)
+    mean = torch.where(free.any(0), (seen * free).sum(0) / free.sum(0).clamp_min(1), seen.mean(0))
+    clear, known = sample(free, back, level)
+    clear = known * (clear > CLEAR)
+    pattern = torch.zeros_like(mean)
+    for _ in range(PASSES):
+        scene = (sample(seen - pattern, back, level)[0] * clear).sum(0) / clear.sum(0).clamp_min(1)
+        scene = torch.where(clear.any(0), scene, mean - pattern)
+        expected, known = sample(scene[None], motion, level)
+        counts = free * known
+        pattern = ((seen - expected) * counts).sum(0) / counts.sum(0).clamp_min(1)
+    return torch.where(stands, torch.where(known > 0, expected + pattern, mean), seen) + levels

@@ -5,7 +5,7 @@ import pytest
 import torch
 from registered import SHAPE, apart, camera_of_tones, simulated
 
-from deepir.registration import group, likelihood, register, vote, walker, whole
+from deepir.registration import beside, group, likelihood, register, vote, whole
 from deepir.registration.even import even
 from deepir.scenes import procedural, sky
 from deepir.simulate import Settings, simulate
@@ -58,8 +58,8 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, see
     sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3, **camera), seed=seed)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
-    monkeypatch.setattr(vote, "FEW", 2)
-    monkeypatch.setattr(walker, "LEAST", 1.0)  # which finds them, too,
+    monkeypatch.setattr(vote, "MOST", 2)
+    monkeypatch.setattr(beside, "WELL", torch.inf)  # which finds them, too,
     monkeypatch.setattr(group, "PANNED", 1.0)  # as does this
     assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 

@@ -1,0 +1,79 @@
+"""Somebody who walks through a burst is filled in, and the scene registers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from registered import apart, camera_of_tones, simulated
+
+from deepir.registration import beside, register
+from deepir.registration.flatten import flatten
+from deepir.registration.motion import identity
+from deepir.registration.place import place
+from deepir.registration.walker import filled, someone
+from deepir.scenes import procedural, sky
+from deepir.simulate import simulate
+from deepir.simulate.pictures import picture as scene
+
+WALKER = {"walker": 0.5, "walker_contrast": 0.3}
+COUNTS = {"counts": True, "read_noise": 0.004, "photons": 0.0}
+
+
+def flat_of(sim):
+    return flatten(torch.from_numpy(sim.frames.astype(np.float32)), None)
+
+
+@pytest.mark.parametrize("camera", [{}, COUNTS], ids=["tones", "counts"])
+def test_who_stands_before_a_sky_is_found_in_each_frame(camera):
+    sim = simulate(sky(2, (430, 500)), camera_of_tones(n_frames=10, **WALKER, **camera), seed=6)
+    stands = someone(flat_of(sim)[0]).numpy()
+    assert stands[sim.truth.moving].mean() > 0.9
+    assert stands[~sim.truth.moving].mean() < 0.15
+
+
+def test_a_frame_of_another_place_is_nobody():
+    frames = simulated("camera")[0].clone()
+    frames[3] = simulated("gravel")[0][2]
+    assert not someone(flatten(frames, None)[0])[3].any()
+
+
+def test_he_is_filled_in_by_what_is_behind_him():
+    settings = camera_of_tones(n_frames=7, **WALKER)
+    sim, empty = (
+        simulate(procedural(3, (430, 500)), each, seed=5)
+        for each in (settings, dataclasses.replace(settings, walker=0.0))
+    )
+    stands, motion = torch.from_numpy(sim.truth.moving), torch.from_numpy(sim.truth.motion)
+    frames, weight = torch.from_numpy(sim.frames).float(), torch.ones(stands.shape[1:])
+
+    def wrong(at):
+        there = filled(frames, stands, weight, at).numpy()
+        return np.median(np.abs(there - empty.frames)[stands.numpy()])
+
+    assert wrong(motion) < 0.65 * wrong(identity(len(motion)))
+    assert wrong(motion) < 0.02  # of the range, with the noise of both; he differs by a third of it
+
+
+@pytest.mark.parametrize(
+    ("picture", "n_frames", "seed", "camera"),
+    [
+        (procedural(6, (430, 500)), 10, 76, {}),  # three frames followed him,
+        (scene("moon"), 10, 61, {}),  # all did, and were said not to move,
+        (sky(2, (430, 500)), 20, 19, COUNTS),
+        (sky(5, (430, 500)), 5, 1, COUNTS),
+        (sky(6, (430, 500)), 3, 52, {}),  # or nearly all of them
+    ],
+)
+def test_what_registers_is_the_scene(picture, n_frames, seed, camera):
+    sim = simulate(picture, camera_of_tones(n_frames=n_frames, **WALKER, **camera), seed=seed)
+    result = register(torch.from_numpy(sim.frames.astype(np.float32)))
+    assert result.used.all()
+    assert apart(sim, result.motion.numpy()[:, :2, 2]) < 0.5
+
+
+def test_frames_that_are_well_explained_are_not_placed_again(monkeypatch):
+    monkeypatch.setattr(beside, "place", None)
+    frames = simulated("astronaut")[0]
+    one = place(frames, *flatten(frames, None), "rigid")
+    assert beside.beside_walker(one, torch.ones(frames.shape[1:]), "rigid") is one
