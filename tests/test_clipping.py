@@ -74,7 +74,7 @@ def test_what_is_cut_off_costs_little_elsewhere_and_is_a_bound_there(hot, sign):
     where = cut.extra["clipped"]
     assert set(np.unique(where)) == {0, sign}
     assert where.astype(bool).sum() > 0.5 * (sim.truth.scene > 8900).sum()
-    assert (sim.truth.scene[where != 0] > 8800).all()
+    assert (sim.truth.scene[where != 0] > 8700).all()  # on the disc, or half on its edge
     level = np.median((cut.scene - truth)[~away])
     assert (sign * (cut.scene - level)[where != 0] > sign * end - 100).all()
     assert cut.bad_pixels.mean() < 0.005

@@ -13,12 +13,13 @@ from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import identity, relative
 from deepir.registration.place import Placed, misfit, place, search_level, settled
 from deepir.registration.pyramid import Level
-from deepir.registration.vote import FAR, FOUR, all_but_one, apart, gains, reduced, scaled
+from deepir.registration.vote import FAR, FOUR, all_but_one, apart, gains, reduced, scaled, turns
 from deepir.registration.walker import filled, someone
 from deepir.registration.whole import whole_shifts
 
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
 NOTHING = 0.9  # of that: a motion that leaves more explains nothing
+CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
 PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
 
 
@@ -72,7 +73,8 @@ def better(one: Placed, other: Placed, level: Level, frames: Tensor, stands: Ten
         if factor * apart(before, after, small) > FAR:
             gained = [gains(each, before, after, FOUR) for each, _ in seen]
             likelier = all_but_one([sum(part) for part in zip(*gained, strict=True)]) > 0
-            return likelier and has < max(had, NOTHING * none)
+            # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
+            return likelier and has < (CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none))
     return bool(other.used.sum() > one.used.sum())
 
 

@@ -77,3 +77,10 @@ def test_frames_that_are_well_explained_are_not_placed_again(monkeypatch):
     frames = simulated("astronaut")[0]
     one = place(frames, *flatten(frames, None), "rigid")
     assert beside.beside_walker(one, torch.ones(frames.shape[1:]), "rigid") is one
+
+
+def test_a_scene_that_turns_is_nobody_who_walks():
+    # Its dark figure moves otherwise than the rest: parts of the frame that voted put it 24 px off.
+    sim = simulate(scene("camera"), camera_of_tones(n_frames=3, gain_column=0.05, max_rotation=6.0), seed=41)
+    result = register(torch.from_numpy(sim.frames.astype(np.float32)))
+    assert apart(sim, result.motion.numpy()[:, :2, 2]) < 0.5
