@@ -26,6 +26,8 @@ from deepir.strengths import weigh_scene
 from deepir.waves import modelled
 
 ROUNDS = 30  # of the registered average
+#: Gain of ten iterations, in nats for each pixel of the scene, below which a fit that the sensor follows ends.
+SETTLED = 0.03
 
 
 class Contest:
@@ -41,6 +43,7 @@ class Contest:
         together = self.fit.with_sensor and isinstance(field, Pixels) and modelled(problem)
         #: Gain and offset, if these follow the scene; where samples are cut off it is not sure enough of itself.
         self.follows = tuple(problem.closed_form()) if together and problem.ends is None else ()
+        self.tolerance = SETTLED / len(problem.data) if self.follows else Stage.tolerance
 
     def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:
         """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them.
@@ -59,6 +62,7 @@ class Contest:
                 fit.iterations,
                 prepare=weigh,
                 use_held_out=not stopped,
+                tolerance=self.tolerance,
                 fine=bool(follow),
             )
             for name in rounds

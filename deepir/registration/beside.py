@@ -74,7 +74,8 @@ def better(one: Placed, other: Placed, level: Level, frames: Tensor, stands: Ten
             gained = [gains(each, before, after, FOUR) for each, _ in seen]
             likelier = all_but_one([sum(part) for part in zip(*gained, strict=True)]) > 0
             # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
-            return likelier and has < (CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none))
+            most = CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none)
+            return likelier and has < most
     return bool(other.used.sum() > one.used.sum())
 
 
