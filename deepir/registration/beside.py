@@ -18,7 +18,7 @@ from deepir.registration.walker import filled, someone
 from deepir.registration.whole import whole_shifts
 
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
-NOTHING = 0.9  # of that: a motion that leaves more explains nothing
+NOTHING = 0.7  # of that: a motion that leaves more explains nothing
 CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
 PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
 
