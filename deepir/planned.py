@@ -14,11 +14,8 @@ from deepir.stage import Stage, Step
 
 def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
     """The stages of `solver.plan`, or else the problem's own; `ConfigError` where they do not fit the unknowns."""
-    given, cap, contest = (
-        config.solver.plan,
-        config.solver.max_iterations,
-        Contest(problem, config) if config.scene.get("fit") else None,
-    )
+    given, cap = config.solver.plan, config.solver.max_iterations
+    contest = Contest(problem, config) if config.scene.get("fit") else None
     if given is None:
         stages, where = definition.plan(problem), f"problem '{config.problem}' (or take problem=generic)"
     else:

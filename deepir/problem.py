@@ -45,9 +45,8 @@ class Problem(nn.Module):
     #: 1 or -1 where a sample is cut off, and the data a bound, (N, C, h, w) int8; None: nowhere.
     ends: Tensor | None
     even: Tensor  # whether that was found to be the same for all
-    plain: (
-        Tensor  # the power of two by which a scene so plain bears stronger penalties; zero until it is known
-    )
+    #: The power of two by which a scene so plain bears stronger penalties; zero until it is known.
+    plain: Tensor
 
     def __init__(
         self,

@@ -82,9 +82,8 @@ def shading_message(problem: Problem) -> list[str]:
 def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
     first, *others = (stage for _, stage in problem.operator.named())
-    same = all(
-        isinstance(stage, Add | Blur | Lag | Sensor) for stage in others
-    )  # of one size, but for a blur's reach
+    # Of one size, but for a blur's reach.
+    same = all(isinstance(stage, Add | Blur | Lag | Sensor) for stage in others)
     if not (isinstance(first, Warp) and same) or len(problem.data) < 2:
         return [], [], []
     closed, free = problem.closed_form(), problem.free()

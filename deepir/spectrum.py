@@ -19,10 +19,8 @@ from torch import Tensor, nn
 from deepir.priors.psf import PSF
 from deepir.problems.definition import filled
 
-SLOPE, SPREAD = (
-    2.4,
-    0.13,
-)  # of the scene's power spectrum: the mean of natural scenes, and how far it is followed
+#: Of the scene's power spectrum: the mean of natural scenes, and how far it is followed.
+SLOPE, SPREAD = 2.4, 0.13
 LEAST = 0.15  # radians a px: slower waves are few, and of the scene's large shapes
 BEST, ITERATIONS = 3, 40  # starts that are followed, and how far
 

@@ -23,11 +23,8 @@ from deepir.problems.definition import start_scene
 from deepir.registry import register
 from deepir.result import Result, neutral, to_gauge
 
-ROUNDS, ITERATIONS, TOLERANCE = (
-    3,
-    60,
-    1e-3,
-)  # of Gauss-Newton; of conjugate gradients in each, at most, and their end
+#: Of Gauss-Newton; of conjugate gradients in each, at most, and their end.
+ROUNDS, ITERATIONS, TOLERANCE = 3, 60, 1e-3
 WIDE = 2.0  # the prior of D z to its root mean square, which is that of edges and texture alike
 KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[None, None]
 

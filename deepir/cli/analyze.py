@@ -93,8 +93,7 @@ def _judged(
 
     pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
     statistics = of_map(pattern, ~bad)
-    coarser = np.diag(
-        [len(gain) / len(scene), len(gain) / len(scene), 1]
-    )  # px of the scene to px of the detector
+    finer = len(scene) / len(gain)  # px of the scene in one of the detector
+    coarser = np.diag([1 / finer, 1 / finer, 1])
     seen = motion[np.isfinite(motion).all((1, 2))]
     return statistics, judge(statistics, coarser @ seen @ np.linalg.inv(coarser))

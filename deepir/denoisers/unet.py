@@ -56,9 +56,8 @@ class UNet(nn.Module):
         """The picture without its noise; `sigma` is a number, or (B, 1, 1, 1)."""
         folded = F.pixel_unshuffle(picture, FOLD)
         strength = torch.ones_like(folded[:, :1]) * sigma
-        shown = F.pad(
-            torch.cat((folded, strength), 1), (1, 1, 1, 1), mode="replicate"
-        )  # zeros would be a level
+        # Zeros around it would be a level.
+        shown = F.pad(torch.cat((folded, strength), 1), (1, 1, 1, 1), mode="replicate")
         x = F.conv2d(shown, self._filters())
         levels = [x]
         for before, down in zip(self.before, self.down, strict=True):

@@ -30,10 +30,8 @@ def _sample(image, weight, whole, t, i, at, f, g, values, known):
         px, py = (ax * x + bx) * nearness, (ay * x + by) * nearness
         beyond = max(-px, px - to_x, -py, py - to_y)
         known[j] = ONE if beyond < BESIDE else ZERO
-        px, py = (
-            px if px > ZERO else ZERO,
-            py if py > ZERO else ZERO,
-        )  # in this order a NaN, too, ends up inside
+        # In this order a NaN, too, ends up inside.
+        px, py = px if px > ZERO else ZERO, py if py > ZERO else ZERO
         px, py = px if px < to_x else to_x, py if py < to_y else to_y
         left, top = np.int32(min(px, to_x - ONE)), np.int32(min(py, to_y - ONE))
         f[j], g[j] = px - np.float32(left), py - np.float32(top)

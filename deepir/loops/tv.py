@@ -27,9 +27,8 @@ def total_variation(first, last, value, share, rounding, energy, gradient):
             d, r = below[j] - here[j], beside[j] - here[j]
             squared = d * d + r * r
             length = np.sqrt(squared + e * e)
-            total += (
-                counts[j] * squared / (length + e)
-            )  # the same as the difference, without its cancellation
+            # The same as the difference, without its cancellation.
+            total += counts[j] * squared / (length + e)
             down[j], to_right[j] = counts[j] * d / length, counts[j] * r / length
         if i >= first:
             energy[i] = total

@@ -36,9 +36,8 @@ class Part(Field):
         self.given = sigma is not None
         self.register_buffer("center", torch.tensor(float(neutral)))  # neutral, in the output's type
         self.register_buffer("sigma", torch.tensor(0.0 if sigma is None else sigma, dtype=torch.float64))
-        self.register_buffer(
-            "most", torch.tensor(math.inf, dtype=torch.float64)
-        )  # bound of an estimated sigma
+        # Bound of an estimated sigma.
+        self.register_buffer("most", torch.tensor(math.inf, dtype=torch.float64))
 
     def forward(self) -> Tensor:
         """`neutral + values`."""

@@ -22,10 +22,8 @@ SAME = 1.3  # times what is left with motions, for each degree of freedom: frame
 #: few frames see is easily explained.
 FAR, SAME_IF_FAR = 0.3, 4.0
 ROUGH = 3  # rounds of alignment
-PANNED, PANS = (
-    0.2,
-    3,
-)  # share of the frame from which a camera pans, and times frames are looked for from the middle
+#: Share of the frame from which a camera pans, and times frames are looked for from the middle.
+PANNED, PANS = 0.2, 3
 
 
 def one_scene(level: Level, model: str) -> tuple[Tensor, Tensor, Aligned]:

@@ -14,10 +14,8 @@ ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]
 WHITEN = 0.7  # 0: plain correlation, 1: phase correlation
 PASSED = 0.12  # cycles a px of the level: Gaussian in which lags are compared
 CLEAR = 8.0  # deviations of the correlations at all lags: other scenes seldom reach it, the same 11 and more,
-LITTLE, LEAST = (
-    0.12,
-    4.5,
-)  # or, as the root of the number of px limits it, so many times that, and at least so much
+#: Or, as the root of the number of px limits it, so many times that, and at least so much.
+LITTLE, LEAST = 0.12, 4.5
 TRIED = 4  # frames that are tried as the one to compare with
 
 

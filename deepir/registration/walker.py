@@ -12,10 +12,8 @@ from deepir.registration.pyramid import Level, average, sample
 from deepir.registration.vote import SIZE
 
 SMOOTH = 3  # px, of frames of 320 px at most: side of the windows whose mean change is looked at
-STANDS, REACHES = (
-    8.0,
-    16.0,
-)  # robust standard deviations of it: where somebody stands; and what he reaches somewhere
+#: Robust standard deviations of it: where somebody stands; and what he reaches somewhere.
+STANDS, REACHES = 8.0, 16.0
 THIN = 5  # px of these: what is thinner is an edge of the scene
 RIM = 4  # px of these by which he is larger than he looks
 MOST = 1 / 3  # share of a frame that he covers: where more differs, it is of another place

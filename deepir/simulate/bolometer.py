@@ -12,10 +12,7 @@ from deepir.simulate.settings import Settings
 #: Relative standard deviations from pixel to pixel; of the bias current, from column to column.
 ABSORPTION, COEFFICIENT, RESISTANCE, CONDUCTANCE, CAPACITY, CURRENT = 0.01, 0.005, 0.01, 0.02, 0.01, 0.01
 OWN = 0.5  # flux that a pixel emits itself, above that of scene value 0, in ranges
-LENS, CORNER = (
-    0.2,
-    20.0,
-)  # share of what a pixel sees that is lens, at f/1; angle of the frame's corner, degrees
+LENS, CORNER = 0.2, 20.0  # share of a pixel's view that is lens, at f/1; angle of the frame's corner, degrees
 
 
 def pixels(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -133,9 +133,8 @@ class FieldsOfExperts(Training):
             return bursts.misfit(scene) + WEAK * length
 
         scene = _minimum(weak, start, 15)
-        gradient = (
-            math.sqrt(12) * squared_gradient(image(scene[:, None])[:, 0]).sqrt()
-        )  # in standard deviations of a pixel's mean
+        # In standard deviations of a pixel's mean.
+        gradient = math.sqrt(12) * squared_gradient(image(scene[:, None])[:, 0]).sqrt()
         return scene, torch.cat([held(each[None], plainness(float(each.mean()))) for each in gradient])
 
 
@@ -165,9 +164,8 @@ def _solved(slope: Tensor, scene: Tensor, wanted: Tensor) -> Tensor:
     for _ in range(PRODUCTS):
         (across,) = torch.autograd.grad(slope, scene, step, retain_graph=True)
         bent = dot(step, across)
-        share = torch.where(
-            bent > 0, dot(rest, rest) / bent, 0
-        )  # along what does not bend up nothing is gained
+        # Along what does not bend up nothing is gained.
+        share = torch.where(bent > 0, dot(rest, rest) / bent, 0)
         found, new = found + share * step, rest - share * across
         rest, step = new, new + dot(new, new) / dot(rest, rest).clamp(min=1e-30) * step
     return found
