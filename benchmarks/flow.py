@@ -41,7 +41,7 @@ from deepir.solve import solve
 from deepir.stage import Stage, Step
 
 PICTURES = ("coffee", "rocket", "procedural 40")
-PRIORS = ("tv", "tgv", "red")
+PRIORS = ("foe", "tv", "tgv", "red")
 SEED, FRAMES, PARALLAX = 301, 6, (2.0, 5.0)
 CAMERA = Settings(
     n_frames=FRAMES, shape=(128, 160), counts=True, max_shift=8.0, max_rotation=1.0, shading=0.0

@@ -29,7 +29,8 @@ CAMERAS = {"photons": UNIT, "counts": COUNTS | {"read_noise": 0.004, "pedestal":
 SHAPES, STRENGTHS = ("smooth", "radial", "ring", "edge"), (0.2, 1.0, 4.0)
 PICTURES = ("coffee", "rocket", "coins", "procedural 40")
 SEED = 301
-PRIORS = ("tv", "red", "tgv")
+PRIORS = ("foe", "tv", "red", "tgv")
+DEFAULT = PRIORS[0]
 VIGNETTED = "duo_pro_r_radiometric.tiff"  # counts of 0.04 K
 VERSION = 1  # to be raised with a change that gives other oracles
 HEADER = (
@@ -67,12 +68,12 @@ def report(*, fresh: bool) -> Iterator[str]:
         found = {"nuc": deepir.run("nuc", frames=sim.frames)}
         found |= {prior: deepir.run("narcissus", frames=sim.frames, prior=prior) for prior in PRIORS}
         quality = {each: aligned(result.scene, sim) for each, result in found.items()}
-        gaps.append(best - quality["tv"])
+        gaps.append(best - quality[DEFAULT])
         others = " | ".join(f"{quality[prior]:.1f}" for prior in PRIORS[1:])
-        left = left_over(found["tv"], sim)
+        left = left_over(found[DEFAULT], sim)
         yield (
-            f"| {camera} | {shape} | {100 * strength:.0f} | {name} | {quality['nuc']:.1f} | **{quality['tv']:.1f}** | "
-            f"{others} | {best:.1f} | {gaps[-1]:.1f} | {100 * left:.0f} | {found['tv'].metrics['seconds']:.1f} |"
+            f"| {camera} | {shape} | {100 * strength:.0f} | {name} | {quality['nuc']:.1f} | **{quality[DEFAULT]:.1f}** | "
+            f"{others} | {best:.1f} | {gaps[-1]:.1f} | {100 * left:.0f} | {found[DEFAULT].metrics['seconds']:.1f} |"
         )
     yield f"\nGap to the oracle: mean {np.mean(gaps):.1f} dB, worst {max(gaps):.1f} dB, of {len(gaps)} bursts."
 

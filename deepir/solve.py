@@ -23,6 +23,7 @@ from deepir.stage import Stage, Step
 
 #: A solve has diverged whose objective is so many times what its stage began with (or a nat a sample).
 RISE = 1e3
+WATCHED = 25  # iterations from one look at the held-out samples to the next
 
 
 @dataclass
@@ -153,7 +154,7 @@ def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, S
     at.iteration, at.total = at.iteration + 1, at.total + 1
     at.evaluations += sum(o.take_count() for o, _ in optimisers)
     row = {"stage": stage.name, "iteration": at.iteration, "loss": loss}
-    if at.iteration % 10 == 0 and not stage.use_held_out and problem.held_out.any():
+    if at.iteration % WATCHED == 0 and not stage.use_held_out and problem.held_out.any():
         row["held_out"] = held_out_error(problem)
     at.history.append(row)
 

@@ -202,7 +202,7 @@ def test_progress_is_reported(small_nuc):
 def test_held_out_samples_are_watched_but_not_fitted(small_nuc):
     problem = small_nuc()
     problem.held_out[:, :, 1::3, 1::3] = True
-    solution = solve(problem, plan(iterations=20, tolerance=0.0))
+    solution = solve(problem, plan(iterations=50, tolerance=0.0))
     watched = [row["held_out"] for row in solution.history if "held_out" in row]
     assert len(watched) == 2
     assert watched[-1] == held_out_error(problem)

@@ -113,10 +113,14 @@ class LBFGS(Optimiser):
             along = float(torch.dot(slope, direction))
             if not (value <= self.value + ARMIJO * step * descent and math.isfinite(along)):
                 high = step
+                if best is None:
+                    step = _shorter(step, value - self.value, descent)
+                    continue
             else:
                 best = (x, value, slope)
                 if along >= CURVATURE * descent:
-                    if along > -TOO_FAR * descent and len(self.pairs) >= SCALED:
+                    far = high < float("inf") or along > -TOO_FAR * descent
+                    if far and len(self.pairs) >= SCALED:
                         self.scale = SHORTER * self.scale
                     return best
                 low = step
@@ -142,3 +146,9 @@ class LBFGS(Optimiser):
 
 def _pair(s: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return s, y, 1 / torch.dot(s, y)
+
+
+def _shorter(step: float, rise: float, descent: float) -> float:
+    """Where the parabola through a start, with its slope, and a `rise` at `step` is least; a tenth to a half of it."""
+    bent = rise - step * descent
+    return step * min(0.5, max(0.1, -step * descent / (2 * bent))) if math.isfinite(bent) else step / 2

@@ -14,7 +14,7 @@ from deepir.registration.motion import identity, relative
 from deepir.registration.place import Placed, misfit, place, search_level, settled
 from deepir.registration.pyramid import Level
 from deepir.registration.vote import FAR, FOUR, all_but_one, apart, gains, reduced, scaled, turns
-from deepir.registration.walker import filled, someone
+from deepir.registration.walker import blanked, filled, someone
 from deepir.registration.whole import whole_shifts
 
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
@@ -31,7 +31,7 @@ def beside_walker(one: Placed, weight: Tensor, model: str) -> Placed:
     if len(one.frames) < 3 or not (stands := someone(one.flat)).any():
         return one
     frames, flat = torch.where(weight > 0, one.frames.float(), 0.0), one.flat
-    level = search_level(filled(flat, stands, weight, identity(len(flat))), weight)
+    level = search_level(blanked(flat, stands, weight), weight)
     if misfit(level.of(one.used), one.motion) < WELL * misfit(level.of(one.used), identity(len(one.motion))):
         return one
     for other in others(one, frames, stands, weight, model):
@@ -42,8 +42,8 @@ def beside_walker(one: Placed, weight: Tensor, model: str) -> Placed:
 
 def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: str) -> Iterator[Placed]:
     """Where else frames `(N, H, W)` may be: as if he were not there; and by their likelihood beside his way."""
-    at_rest, used = identity(len(frames)), one.used
-    seen, flat = (filled(each, stands, weight, at_rest) for each in (frames, one.flat))
+    used = one.used
+    seen, flat = (blanked(each, stands, weight) for each in (frames, one.flat))
     yield place(seen, flat, weight, model)
     passed = stands[used].any(0)
     if used.sum() > 2 and passed.float().mean() < PASSED:

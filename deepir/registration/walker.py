@@ -43,15 +43,22 @@ def someone(flat: Tensor) -> Tensor:
     return torch.from_numpy(np.pad(stands, rest, mode="edge"))
 
 
-def filled(frames: Tensor, stands: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
-    """Frames `(N, H, W)` with what the others show at motions `(N, 3, 3)` in the place of samples `(N, H, W)`.
+def blanked(frames: Tensor, stands: Tensor, weight: Tensor) -> Tensor:
+    """Frames `(N, H, W)` with the mean of the others in the place of samples `(N, H, W)`: as if nothing moved.
 
     weight: `(H, W)`, zero where a pixel is bad.
     """
+    levels = frames.flatten(1).median(1).values[:, None, None]
+    seen = frames - levels
+    return torch.where(stands, _mean(seen, weight * ~stands), seen).add_(levels)
+
+
+def filled(frames: Tensor, stands: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
+    """The same with what the others show of scene and pattern, at motions `(N, 3, 3)`."""
     level = Level(1, frames, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
     levels = frames.flatten(1).median(1).values[:, None, None]
     seen, free, back = frames - levels, weight * ~stands, torch.linalg.inv(motion)
-    mean = torch.where(free.any(0), (seen * free).sum(0) / free.sum(0).clamp_min(1), seen.mean(0))
+    mean = _mean(seen, free)
     clear, known = sample(free, back, level)
     clear = known * (clear > CLEAR)
     pattern = torch.zeros_like(mean)
@@ -62,3 +69,9 @@ def filled(frames: Tensor, stands: Tensor, weight: Tensor, motion: Tensor) -> Te
         counts = free * known
         pattern = ((seen - expected) * counts).sum(0) / counts.sum(0).clamp_min(1)
     return torch.where(stands, torch.where(known > 0, expected + pattern, mean), seen) + levels
+
+
+def _mean(seen: Tensor, free: Tensor) -> Tensor:
+    """That of the samples `(N, H, W)` which are free, `(H, W)`; of all where none is."""
+    count = free.sum(0)
+    return torch.where(count > 0, (seen * free).sum(0) / count.clamp_min(1), seen.mean(0))

@@ -161,14 +161,24 @@ class Flat:
 
 
 def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
-    tried, reached = [], []
+    steps, reached = [], []
     for shorter in (lbfgs.SHORTER, 1.0):
         monkeypatch.setattr(lbfgs, "SHORTER", shorter)
         _, optimiser = make("lbfgs", kinked, start=[0.0] * 300)
-        optimiser.curvature = Flat()
-        for _ in range(40):
+        optimiser.curvature, evaluations, taken = Flat(), 0, 0
+        while evaluations < 60:
             optimiser.step(fresh=False)
-        tried.append(optimiser.take_count())
+            evaluations, taken = evaluations + optimiser.take_count(), taken + 1
+        steps.append(taken)
         reached.append(optimiser.value)
-    assert tried[0] < 0.9 * tried[1]
-    assert reached[0] < reached[1]
+    assert steps[0] > 1.5 * steps[1]
+    assert reached[0] < reached[1] - 0.3
+
+
+def test_a_step_that_goes_too_far_is_followed_by_one_to_the_parabola_s_least_point():
+    bend = torch.tensor([1.0, 5.0])
+    _, optimiser = make("lbfgs", lambda x: (bend * x.square()).sum() / 2, start=[0.0, 1.0])
+    optimiser.curvature = Flat()
+    optimiser.step(fresh=False)
+    assert optimiser.take_count() == 3  # the start's, one that is five times too long, and the least point
+    assert optimiser.value == pytest.approx(0.0, abs=1e-9)

@@ -11,7 +11,7 @@ from deepir.registration import beside, register
 from deepir.registration.flatten import flatten
 from deepir.registration.motion import identity
 from deepir.registration.place import place
-from deepir.registration.walker import filled, someone
+from deepir.registration.walker import blanked, filled, someone
 from deepir.scenes import procedural, sky
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
@@ -84,3 +84,12 @@ def test_a_scene_that_turns_is_nobody_who_walks():
     sim = simulate(scene("camera"), camera_of_tones(n_frames=3, gain_column=0.05, max_rotation=6.0), seed=41)
     result = register(torch.from_numpy(sim.frames.astype(np.float32)))
     assert apart(sim, result.motion.numpy()[:, :2, 2]) < 0.5
+
+
+def test_as_if_nothing_moved_he_is_the_mean_of_the_others():
+    frames, weight = simulated("camera")[0].float(), torch.ones(*simulated("camera")[0].shape[1:])
+    stands = torch.rand(frames.shape, generator=torch.Generator().manual_seed(0)) < 0.4
+    weight[3:5, 7:9] = 0
+    torch.testing.assert_close(
+        blanked(frames, stands, weight), filled(frames, stands, weight, identity(len(frames)))
+    )
