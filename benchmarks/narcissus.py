@@ -69,11 +69,12 @@ def report(*, fresh: bool) -> Iterator[str]:
         found |= {prior: deepir.run("narcissus", frames=sim.frames, prior=prior) for prior in PRIORS}
         quality = {each: aligned(result.scene, sim) for each, result in found.items()}
         gaps.append(best - quality[DEFAULT])
-        others = " | ".join(f"{quality[prior]:.1f}" for prior in PRIORS[1:])
+        columns = " | ".join(f"{quality[prior]:.1f}" for prior in PRIORS[1:])
         left = left_over(found[DEFAULT], sim)
         yield (
-            f"| {camera} | {shape} | {100 * strength:.0f} | {name} | {quality['nuc']:.1f} | **{quality[DEFAULT]:.1f}** | "
-            f"{others} | {best:.1f} | {gaps[-1]:.1f} | {100 * left:.0f} | {found[DEFAULT].metrics['seconds']:.1f} |"
+            f"| {camera} | {shape} | {100 * strength:.0f} | {name} | {quality['nuc']:.1f} | "
+            f"**{quality[DEFAULT]:.1f}** | {columns} | {best:.1f} | {gaps[-1]:.1f} | {100 * left:.0f} | "
+            f"{found[DEFAULT].metrics['seconds']:.1f} |"
         )
     yield f"\nGap to the oracle: mean {np.mean(gaps):.1f} dB, worst {max(gaps):.1f} dB, of {len(gaps)} bursts."
 

@@ -82,9 +82,8 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     if data.crop is not None:
         size = mask.shape
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
-        truth = {
-            k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"
-        }  # about another centre
+        # Motion is about another centre then.
+        truth = {k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"}
     bad, valid = validate(stack, source, needs=needs)
     stack = np.where(valid, stack, np.nan)
     stretched = is_stretched(stack)

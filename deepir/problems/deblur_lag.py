@@ -22,9 +22,8 @@ FAST = 1.0  # px from instant to instant, above which the flux in between is a g
 FINEST = 16  # sub-steps, above which a camera does not move smoothly but jumps
 HALF = 0.5  # of the speed at which the camera goes on
 TRIAL = 40  # iterations, after which it shows whether the camera was moving before the first frame
-UNLIKE = (
-    1.15  # misfit of the first frame, in those of the others, from which it began otherwise than supposed
-)
+#: Misfit of the first frame, in those of the others, from which it began otherwise than supposed.
+UNLIKE = 1.15
 
 
 @register("problem", "deblur_lag")

@@ -42,9 +42,8 @@ class Settings:
 
     n_frames: int = 5  # frame 0 is the reference and does not move
     shape: tuple[int, int] = (160, 192)  # height and width of a frame, px
-    scale: float | None = (
-        None  # picture px per detector px, >= 1.2; None: the largest at which all frames fit
-    )
+    #: Picture px per detector px, >= 1.2; None: the largest at which all frames fit.
+    scale: float | None = None
     factor: int = 1  # the truth's scene is on a grid so many times finer than the detector's
     motion: str = "rigid"  # shift, rigid, affine (+ 1 % stretch and shear), homography (+ 1 % keystone)
     max_shift: float = 10.0  # shifts are uniform in +- this along each axis, px
@@ -53,9 +52,8 @@ class Settings:
     gain_pixel: float = 0.03  # sigma of a pixel's gain, fraction
     gain_column: float = 0.01  # sigma of a column's gain, fraction
     gain_row: float = 0.0  # sigma of a row's gain, fraction
-    gain_distribution: str = (
-        "normal"  # or uniform: parts are U(1 - s, 1); U(v, 1) columns: gain_column = 1 - v
-    )
+    #: normal, or uniform: parts are U(1 - s, 1); U(v, 1) columns: gain_column = 1 - v
+    gain_distribution: str = "normal"
     gain_shading: float = 0.0  # smooth (quadratic) factor of the gain, peak to peak, fraction
     offset_pixel: float = 0.027  # sigma of a pixel's offset, fraction of the range
     offset_column: float = 0.04  # sigma of a column's offset, fraction of the range
@@ -82,19 +80,16 @@ class Settings:
     bolometer: bool = False  # gain, offset and tau's spread from the pixels' physics, not from the keys above
     housing_drift: float = 0.0  # flux that a warming housing adds on the axis, fraction of the range a second
     own_scenes: bool = False  # each frame is of a scene of its own, drawn or given; the camera is at rest
-    parallax: float = (
-        0.0  # px that the nearest moves more than the farthest in a frame that is shifted by max_shift
-    )
+    #: Px that the nearest moves more than the farthest in a frame that is shifted by max_shift.
+    parallax: float = 0.0
     stray: float = 0.0  # flux in front of the sensor that is not the scene's, peak to peak, of the range
     stray_shape: str = "smooth"  # or radial (about an axis), ring (a ghost), edge (a polariser's reflection)
     psf_sigma: float = 0.5  # sigma of the optics' Gaussian blur, detector px; the pixel's box comes on top
-    airy_radius: float = (
-        0.0  # first dark ring of the optics' diffraction, 1.22 wavelengths x f-number, detector px
-    )
+    #: First dark ring of the optics' diffraction, 1.22 wavelengths x f-number, detector px.
+    airy_radius: float = 0.0
     defocus_radius: float = 0.0  # radius of the disc that a point out of focus is seen as, detector px
-    motion_blur: float = (
-        0.0  # px that the camera moves, straight and evenly, during the exposure of each frame
-    )
+    #: Px that the camera moves, straight and evenly, during the exposure of each frame.
+    motion_blur: float = 0.0
     motion_blur_angle: float = 0.0  # direction of that, from +x towards +y, degrees
     sharp: bool = False  # the truth's scene is without the optics' blur, as deconvolution is to find it
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16
