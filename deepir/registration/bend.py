@@ -7,10 +7,11 @@ from torch import Tensor
 
 from deepir.registration.align import align, standing
 from deepir.registration.motion import carried, increment, nearest_rigid, relative
+from deepir.registration.parts import NINE, all_but_one, gains
 from deepir.registration.pull import pull
 from deepir.registration.pyramid import Level
 from deepir.registration.refine import solved, sums
-from deepir.registration.vote import NINE, all_but_one, gains, reduced, scaled
+from deepir.registration.vote import reduced, scaled
 
 FEWEST, SHORTEST = 3, 64  # frames, and px: fewer and smaller ones are rigid
 BAND = 8  # rows of which a step is made, and the next ones left to the other

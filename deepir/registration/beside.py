@@ -11,15 +11,17 @@ from torch import Tensor
 from deepir.registration.align import Aligned, standing
 from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import identity, relative
-from deepir.registration.place import Placed, misfit, place, search_level, settled
+from deepir.registration.parts import FOUR, all_but_one, gains
+from deepir.registration.place import Placed, misfit, place, search_level, settled, turning
 from deepir.registration.pyramid import Level
-from deepir.registration.vote import FAR, FOUR, all_but_one, apart, gains, reduced, scaled, turns
+from deepir.registration.vote import FAR, apart, reduced, scaled, turns
 from deepir.registration.walker import blanked, filled, someone
 from deepir.registration.whole import whole_shifts
 
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
 NOTHING = 0.7  # of that: a motion that leaves more explains nothing
 CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
+FEW = 3  # frames, which beside him say too little of turns
 PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
 
 
@@ -47,9 +49,13 @@ def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: s
     yield place(seen, flat, weight, model)
     passed = stands[used].any(0)
     if used.sum() > 2 and passed.float().mean() < PASSED:
-        seen, factor = reduced(frames[used], weight * ~passed)
+        beside = weight * ~passed
+        seen, factor = reduced(frames[used], beside)
         moved = identity(len(seen))
         moved[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, whole_shifts(seen)))
+        if model == "rigid" and len(moved) > FEW:
+            turned = turning(frames[used], beside, moved)
+            moved = turned if apart(moved, turned, frames) > FAR else moved
         yield replace(one, motion=moved)
 
 

@@ -8,13 +8,19 @@ from torch import Tensor
 
 from deepir.registration.align import Aligned, align, standing
 from deepir.registration.group import one_scene
+from deepir.registration.motion import relative
+from deepir.registration.parts import NINE, gains, likeliest_turns
 from deepir.registration.pyramid import Level, build_level
-from deepir.registration.vote import likelier, turns
+from deepir.registration.vote import apart, likelier, reduced, scaled, turns
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
 FINEST = 400_000  # px: larger frames are registered at half their size
 ROUNDS = 8  # of alignment at most
 FINE = 2  # of them on the last level, if there is one of half the size before
+TURNS = 100  # px: of larger frames, means over blocks say how they turn
+SMALL = 48  # px: of smaller frames a ninth part says nothing
+THREE = 3  # of the nine parts, which somebody who walks by may be in
+NEAR = 0.4  # px of these, at the corners: so far are turns off by chance, and residuals know better
 
 
 @dataclass(frozen=True)
@@ -48,13 +54,37 @@ def settled(placed: Placed, weight: Tensor, model: str) -> Placed:
     if used.sum() < 2:
         return placed
     some = slice(None) if used.all() else used  # no copy of all
-    moved = refined(fine(placed.flat[some], weight, placed.coarse.factor), before, model)
+    levels = fine(placed.flat[some], weight, placed.coarse.factor)
+    moved = refined(levels, before, model)
     liked = likelier(placed.frames[some], weight, moved, model)
     # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
     level = placed.coarse.of(used)
     if liked is not moved and (not turns(moved, weight) or misfit(level, liked) < misfit(level, moved)):
         moved = liked
+    if model == "rigid":
+        moved = turned(placed.frames[some], weight, levels, moved)
     return replace(placed, motion=moved)
+
+
+def turned(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
+    """Motions `(N, 3, 3)`, or those that residuals find from the likeliest turns, if the frame's parts like these."""
+    likeliest = turning(frames, weight, motion)
+    small, factor = reduced(frames, weight, TURNS)
+    before, near = (scaled(relative(each), factor) for each in (motion, likeliest))
+    if apart(before, near, small) < NEAR:
+        return motion
+    found = refined(levels, likeliest, "rigid")
+    after = scaled(relative(found), factor)
+    gained = sorted(gains(small, before, after, NINE))
+    return found if sum(gained[:-THREE]) > 0 else motion
+
+
+def turning(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
+    """The likeliest turns of frames `(N, H, W)` near motions `(N, 3, 3)`; the same of frames that say too little."""
+    if len(frames) < 3 or min(weight.shape) < SMALL:
+        return motion
+    small, factor = reduced(frames, weight, TURNS)
+    return scaled(likeliest_turns(small, scaled(relative(motion), factor)), 1 / factor)
 
 
 def misfit(level: Level, motion: Tensor) -> float:

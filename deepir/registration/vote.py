@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepir.registration.even import even
-from deepir.registration.likelihood import Spectra, likeliest_shifts
+from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import carried, identity, relative
+from deepir.registration.parts import FOUR, all_but_one, gains
 from deepir.registration.pyramid import average
 from deepir.registration.whole import whole_shifts
 
@@ -21,10 +20,6 @@ FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there woul
 APART = 0.2  # px at the frame's corners: what is closer is the same
 STRETCHED = ("affine", "homography")  # models of which only the shift is changed
 LEAST = 16  # px: of smaller frames a part says too little
-FOUR = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
-NINE = (0, 4), (3, 7), (6, 10)  # or tenths
-
-Parts = tuple[tuple[int, int], ...]
 
 
 def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
@@ -49,9 +44,9 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
     return motion if best is residual else scaled(best, 1 / factor)
 
 
-def reduced(frames: Tensor, weight: Tensor) -> tuple[Tensor, int]:
+def reduced(frames: Tensor, weight: Tensor, size: int = SIZE) -> tuple[Tensor, int]:
     """Frames `(N, h, w)` as the likelihood looks at frames `(N, H, W)`, and how much smaller they are."""
-    factor = max(1, -(-max(weight.shape) // SIZE))
+    factor = max(1, -(-max(weight.shape) // size))
     return even(average(frames.float(), factor), average(weight[None], factor)[0]), factor
 
 
@@ -90,31 +85,3 @@ def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
 def preferred(frames: Tensor, before: Tensor, after: Tensor) -> bool:
     """Whether all parts of frames but the one that gains most gain from motions `(N, 3, 3)` to others, in sum."""
     return all_but_one(gains(frames, before, after, FOUR)) >= 0
-
-
-def all_but_one(gained: list[float]) -> float:
-    """The sum of all but the greatest."""
-    return sum(gained) - max(gained)
-
-
-def gains(frames: Tensor, before: Tensor, after: Tensor, parts: Parts) -> list[float]:
-    """In nats, what each part of frames gains from motions `(N, 3, 3)` to others.
-
-    A part only shifts, and its powers are those that are found at either.
-    """
-    h, w = frames.shape[1:]
-    rows, columns = (
-        [slice(a * side // parts[-1][1], b * side // parts[-1][1]) for a, b in parts] for side in (h, w)
-    )
-    found = []
-    for y, x in itertools.product(rows, columns):
-        centre = (
-            torch.tensor([[x.start + x.stop - w], [y.start + y.stop - h], [2.0]], dtype=torch.float64) / 2
-        )
-        spectra, gain = Spectra(frames[:, y, x]), 0.0
-        old, new = ((carried(motion[1:], centre) - centre[:2])[:, :, 0].numpy() for motion in (before, after))
-        for shifts in (new, old):
-            spectra.update(shifts)
-            gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]
-        found.append(gain)
-    return found

@@ -1,0 +1,58 @@
+"""Plain scenes before which the camera turns: the likelihood of parts, each of which only shifts."""
+
+import numpy as np
+import pytest
+import torch
+from registered import camera_of_tones
+from scipy.optimize import check_grad
+
+from deepir.registration import place, register
+from deepir.registration.motion import carried
+from deepir.registration.parts import _Turns, likeliest_turns
+from deepir.registration.vote import reduced
+from deepir.scenes import sky
+from deepir.simulate import simulate
+
+COUNTS = {"counts": True, "read_noise": 0.003, "photons": 0.0}
+STRONG = {"gain_pixel": 0.1, "offset_pixel": 0.1, "offset_row": 0.05}
+
+
+def turning(number, seed, **settings):
+    """Frames of a sky before which the camera shifts and turns, and how far motions are off at their corners, px."""
+    sim = simulate(sky(number, (430, 500)), camera_of_tones(**settings), seed=seed)
+    h, w = sim.frames.shape[1:]
+    corners = torch.tensor([[-w, w, -w, w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
+    true = carried(torch.from_numpy(sim.truth.motion), corners)
+
+    def off(motion):
+        return float((carried(motion, corners) - true).norm(dim=1).max())
+
+    return torch.from_numpy(sim.frames.astype(np.float32)), off
+
+
+def test_the_likelihood_of_turns_has_the_slope_that_it_says():
+    frames, _ = turning(3, 5, n_frames=3, max_rotation=3.0)
+    turns = _Turns(reduced(frames, torch.ones(frames.shape[1:]), 100)[0])
+    start = np.array([1.0, -0.5, 2.0, 0.3, 2.0, -1.0])
+    slope = np.abs(turns.nats(start)[1]).max()
+    assert check_grad(lambda x: turns.nats(x)[0], lambda x: turns.nats(x)[1], start) < 1e-4 * slope
+
+
+@pytest.mark.parametrize(
+    ("number", "seed", "settings"),
+    [(1, 21, {}), (1, 21, STRONG), (3, 43, COUNTS | STRONG), (6, 46, COUNTS | STRONG)],
+)
+def test_clouds_before_which_the_camera_turns_are_found(number, seed, settings, monkeypatch):
+    frames, off = turning(number, seed, n_frames=6, max_rotation=2.0, max_shift=8.0, **settings)
+    result = register(frames)
+    assert result.used.all()
+    assert off(result.motion) < 0.4
+    monkeypatch.setattr(place, "likeliest_turns", lambda frames, start: start)
+    assert off(register(frames).motion) > 0.7
+
+
+def test_from_no_turn_at_all_the_likeliest_is_near():
+    frames, off = turning(2, 31, n_frames=6, max_rotation=2.0, max_shift=4.0)
+    still = torch.eye(3, dtype=torch.float64).repeat(6, 1, 1)
+    found = likeliest_turns(reduced(frames, torch.ones(frames.shape[1:]))[0], still)
+    assert off(found) < 0.3 * off(still)
