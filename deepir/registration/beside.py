@@ -21,7 +21,6 @@ from deepir.registration.whole import whole_shifts
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
 NOTHING = 0.7  # of that: a motion that leaves more explains nothing
 CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
-FEW = 3  # frames, which beside him say too little of turns
 PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
 
 
@@ -53,7 +52,7 @@ def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: s
         seen, factor = reduced(frames[used], beside)
         moved = identity(len(seen))
         moved[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, whole_shifts(seen)))
-        if model == "rigid" and len(moved) > FEW:
+        if model == "rigid":
             turned = turning(frames[used], beside, moved)
             moved = turned if apart(moved, turned, frames) > FAR else moved
         yield replace(one, motion=moved)

@@ -18,6 +18,7 @@ FINEST = 400_000  # px: larger frames are registered at half their size
 ROUNDS = 8  # of alignment at most
 FINE = 2  # of them on the last level, if there is one of half the size before
 TURNS = 100  # px: of larger frames, means over blocks say how they turn
+ENOUGH = 4  # frames: the parts of three are taken in by noise
 SMALL = 48  # px: of smaller frames a ninth part says nothing
 THREE = 3  # of the nine parts, which somebody who walks by may be in
 NEAR = 0.4  # px of these, at the corners: so far are turns off by chance, and residuals know better
@@ -81,7 +82,7 @@ def turned(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) 
 
 def turning(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
     """The likeliest turns of frames `(N, H, W)` near motions `(N, 3, 3)`; the same of frames that say too little."""
-    if len(frames) < 3 or min(weight.shape) < SMALL:
+    if len(frames) < ENOUGH or min(weight.shape) < SMALL:
         return motion
     small, factor = reduced(frames, weight, TURNS)
     return scaled(likeliest_turns(small, scaled(relative(motion), factor)), 1 / factor)
