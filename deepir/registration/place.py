@@ -70,6 +70,8 @@ def settled(placed: Placed, weight: Tensor, model: str) -> Placed:
 def turned(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
     """Motions `(N, 3, 3)`, or those that residuals find from the likeliest turns, if the frame's parts like these."""
     likeliest = turning(frames, weight, motion)
+    if likeliest is motion:
+        return motion
     small, factor = reduced(frames, weight, TURNS)
     before, near = (scaled(relative(each), factor) for each in (motion, likeliest))
     if apart(before, near, small) < NEAR:
