@@ -10,6 +10,8 @@ Rubin 1977.)
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 import torch
 from scipy.optimize import minimize
@@ -25,17 +27,31 @@ ROUNDS, STEPS, PASSES = 3, 20, 6  # of powers after shifts; of the shifts at mos
 STEEP = 1.0  # nats a px: less ends the steps
 
 
-def likeliest_shifts(frames: Tensor, start: np.ndarray) -> np.ndarray:
-    """Shifts `(N - 1, 2)` (x, y) in px of frames `(N, h, w)`, relative to the first, from a start `(N - 1, 2)`."""
-    spectra, shifts = Spectra(frames), start
+class Likelihood(Protocol):
+    """Of places `(K, P)`, under powers that are unknown, too."""
+
+    def nats(self, place: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus the log-likelihood of places `(K P)`, less what does not depend on them; and its gradient."""
+
+    def update(self, place: np.ndarray) -> None:
+        """The powers that are likeliest at places `(K, P)`, nearly."""
+
+
+def likeliest(likelihood: Likelihood, place: np.ndarray) -> np.ndarray:
+    """The places `(K, P)` to which the likelihood climbs from a start `(K, P)`; all in px."""
     options = {"maxiter": STEPS, "gtol": STEEP}
     for _ in range(ROUNDS):
-        found = minimize(spectra.nats, shifts.ravel(), jac=True, method="L-BFGS-B", options=options)
-        before, shifts = shifts, found.x.reshape(-1, 2)
-        if np.abs(shifts - before).max() < SETTLED:
+        found = minimize(likelihood.nats, place.ravel(), jac=True, method="L-BFGS-B", options=options)
+        before, place = place, found.x.reshape(place.shape)
+        if np.abs(place - before).max() < SETTLED:
             break
-        spectra.update(shifts)
-    return shifts
+        likelihood.update(place)
+    return place
+
+
+def likeliest_shifts(frames: Tensor, start: np.ndarray) -> np.ndarray:
+    """Shifts `(N - 1, 2)` (x, y) in px of frames `(N, h, w)`, relative to the first, from a start `(N - 1, 2)`."""
+    return likeliest(Spectra(frames), start)
 
 
 class Spectra:

@@ -12,10 +12,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 from torch import Tensor
 
-from deepir.registration.likelihood import ROUNDS, SETTLED, STEEP, STEPS, Spectra
+from deepir.registration.likelihood import Spectra, likeliest
 from deepir.registration.motion import carried, nearest_angle, rotation
 
 FOUR = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
@@ -58,15 +57,8 @@ def pieces(frames: Tensor, parts: Parts) -> Iterator[tuple[Spectra, np.ndarray]]
 def likeliest_turns(frames: Tensor, start: Tensor) -> Tensor:
     """Rigid motions `(N, 3, 3)` of frames `(N, h, w)`, relative to the first, from a start `(N, 3, 3)`."""
     turns = _Turns(frames)
-    options = {"maxiter": STEPS, "gtol": STEEP}
     angles = turns.reach * nearest_angle(start[1:])
-    place = torch.cat((start[1:, :2, 2], angles[:, None]), 1).numpy()
-    for _ in range(ROUNDS):
-        found = minimize(turns.nats, place.ravel(), jac=True, method="L-BFGS-B", options=options)
-        before, place = place, found.x.reshape(-1, 3)
-        if np.abs(place - before).max() < SETTLED:
-            break
-        turns.update(place)
+    place = likeliest(turns, torch.cat((start[1:, :2, 2], angles[:, None]), 1).numpy())
     motion = start.clone()
     motion[1:] = rotation(torch.from_numpy(place[:, 2] / turns.reach))
     motion[1:, :2, 2] = torch.from_numpy(place[:, :2])

@@ -20,7 +20,7 @@ FINE = 2  # of them on the last level, if there is one of half the size before
 TURNS = 100  # px: of larger frames, means over blocks say how they turn
 ENOUGH = 4  # frames: the parts of three are taken in by noise
 SMALL = 48  # px: of smaller frames a ninth part says nothing
-THREE = 3  # of the nine parts, which somebody who walks by may be in
+SPARED = 3  # of the nine parts, which somebody who walks by may be in
 NEAR = 0.4  # px of these, at the corners: so far are turns off by chance, and residuals know better
 
 
@@ -79,7 +79,7 @@ def turned(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) 
     found = refined(levels, likeliest, "rigid")
     after = scaled(relative(found), factor)
     gained = sorted(gains(small, before, after, NINE))
-    return found if sum(gained[:-THREE]) > 0 else motion
+    return found if sum(gained[:-SPARED]) > 0 else motion
 
 
 def turning(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
