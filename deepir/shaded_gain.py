@@ -182,7 +182,7 @@ def _quick_lines(field: Field, frame: Shading) -> Tensor:
     lines = [part.values for part in field.parts() if not isinstance(part, Shading) and part.along]
     values = sum(lines, torch.zeros(1, dtype=torch.float64, device=frame.share.device))
     values = values.expand(frame.shape)[0, 0]
-    return values - values.mean() - frame.spread(frame.sums(values) / values.numel())
+    return values - frame.nearest(values)
 
 
 def _moves(flux: Tensor, step: int) -> Tensor:

@@ -45,7 +45,7 @@ class Slow:
         device = problem.data.device
         height, width = problem.data.shape[-2:]  # what the warp shows may be larger, by a blur's reach
         self.problem = problem
-        self.scene, self.frame = (_basis(*size, device) for size in (canvas[-2:], (height, width)))
+        self.scene, self.frame = (polynomials(*size, device) for size in (canvas[-2:], (height, width)))
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
         motion = problem.fields[problem.slots["warp.motion"]]().double()
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
@@ -98,7 +98,7 @@ class Slow:
 
 
 @functools.lru_cache(maxsize=8)  # a solve asks for the same ones each time that its strengths are estimated
-def _basis(height: int, width: int, device: torch.device) -> Shading:
+def polynomials(height: int, width: int, device: torch.device) -> Shading:
     """The polynomials over a map."""
     return Shading((1, 1, height, width)).to(device)
 

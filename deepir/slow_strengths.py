@@ -222,8 +222,7 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
         quick[kind] = values[name]
         if name in closed:
             own = (values[name] - neutral)[0, 0].double()
-            slow = own.mean() + frame.spread(frame.sums(own) / own.numel())
-            quick[kind] = quick[kind] - slow.to(quick[kind])
+            quick[kind] = quick[kind] - frame.nearest(own).to(quick[kind])
     return torch.addcmul(problem.data - quick["offset"] - jumps(problem), quick["gain"], flux, value=-1)[:, 0]
 
 

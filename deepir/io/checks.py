@@ -72,8 +72,8 @@ def empty(frames: np.ndarray[Any, Any]) -> Mask:
     """
     bars = _bars(frames) if len(frames) > 1 else np.zeros(frames.shape[1:], bool)
     zero = frames == 0
-    if zero.any() and not zero.all():
-        low, high = np.nanquantile(frames[~zero][:: max(1, frames.size // 100_000)], (0.01, 0.99))
+    if (seen := ~(zero | bars)).any() and zero.any():
+        low, high = np.nanquantile(frames[seen][:: max(1, frames.size // 100_000)], (0.01, 0.99))
         if low > high - low:
             return bars | zero & ~_cold(zero & ~bars)
     return np.broadcast_to(bars, frames.shape)

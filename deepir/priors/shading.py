@@ -114,6 +114,11 @@ class Shading(Part):
         """The same from `down`."""
         return (down[..., : len(self.in_y), :] @ self.in_x.T)[..., self.of_y, self.of_x]
 
+    def nearest(self, maps: Tensor) -> Tensor:
+        """Level and polynomial nearest to maps (..., h, w), likewise."""
+        area = maps.shape[-2] * maps.shape[-1]
+        return maps.mean((-2, -1), keepdim=True) + self.spread(self.sums(maps) / area)
+
     def gram(self, down: Tensor) -> Tensor:
         """Sums of maps with each product of two terms, (..., terms, terms), from `down`."""
         sums = self.products_y @ (down @ self.more_x.T) @ self.products_x.T

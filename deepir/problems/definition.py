@@ -12,6 +12,7 @@ from deepir.levels import start_jumps
 from deepir.noise import ROUNDED, sample_noise, step, typical_noise
 from deepir.problem import Problem
 from deepir.registry import register
+from deepir.slow import polynomials
 from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import doubt_misfits, give_up_dead, left, pattern_left, spread, start_parts, weigh_scene
@@ -103,16 +104,17 @@ def start_scene_and_parts(problem: Problem) -> None:
     rest = left(problem)
     start_parts(problem, rest)
     give_up_dead(problem, rest, noise)
-    strong = len(problem.data) > 1 and bool(problem.closed_form()) and pattern_is_strong(problem, rest)
+    still = len(problem.data) > 1 and bool(problem.closed_form())
+    strong = still and pattern_is_strong(problem, rest)
     if strong:
-        take_pattern_out(problem, noise)
+        take_pattern_out(problem, noise, strong=True)
         rest = left(problem)
     doubt_misfits(problem, rest)
-    for turn in range(TURNS):
-        if strong:
-            take_pattern_out(problem, noise)
+    for _ in range(TURNS):
+        if strong or (still and problem.ends is None):  # what is cut off moves, and is no pattern
+            take_pattern_out(problem, noise, strong=strong)
         else:
-            start_scene(problem, again=turn > 0)  # not the first time: pixels have been given up
+            start_scene(problem)
         rest = left(problem)
         give_up_dead(problem, rest, noise)
         doubt_misfits(problem, rest)
@@ -130,15 +132,20 @@ def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
 
 
 @torch.no_grad()
-def take_pattern_out(problem: Problem, noise: float) -> None:
+def take_pattern_out(problem: Problem, noise: float, *, strong: bool) -> None:
     """Take out of the scene's start what stands still: the pattern, of what the scene leaves, and the scene by turns.
 
     A pattern many times stronger than the scene is else all that there is in the average, and no solve gets away from
-    there.
+    there. Of others one turn takes most, so that what changes in a pixel is the scene: beside a smeared pattern a plain
+    scene's changes look like noise, which gains that are too small explain. But not what is slow of it: that is the
+    scene's, unless shading is found.
     """
-    frames = problem.data.clone()
-    for _ in range(PASSES):
-        pattern = pattern_left(left(problem), problem.precision.sign())
+    frames, weight = problem.data.clone(), problem.precision / problem.precision.amax()
+    for _ in range(PASSES if strong else 1):
+        pattern = pattern_left(left(problem), weight)
+        if not strong:
+            slow = polynomials(*pattern.shape[-2:], pattern.device)
+            pattern -= slow.nearest(pattern.double()).to(pattern)
         problem.data.sub_(pattern)
         start_scene(problem)
         if spread(pattern) < SETTLED * noise:
@@ -147,17 +154,12 @@ def take_pattern_out(problem: Problem, noise: float) -> None:
 
 
 @torch.no_grad()
-def start_scene(problem: Problem, *, again: bool = False) -> None:
-    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
-
-    Or, `again`, as it was.
-    """
-    values = problem.values()
-    average, weight = problem.backproject(values)
+def start_scene(problem: Problem) -> None:
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
+    average, weight = problem.backproject(problem.values())
     frames = len(problem.data) / len(average)  # that show a scene
     known = weight > SEEN * weight.max() / frames
-    scene = torch.where(known, average, values["scene"]) if again else filled(average, known)
-    problem.fields["scene"].init_from(scene)
+    problem.fields["scene"].init_from(filled(average, known))
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:

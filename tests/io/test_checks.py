@@ -104,6 +104,14 @@ def test_bars_at_the_edge_are_empty_and_a_line_within_or_one_that_changes_is_not
     assert np.array_equal(empty(frames), expected)
 
 
+def test_lost_rows_are_so_beside_bars_too():
+    frames = counts()
+    frames[:, :6], frames[2, 20:24] = 16, 0
+    expected = np.zeros(frames.shape, bool)
+    expected[:, :6] = expected[2, 20:24] = True
+    assert np.array_equal(empty(frames), expected)
+
+
 def test_a_sky_below_the_range_is_neither_a_bar_nor_lost():
     frames = counts()
     for k, sky in enumerate((9, 12, 10, 14)):
