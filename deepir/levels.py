@@ -7,11 +7,15 @@ from torch import Tensor
 
 from deepir.noise import typical_noise
 from deepir.priors.drift import Drift
+from deepir.priors.line_noise import LineNoise
 from deepir.problem import Problem
 from deepir.thin import counted, thinned
 
 #: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
 DRIFT = 0.25
+
+#: The same, in those that the mean of a frame's lines has if they jump independently.
+CHANCE = 4.0
 
 #: The same, in those of all that the average leaves, pattern most of it, that are no slope of anything.
 JUMP = 2.0
@@ -49,6 +53,8 @@ def drift_message(problem: Problem) -> list[str]:
     least = DRIFT * typical_noise(problem.precision)
     if all(name in problem.free() for name in level_names(problem)):
         found = [problem.fields[name]().detach().mean((1, 2, 3)) for name in level_names(problem)]
+        jumps = [each for each in problem.modules() if isinstance(each, LineNoise)]
+        least += CHANCE * sum(float(each.sigma) ** 2 / each.shape[each.across] for each in jumps) ** 0.5
         return [
             f"the level of whole frames drifts, by {each.std():.3g}: "
             "a slope across the scene is told from that only in part"

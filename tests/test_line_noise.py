@@ -79,6 +79,7 @@ def test_jumps_of_rows_are_neither_a_drift_nor_a_shading():
     found = result.metrics["strengths"]
     assert found["gain.shading.sigma"] == found["offset.shading.sigma"] == 0
     assert np.abs(result.level).max() < NOISE  # the mean of a frame's jumps, which is one, too
+    assert not any("drifts" in message for message in result.messages)
 
 
 def test_a_run_whose_rows_jump_repeats_to_the_bit():
