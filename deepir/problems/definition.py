@@ -107,12 +107,12 @@ def start_scene_and_parts(problem: Problem) -> None:
     still = len(problem.data) > 1 and bool(problem.closed_form())
     strong = still and pattern_is_strong(problem, rest)
     if strong:
-        take_pattern_out(problem, noise, strong=True)
+        take_pattern_out(problem, rest, noise, strong=True)
         rest = left(problem)
     doubt_misfits(problem, rest)
     for _ in range(TURNS):
         if strong or (still and problem.ends is None):  # what is cut off moves, and is no pattern
-            take_pattern_out(problem, noise, strong=strong)
+            take_pattern_out(problem, rest, noise, strong=strong)
         else:
             start_scene(problem)
         rest = left(problem)
@@ -132,8 +132,8 @@ def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
 
 
 @torch.no_grad()
-def take_pattern_out(problem: Problem, noise: float, *, strong: bool) -> None:
-    """Take out of the scene's start what stands still: the pattern, of what the scene leaves, and the scene by turns.
+def take_pattern_out(problem: Problem, rest: Tensor, noise: float, *, strong: bool) -> None:
+    """Take out of the scene's start what stands still: the pattern, of frames' `rest`, and the scene by turns.
 
     A pattern many times stronger than the scene is else all that there is in the average, and no solve gets away from
     there. Of others one turn takes most, so that what changes in a pixel is the scene: beside a smeared pattern a plain
@@ -141,15 +141,16 @@ def take_pattern_out(problem: Problem, noise: float, *, strong: bool) -> None:
     scene's, unless shading is found.
     """
     frames, weight = problem.data.clone(), problem.precision / problem.precision.amax()
-    for _ in range(PASSES if strong else 1):
-        pattern = pattern_left(left(problem), weight)
+    for _ in range(PASSES):
+        pattern = pattern_left(rest, weight)
         if not strong:
             slow = polynomials(*pattern.shape[-2:], pattern.device)
             pattern -= slow.nearest(pattern.double()).to(pattern)
         problem.data.sub_(pattern)
         start_scene(problem)
-        if spread(pattern) < SETTLED * noise:
+        if not strong or spread(pattern) < SETTLED * noise:
             break
+        rest = left(problem)
     problem.data.copy_(frames)
 
 
