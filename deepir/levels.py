@@ -53,8 +53,8 @@ def drift_message(problem: Problem) -> list[str]:
     least = DRIFT * typical_noise(problem.precision)
     if all(name in problem.free() for name in level_names(problem)):
         found = [problem.fields[name]().detach().mean((1, 2, 3)) for name in level_names(problem)]
-        jumps = [each for each in problem.modules() if isinstance(each, LineNoise)]
-        least += CHANCE * sum(float(each.sigma) ** 2 / each.shape[each.across] for each in jumps) ** 0.5
+        chance = sum(each.in_level for each in problem.modules() if isinstance(each, LineNoise))
+        least += CHANCE * chance**0.5
         return [
             f"the level of whole frames drifts, by {each.std():.3g}: "
             "a slope across the scene is told from that only in part"

@@ -118,7 +118,7 @@ def in_polynomials(problem: Problem, frame: Shading) -> Tensor:
     found = torch.zeros(len(of_y), dtype=torch.float64, device=of_y.device)
     for field in line_noises(problem):
         constant = (of_x if field.across == -2 else of_y) == 0
-        found += constant * float(field.sigma) ** 2 / field.shape[field.across]
+        found += constant * field.in_level
     return found
 
 

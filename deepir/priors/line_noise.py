@@ -37,6 +37,11 @@ class LineNoise(Held):
         """The axes along which it is constant."""
         return (-3 - self.across,)
 
+    @property
+    def in_level(self) -> float:
+        """Variance of the mean of a frame's values."""
+        return float(self.sigma) ** 2 / self.shape[self.across]
+
     def forward(self) -> Tensor:
         """(N, 1, h, 1) or (N, 1, 1, w); (N, 1, 1, 1) without strength."""
         if not self.sigma > 0:

@@ -115,7 +115,7 @@ class Shading(Part):
         return (down[..., : len(self.in_y), :] @ self.in_x.T)[..., self.of_y, self.of_x]
 
     def nearest(self, maps: Tensor) -> Tensor:
-        """Level and polynomial nearest to maps (..., h, w), likewise."""
+        """The level and polynomial that are nearest to maps (..., h, w), as such maps."""
         area = maps.shape[-2] * maps.shape[-1]
         return maps.mean((-2, -1), keepdim=True) + self.spread(self.sums(maps) / area)
 

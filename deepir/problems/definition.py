@@ -104,14 +104,14 @@ def start_scene_and_parts(problem: Problem) -> None:
     rest = left(problem)
     start_parts(problem, rest)
     give_up_dead(problem, rest, noise)
-    still = len(problem.data) > 1 and bool(problem.closed_form())
-    strong = still and pattern_is_strong(problem, rest)
+    fixed = len(problem.data) > 1 and bool(problem.closed_form())
+    strong = fixed and pattern_is_strong(problem, rest)
     if strong:
         take_pattern_out(problem, rest, noise, strong=True)
         rest = left(problem)
     doubt_misfits(problem, rest)
     for _ in range(TURNS):
-        if strong or (still and problem.ends is None):  # what is cut off moves, and is no pattern
+        if strong or (fixed and problem.ends is None):  # what is cut off moves, and is no pattern
             take_pattern_out(problem, rest, noise, strong=strong)
         else:
             start_scene(problem)
