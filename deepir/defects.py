@@ -6,8 +6,10 @@ as good as any.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.special import gammaincinv
 from torch import Tensor
 
 from deepir.noise import MAD
@@ -17,7 +19,7 @@ DEVIATION = 7.0  # robust standard deviations of the pattern beyond which a pixe
 MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, from which a pixel is defective
 MOST = 100.0  # squared misfit that counts of one sample: one frame does not condemn a pixel
 LONELY = 4.0  # how many times more a defective pixel misfits than its neighbourhood
-CALM = 0.3  # standard deviation over the frames, in that of the noise, below which a pixel does not change
+CALM = 1e-3  # chance at which noise alone changes as little over the frames as a pixel that does not change
 OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
 WINDOW = 5  # px: side of a neighbourhood
 ENOUGH = 128  # pixels of a line are enough for its median
@@ -53,7 +55,11 @@ def dead(frames: Tensor, pattern: Tensor, usable: Tensor, noise: float) -> Tenso
     mean /= count.clamp(min=1)
     for frame, known in zip(frames, usable, strict=True):
         change += (frame - mean).square_().mul_(known)
-    calm = (count > 1) & (change < (count - 1) * (CALM * noise) ** 2)
+    freedom = np.arange(len(frames) + 1).clip(2) - 1
+    least = torch.from_numpy(2 * gammaincinv(freedom / 2, CALM) * noise**2).to(
+        change
+    )  # of a chi-squared number
+    calm = (count > 1) & (change < least[count.long()])
     live = (count > 0) & ~calm
     far = torch.zeros_like(calm)
     for axis in (-2, -1):  # a dead column differs from all others in its rows

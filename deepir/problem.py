@@ -192,11 +192,13 @@ class Problem(nn.Module):
         mask = torch.ones_like(values["scene"])
         return (self.operator.valid(mask, **self._slot_values(values)) > 0.5).expand_as(self.data)
 
-    def backproject(self, values: Values, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def backproject(
+        self, values: Values, weights: Tensor | None = None, *, residual: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Registered average of the data on the scene's grid, and the weight of each of its pixels, in frames.
 
         With `y = A x + b`, and in W the `weights`, or else the precisions, as shares of the largest:
-        `A' W (y - b) / A' W A 1`.
+        `A' W (y - b) / A' W A 1`. Of a `residual`, if there is one, in place of `y - b`.
         """
         zero = torch.zeros_like(values["scene"])
         weights = self.precision / self.precision.amax().clamp(min=1e-30) if weights is None else weights
@@ -204,8 +206,18 @@ class Problem(nn.Module):
         weight = self._back(
             self.predict(values | {"scene": zero + 1}) - at_zero, weights, at_zero.shape, values
         )
-        total = self._back(self.data - at_zero, weights, at_zero.shape, values)
+        frames = self.data - at_zero if residual is None else residual
+        total = self._back(frames, weights, at_zero.shape, values)
         return total / weight.clamp(min=1e-6), weight
+
+    def beside(self, values: Values, residual: Tensor) -> Tensor:
+        """What is left of the data, (N, C, h, w), once the scene has followed what their `residual` has in common.
+
+        In one step, by its registered average. What all frames show is no outlier: a peak that the scene does not
+        reach yet leaves as much as somebody who walks by, but the same in each frame.
+        """
+        step, _ = self.backproject(values, residual=residual)
+        return self.data - self.predict(values | {"scene": values["scene"] + step})
 
     def _back(self, frames: Tensor, weights: Tensor, shape: Sequence[int], values: Values) -> Tensor:
         """`A' W` of frames; without a warp, one prediction of that shape stands for all of them."""

@@ -25,8 +25,8 @@ SCALINGS = 6
 def update_noise(problem: Problem, *, settled: bool = False) -> None:
     """Set each sample's precision to 1 / (read² + signal / photons): the noise that is given, or the measured one.
 
-    The signal is what the light does: the prediction without the offset. Samples that misfit count less; with
-    `settled`, pixels that misfit throughout are given up.
+    The signal is what the light does: the prediction without the offset. Samples that misfit count less, beside what
+    the scene would follow; with `settled`, pixels that misfit throughout are given up.
     """
     values = problem.values()
     prediction = problem.predict(values)
@@ -36,11 +36,11 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     if noise is None:
         return
     read, photon, least = noise
-    usable, misfit = problem.precision > 0, prediction
+    usable, misfit = problem.precision > 0, problem.beside(values, problem.data - prediction)
     # A frame at a time: what is needed on the way stays in the cache.
-    for k, (signal_k, data_k) in enumerate(zip(signal, problem.data, strict=True)):
+    for k, signal_k in enumerate(signal):
         signal_k.mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
-        misfit[k].sub_(data_k).square_().mul_(usable[k]).div_(signal_k)
+        misfit[k].square_().mul_(usable[k]).div_(signal_k)
     if settled:
         bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
         usable &= ~defective(misfit, bounds)

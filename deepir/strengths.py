@@ -89,13 +89,21 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
                 found = spread(share(pattern, part)) / 2**0.5
                 part.sigma.fill_(found / unit)
                 part.most.fill_(MOST * found / most)
-    problem.precision.mul_(~deviating(pattern, usable.any(0, keepdim=True)))
+    middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
+    known = usable.any(0, keepdim=True)  # one frame does not condemn a pixel
+    problem.precision.mul_(~(deviating(pattern, known) & deviating(middle, known)))
 
 
 @torch.no_grad()
 def left(problem: Problem) -> Tensor:
-    """What the frames are above their prediction, (N, 1, h, w)."""
-    return problem.data - problem.predict(problem.values())
+    """What the frames are above their prediction, (N, 1, h, w), once the scene has followed what is no pattern of it.
+
+    An average is smooth: without that step a small bright thing stays in all frames, and passes for what moves.
+    """
+    values = problem.values()
+    rest = problem.data - problem.predict(values)
+    weight = problem.precision / problem.precision.amax()
+    return problem.beside(values, rest - pattern_left(rest, weight))
 
 
 def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:

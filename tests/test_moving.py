@@ -57,12 +57,14 @@ def test_a_walker_is_found_though_his_ways_overlap(speed):
 
 
 def test_who_walks_through_five_frames_costs_little():
-    """Left to the robust weights, he cost this burst 7 dB."""
-    quality = []
+    """Left to the robust weights, he cost the first of these bursts 7 dB."""
+    costs = []
     picture, walked = procedural(2, (300, 380)), dataclasses.replace(TONES, walker_speed=4.0, **WALKER)
-    walker = simulate(picture, walked, seed=13).truth.moving[0]
-    for settings in (TONES, walked):
-        sim = simulate(picture, settings, seed=13)
-        found = deepir.run("nuc", frames=sim.frames, threads=1).scene
-        quality.append(scores(found, np.where(walker, np.nan, sim.truth.scene))["psnr_aligned"])
-    assert quality[1] > quality[0] - 2.5
+    for seed in (13, 14, 15):
+        walker, quality = simulate(picture, walked, seed=seed).truth.moving[0], []
+        for settings in (TONES, walked):
+            sim = simulate(picture, settings, seed=seed)
+            found = deepir.run("nuc", frames=sim.frames, threads=1).scene
+            quality.append(scores(found, np.where(walker, np.nan, sim.truth.scene))["psnr_aligned"])
+        costs.append(quality[0] - quality[1])
+    assert np.mean(costs) < 1.8
