@@ -13,6 +13,7 @@ from deepir.burst import Burst
 from deepir.components import make, options_schema
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
+from deepir.fidelity import Fidelity
 from deepir.geometry import Geometry, footprint, locate
 from deepir.operators import Chain, Operator, Warp
 from deepir.operators.path import Path
@@ -68,6 +69,11 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     fidelity = config.fidelity if isinstance(config.fidelity, dict) else {"type": config.fidelity}
     kind = str(fidelity.get("type", "gaussian"))
     options = {k: v for k, v in fidelity.items() if k != "type"}
+    compared: Fidelity = make("fidelity", kind, options, "fidelity")
+    try:
+        compared.demand(data[usable])
+    except ValueError as error:
+        raise ConfigError(f"fidelity: {error}") from error
     problem = Problem(
         operator,
         fields,
@@ -75,7 +81,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         usable.to(data),
         slots=names,
         penalties={name: each for name, each in penalties.items() if each},
-        fidelity=make("fidelity", kind, options, "fidelity"),
+        fidelity=compared,
     )
     with torch.no_grad():
         problem.precision *= problem.valid(problem.values())

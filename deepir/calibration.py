@@ -13,10 +13,14 @@ from scipy import ndimage
 
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
+from deepir.io.describe import FULL_SCALE
 from deepir.io.readers import npz
 
 RESPONSE = 0.5
 """A pixel whose gain is farther from the median pixel's than this share of it is no sensor."""
+
+FEW = 0.25
+"""Share of pixels at an end of the range from which it is the surface that is too cold or too hot."""
 
 Array = np.ndarray[Any, Any]
 
@@ -137,7 +141,8 @@ def from_flats(flats: Sequence[Array]) -> Maps:
     known = np.isfinite(stack).all(axis=0)
     if not known.any():
         raise DataError("no pixel has a value in all of the flat frames")
-    stack = np.where(known, stack, np.nanmedian(stack, axis=(1, 2), keepdims=True))
+    known &= ~_at_an_end(stack)
+    stack = np.where(known, stack, np.median(stack[:, known], axis=1)[:, None, None])
     levels = np.median(stack, axis=(1, 2))
     gain = np.ones(stack.shape[1:])
     if len(flats) > 1:
@@ -156,3 +161,11 @@ def from_flats(flats: Sequence[Array]) -> Maps:
     scale = gain[~bad].mean()
     gain, shift = gain / scale, offset[~bad].mean()
     return Maps(gain.astype(np.float32), (offset - shift * gain).astype(np.float32), bad)
+
+
+def _at_an_end(flats: Array) -> Array:
+    """Pixels (h, w), bool, that are zero or at full scale in all flats (N, h, w), where few are: they see nothing."""
+    ends = {0, *FULL_SCALE} & {np.nanmin(flats), np.nanmax(flats)}
+    found = [(flats == end).all(axis=0) for end in ends]
+    few = [each for each in found if each.mean() < FEW]
+    return np.logical_or.reduce(few) if few else np.zeros(flats.shape[1:], bool)

@@ -48,7 +48,7 @@ def load(
         label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {})
     )
     pairs = overrides.split(changes, Config)
-    prior = dict(pairs).get("prior") or base.get("prior") or Config.model_fields["prior"].default
+    prior = (base | dict(pairs)).get("prior") or Config.model_fields["prior"].default
     whole = _merge(label, _preset(str(prior)), base)
     for key, value in pairs:
         overrides.apply(whole, key, value)

@@ -13,6 +13,8 @@ from torch import Tensor, nn
 from deepir.half_squares import half_squares
 from deepir.registry import register
 
+NEGATIVE = 0.1  # share of samples below zero from which they are no photons
+
 
 class Fidelity(nn.Module):
     """`forward(prediction, data, precision)`, all (N, 1, h, w).
@@ -22,6 +24,9 @@ class Fidelity(nn.Module):
 
     #: Whether it is the sum of squares that a closed form needs.
     quadratic = False
+
+    def demand(self, data: Tensor) -> None:
+        """Raise `ValueError` for data, that cannot have this noise."""
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """A scalar, in nats."""
@@ -72,6 +77,14 @@ class Poisson(Fidelity):
     `t`, the photons for each unit of data, is one number for the burst, with which photon noise explains the
     variances: `t = Σ y² / variance / Σ y`. A sample of no photons counts too.
     """
+
+    def demand(self, data: Tensor) -> None:
+        """Photons are not negative; a few samples about zero may be, by the noise of the read-out."""
+        share = float((data < 0).float().mean())
+        if share > NEGATIVE:
+            raise ValueError(
+                f"poisson counts photons, but {share:.0%} of the data are negative; take gaussian"
+            )
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """Half the deviance; negative data count as zero."""

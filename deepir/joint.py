@@ -60,6 +60,7 @@ def joint(
     given = problem.alive()
     definition.initialise(problem, config.seed)
     _demand_strengths(problem)
+    _demand_scene(problem)
     stages = plan(problem, definition, config)
     if config.scene.get("fit") and not problem.held_out.any():
         hold_out(problem, config.seed)
@@ -73,6 +74,18 @@ def joint(
     result = collect(problem, geometry, solution, burst, used, taken, messages, cost)
     result.metrics |= definition.figures(problem)
     return result
+
+
+def _demand_scene(problem: Problem) -> None:
+    """Raise `ConfigError` for a prior that draws nothing but one level of data that have more."""
+    with torch.no_grad():
+        drawn = problem.fields["scene"]()
+    if drawn.numel() > 1 and not drawn.std() > 0 and problem.data[problem.precision > 0].std() > 0:
+        kind = type(problem.fields["scene"]).__name__.lower()
+        raise ConfigError(
+            f"scene: '{kind}' draws nothing but one level: give its sigma, in the data's units, if it has one, or take "
+            "another prior"
+        )
 
 
 def _demand_strengths(problem: Problem) -> None:

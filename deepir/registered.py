@@ -83,9 +83,10 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
     moved = (at - at[0]).abs().amax()
     if moved < STILL:
         raise DataError(
-            f"{burst.source}: the frames do not move (at most {float(moved):.2f} px), or show too little to tell, so "
-            "that the scene and the sensor's fixed pattern cannot be told apart. Move the camera between frames, by 3 "
-            "to 10 px in x and in y, over something with edges"
+            f"{burst.source}: the frames do not move as a whole, or show too little to tell, so that the scene and the "
+            "sensor's fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y, "
+            "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
+            "data.mask"
         )
     few = [
         f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "

@@ -113,7 +113,8 @@ class _Work:
             for message in result.messages:
                 log.warning(message)
             result.metrics["seconds"] = round(result.metrics["seconds"] + self.before, 3)
-            result.save(folder.path, data.frames[0], self.config)
+            example = np.where(data.valid[0], data.frames[0], np.nan)
+            result.save(folder.path, example, self.config)
         except (ConfigError, DataError, SolverError) as error:
             log.error(str(error))
             raise

@@ -159,3 +159,10 @@ def test_no_import_path_is_a_type():
     for key in ("scene.type", "physics.warp.motion.type", "method", "problem"):
         with pytest.raises(ConfigError, match=r"is called 'os\.system'"):
             run("nuc", f"{key}=os.system", frames=frames)
+
+
+def test_a_prior_that_is_taken_away_is_the_default_and_not_that_of_the_file():
+    """What runs is what is recorded: read back, it is the same scene."""
+    config = load("nuc", ["prior=null"])
+    assert (config.prior, config.scene) == ("tv", load("nuc", ["prior=tv"]).scene)
+    assert load(parse(dump(config))).scene == config.scene

@@ -6,6 +6,7 @@ import pytest
 import torch
 from scipy import stats
 
+from deepir.fidelity import Poisson
 from deepir.registry import components
 
 FIDELITIES = components("fidelity")
@@ -112,3 +113,10 @@ def test_poisson_is_finite_and_convex_below_zero():
     assert costs.isfinite().all()
     assert (costs.diff().diff() > -1e-9).all()
     assert costs[0] > costs[200]
+
+
+def test_what_is_negative_has_no_photons():
+    about_zero = torch.tensor([-0.1, 0.2, 0.1, 0.4] * 10 + [3.0] * 80)
+    Poisson().demand(about_zero)
+    with pytest.raises(ValueError, match="75% of the data are negative"):
+        Poisson().demand(torch.tensor([-3.0, -1.0, -2.0, 1.0]))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Settings, recording
+from deepir.cli.arguments import Overwrite, Settings, recording
 
 if TYPE_CHECKING:
     from deepir.analysis import Statistics, Verdict
@@ -24,6 +24,7 @@ def analyze(
         Path | None,
         typer.Option(help="The picture; runs/NAME-analysis.png, or RUN/analysis.png.", show_default=False),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Say how much jitter and how many frames a camera wants: deepir analyze burst.npz, or shutter.npz --flat.
 
@@ -31,11 +32,15 @@ def analyze(
     source, settings say how the file is read.
     """
     from deepir.analysis.verdict import words
-    from deepir.errors import ConfigError
+    from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
     from deepir.report.analysis import write_analysis
 
     path = expanded(what)
+    if output is not None and output.suffix != ".png":
+        raise ConfigError(f"--output {output}: a picture's name ends in .png")
+    if output is not None and output.exists() and not overwrite:
+        raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
     in_run = (path / "result.npz").is_file()
     verdict: Verdict | None = None
     doubt: Array | None = None

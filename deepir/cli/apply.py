@@ -43,6 +43,8 @@ def apply(
 
     config = recording(file, settings or (), SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
+    if target.exists() and Path(str(config.data.path)).exists() and target.samefile(str(config.data.path)):
+        raise DataError(f"{target} is the recording itself: give another --output")
     if target.exists() and not overwrite:
         raise DataError(f"{target} exists; replace it with --overwrite, or give another --output")
     try:

@@ -44,7 +44,8 @@ def check(
             )
         else:
             command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
-            typer.echo(f"to correct it: {shlex.join(command)}")
+            still = any(line.startswith("  motion: none") for line in lines)
+            typer.echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
     else:
         _configuration(what, settings or [])
 

@@ -65,9 +65,9 @@ def report(result: Result, folder: Path) -> None:
     from deepir.io.radiometry import ZERO_CELSIUS
 
     metrics = result.metrics
-    typer.echo(
-        f"{metrics['stop_reason']} after {metrics['iterations']} iterations, {metrics['seconds']:.1f} s"
-    )
+    count = metrics["iterations"]
+    after = f" after {count} iteration{'s' if count > 1 else ''}" if count else ""  # some methods have none
+    typer.echo(f"{metrics['stop_reason']}{after}, {metrics['seconds']:.1f} s")
     if "psnr_aligned" in metrics:
         typer.echo(
             f"PSNR {metrics['psnr']:.2f} dB, {metrics['psnr_aligned']:.2f} dB with gain and level aligned"

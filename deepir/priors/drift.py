@@ -22,6 +22,10 @@ class Drift(Held):
     jumps: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
+        if any(side != 1 for side in shape[1:]):
+            raise ValueError(
+                f"a drift is one value for each frame, (N, 1, 1, 1), and does not fit {tuple(shape)}"
+            )
         super().__init__(shape, neutral, sigma=sigma)
         self.values = nn.Parameter(torch.zeros(self.shape))
         self.register_buffer("jumps", torch.zeros(self.shape))

@@ -53,13 +53,21 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
 
 
 def draw_map(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
-    """A map (h, w) with its scale; colours are even about the centre, where there is one."""
+    """A map (h, w) with its scale; colours are even about the centre, where there is one; NaN has its own."""
+    from matplotlib import colormaps
+
     low, high = np.nanpercentile(image, [0.5, 99.5])
+    if low == high:  # all but a few are alike
+        low, high = np.nanmin(image), np.nanmax(image)
     if centre is not None:
         reach = max(high - centre, centre - low, 1e-6)
         low, high = centre - reach, centre + reach
     shown = axes.imshow(
-        image, cmap=palette, vmin=low, vmax=high if high > low else low + 1, interpolation="nearest"
+        image,
+        cmap=colormaps[palette].with_extremes(bad="lightsteelblue"),
+        vmin=low,
+        vmax=high if high > low else low + 1,
+        interpolation="nearest",
     )
     axes.set_title(title, fontsize=10)
     axes.set_axis_off()

@@ -36,6 +36,17 @@ def test_a_burst_along_one_axis_is_flagged(deepir, bursts):
     assert Path("here.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize(("name", "says"), [("flat.npy", "ends in .png"), ("there.png", "--overwrite")])
+def test_it_draws_over_nothing(deepir, bursts, name, says):
+    """Least of all over the burst itself."""
+    Path("there.png").write_bytes(b"mine")
+    before = Path(name).read_bytes()
+    status, _, err = deepir("analyze", "flat.npy", "--flat", "--output", name)
+    assert status == 2
+    assert says in err
+    assert Path(name).read_bytes() == before
+
+
 def test_a_run_is_analysed_as_it_is(deepir, bursts):
     deepir("run", "nuc", "data.path=both.npz", "output.dir=runs/mine")
     folder = Path("runs/mine")

@@ -151,3 +151,20 @@ def test_a_radiometric_run_says_how_warm_the_scene_is(deepir, folder, simulation
     with np.load("runs/nuc/result.npz") as arrays:
         low, high = arrays["scene_kelvin"].min() - 273.15, arrays["scene_kelvin"].max() - 273.15
     assert f"temperatures {low:.2f} to {high:.2f} °C: runs/nuc/scene_kelvin.tiff" in out
+
+
+def test_a_recording_is_not_written_over_itself(deepir, folder, simulation, maps):
+    recordings.seq(folder / "flight.seq", simulation.frames)
+    before = (folder / "flight.seq").read_bytes()
+    status, _, err = deepir("apply", "maps.npz", "flight.seq", "--output", "./flight.seq", "--overwrite")
+    assert status == 2
+    assert "is the recording itself" in err
+    assert (folder / "flight.seq").read_bytes() == before
+
+
+def test_a_burst_that_stands_still_is_corrected_only_if_it_moved(deepir, folder):
+    frames = np.random.default_rng(0).normal(8000, 50, (64, 80)) * np.ones((4, 1, 1))
+    np.save("still.npy", frames + np.random.default_rng(1).normal(0, 5, frames.shape))
+    out = deepir("check", "still.npy")[1]
+    assert "motion: none to be seen" in out
+    assert "if it moved all the same: deepir run nuc data.path=still.npy" in out
