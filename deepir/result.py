@@ -16,7 +16,7 @@ from deepir.schema import Config
 Array = np.ndarray[Any, Any]
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Result:
     """Scene, sensor and motion in the input's units; what a method does not estimate is neutral.
 
@@ -40,6 +40,13 @@ class Result:
     extra: dict[str, Array] = field(default_factory=dict)  # what only some problems have: stray, psf ...
     radiometry: Radiometry | None = None  # with which `extra` holds `scene_kelvin`
     uncertainty: dict[str, Array] = field(default_factory=dict)  # standard deviations of scene, gain, offset
+
+    def __repr__(self) -> str:
+        used, said = int(self.frames_used.sum()), "".join(f"\n- {message}" for message in self.messages)
+        return (
+            f"Result: scene {' x '.join(map(str, self.scene.shape))} of {used} frames, gain σ {self.gain.std():.3g}, "
+            f"offset σ {self.offset.std():.3g}, {self.bad_pixels.sum()} bad pixels{said}"
+        )
 
     def arrays(self) -> dict[str, Array]:
         """All arrays by name, as `result.npz` holds them."""
