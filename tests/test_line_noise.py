@@ -33,13 +33,16 @@ def error(result, sim):
 
 @pytest.mark.parametrize(("lines", "truth"), [("row", "rows"), ("column", "columns")])
 def test_lines_that_jump_are_found_and_taken_out(lines, truth):
-    sim = burst(**{f"{lines}_noise": 2 * CAMERA.read_noise})
-    result, without = run(sim), run(sim, WITHOUT)
+    errors = []
+    for seed in (5, 4, 3):
+        sim = burst(seed, **{f"{lines}_noise": 2 * CAMERA.read_noise})
+        result, without = run(sim), run(sim, WITHOUT)
+        errors.append((error(result, sim), error(without, sim)))
     found = result.metrics["strengths"]
     other = {"row": "column", "column": "row"}[lines]
     assert found[f"level.{lines}_noise.sigma"] == pytest.approx(2 * NOISE, rel=0.4)
     assert found[f"level.{other}_noise.sigma"] == 0
-    assert error(result, sim) < 0.8 * error(without, sim)
+    assert np.mean([taken / left for taken, left in errors]) < 0.8
     assert any(message.startswith(f"{truth} jump by") for message in result.messages)
     # Level and noise of the frames are not taken for what the lines do.
     assert result.metrics["noise_sigma"] == pytest.approx(NOISE, rel=0.3)
