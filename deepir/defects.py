@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.special import gammaincinv
+from scipy.special import chdtri
 from torch import Tensor
 
 from deepir.noise import MAD
@@ -55,10 +55,10 @@ def dead(frames: Tensor, pattern: Tensor, usable: Tensor, noise: float) -> Tenso
     mean /= count.clamp(min=1)
     for frame, known in zip(frames, usable, strict=True):
         change += (frame - mean).square_().mul_(known)
-    freedom = np.arange(len(frames) + 1).clip(2) - 1
-    least = torch.from_numpy(2 * gammaincinv(freedom / 2, CALM) * noise**2).to(
-        change
-    )  # of a chi-squared number
+    freedom = (
+        np.arange(len(frames) + 1).clip(2) - 1
+    )  # of the chi-squared number that noise makes of so many samples
+    least = torch.from_numpy(chdtri(freedom, 1 - CALM) * noise**2).to(change)
     calm = (count > 1) & (change < least[count.long()])
     live = (count > 0) & ~calm
     far = torch.zeros_like(calm)

@@ -26,7 +26,7 @@ class Fidelity(nn.Module):
     quadratic = False
 
     def demand(self, data: Tensor) -> None:
-        """Raise `ValueError` for data, that cannot have this noise."""
+        """Raise `ValueError` for data that cannot have this noise."""
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """A scalar, in nats."""

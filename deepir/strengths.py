@@ -89,8 +89,9 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
                 found = spread(share(pattern, part)) / 2**0.5
                 part.sigma.fill_(found / unit)
                 part.most.fill_(MOST * found / most)
+    known = usable.any(0, keepdim=True)
+    # Of the median, too: one frame does not condemn a pixel.
     middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
-    known = usable.any(0, keepdim=True)  # one frame does not condemn a pixel
     problem.precision.mul_(~(deviating(pattern, known) & deviating(middle, known)))
 
 
