@@ -10,7 +10,7 @@ __version__ = "0.1.0"
 
 # The threads of OpenMP and OpenBLAS wait by spinning: as soon as another program wants a core, a solve takes many times
 # as long. Read when torch and scipy are first imported; on an idle machine it costs nothing that could be measured.
-os.environ.setdefault("GOMP_SPINCOUNT", "1000")
+os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "12")  # the logarithm of cycles
 
 if TYPE_CHECKING:

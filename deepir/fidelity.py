@@ -25,8 +25,8 @@ class Fidelity(nn.Module):
     #: Whether it is the sum of squares that a closed form needs.
     quadratic = False
 
-    def demand(self, data: Tensor) -> None:
-        """Raise `ValueError` for data that cannot have this noise."""
+    def demand(self, data: Tensor, usable: Tensor) -> None:
+        """Raise `ValueError` for usable data that cannot have this noise."""
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """A scalar, in nats."""
@@ -78,9 +78,9 @@ class Poisson(Fidelity):
     variances: `t = Σ y² / variance / Σ y`. A sample of no photons counts too.
     """
 
-    def demand(self, data: Tensor) -> None:
+    def demand(self, data: Tensor, usable: Tensor) -> None:
         """Photons are not negative; a few samples about zero may be, by the noise of the read-out."""
-        share = float((data < 0).float().mean())
+        share = float(((data < 0) & usable).sum() / usable.sum())
         if share > NEGATIVE:
             raise ValueError(
                 f"poisson counts photons, but {share:.0%} of the data are negative; take gaussian"

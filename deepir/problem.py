@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 import torch
 from torch import Tensor, nn
@@ -200,14 +200,16 @@ class Problem(nn.Module):
         With `y = A x + b`, and in W the `weights`, or else the precisions, as shares of the largest:
         `A' W (y - b) / A' W A 1`. Of a `residual`, if there is one, in place of `y - b`.
         """
+        shown, slots = tuple(values["scene"].shape), self._slot_values(values)
         zero = torch.zeros_like(values["scene"])
-        weights = self.precision / self.precision.amax().clamp(min=1e-30) if weights is None else weights
+        unit = self.precision.amax().clamp(min=1e-30) if weights is None else 1
+        weights = self.precision if weights is None else weights
         at_zero = self.predict(values | {"scene": zero})
-        weight = self._back(
-            self.predict(values | {"scene": zero + 1}) - at_zero, weights, at_zero.shape, values
-        )
+        ones = self.predict(values | {"scene": zero + 1}) - at_zero
         frames = self.data - at_zero if residual is None else residual
-        total = self._back(frames, weights, at_zero.shape, values)
+        # Without a warp, one prediction of its shape stands for all frames.
+        counted = ((each * weights).sum_to_size(at_zero.shape) for each in (frames, ones))
+        total, weight = (self.operator.adjoint(each, shown, **slots) / unit for each in counted)
         return total / weight.clamp(min=1e-6), weight
 
     def beside(self, values: Values, residual: Tensor) -> Tensor:
@@ -218,11 +220,6 @@ class Problem(nn.Module):
         """
         step, _ = self.backproject(values, residual=residual)
         return self.data - self.predict(values | {"scene": values["scene"] + step})
-
-    def _back(self, frames: Tensor, weights: Tensor, shape: Sequence[int], values: Values) -> Tensor:
-        """`A' W` of frames; without a warp, one prediction of that shape stands for all of them."""
-        counted = torch.where(weights > 0, weights * frames, 0).sum_to_size(shape)
-        return self.operator.adjoint(counted, tuple(values["scene"].shape), **self._slot_values(values))
 
     @torch.no_grad()
     def eliminate(

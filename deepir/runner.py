@@ -76,7 +76,7 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
-    with threads.for_loops(config.threads):
+    with threads.for_burst(0):
         data = bursts.load(config.data, frames=frames, needs=definition.frames, seed=config.seed)
         check_components(config, data)
     return data
@@ -102,7 +102,7 @@ def execute(
     torch.manual_seed(config.seed)
     start = time.perf_counter()
     name, method = chosen(config)
-    with threads.for_loops(config.threads), memory.kept():
+    with threads.for_burst(data.frames.size, config.threads), memory.kept():
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     seconds = time.perf_counter() - start
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}

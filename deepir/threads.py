@@ -1,7 +1,7 @@
-"""Threads of a solve on the CPU: the compiled loops share them, torch's own operations take one.
+"""Threads of a solve on the CPU: one for small bursts, for large ones all, of the compiled loops and of torch.
 
-Those are bound by memory, and gain next to nothing from a second. But torch's threads spin while they wait for each
-other, so that a solve takes ten times as long where another program has one of the cores.
+To wake a thread takes as long as a small burst's loops do. The loops' threads sleep until they are needed, torch's
+spin for a moment while they wait for each other.
 """
 
 from __future__ import annotations
@@ -12,6 +12,9 @@ from contextvars import ContextVar
 
 import torch
 
+#: Samples of a burst from which a second thread pays.
+LARGE = 400_000
+
 _given = ContextVar("threads", default=0)
 
 
@@ -21,11 +24,12 @@ def count() -> int:
 
 
 @contextlib.contextmanager
-def for_loops(number: int | None) -> Iterator[None]:
-    """While it lasts, loops have so many threads, torch's by default, and torch has one."""
+def for_burst(samples: int, most: int | None = None) -> Iterator[None]:
+    """While it lasts, loops and torch have what threads suit so many samples: one, or `most`, torch's by default."""
     before = torch.get_num_threads()
-    token = _given.set(number or count())
-    torch.set_num_threads(1)
+    number = (most or count()) if samples >= LARGE else 1
+    token = _given.set(number)
+    torch.set_num_threads(number)
     try:
         yield
     finally:

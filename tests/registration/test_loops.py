@@ -5,6 +5,7 @@ import functools
 import pytest
 import torch
 from registered import COUNTS, simulated
+from torch.testing import assert_close
 
 from deepir import threads
 from deepir.registration import register
@@ -13,14 +14,14 @@ from deepir.registration.pyramid import Level, sample
 
 
 @pytest.mark.parametrize("camera", [{"n_frames": 3, "max_rotation": 5.0}, {**COUNTS, "dead_pixels": 0.02}])
-def test_the_number_of_threads_makes_no_difference(camera):
+def test_the_number_of_threads_makes_no_difference_but_of_rounding(camera):
     frames, _ = simulated("camera", **camera)
     found = []
     for number in (1, 3):
-        with threads.for_loops(number):
+        with threads.for_burst(threads.LARGE, number):
             found.append(register(frames))
-    assert torch.equal(found[0].motion, found[1].motion)
-    assert torch.equal(found[0].confidence, found[1].confidence)
+    assert_close(found[0].motion, found[1].motion, rtol=0, atol=1e-4)  # torch adds up by threads
+    assert_close(found[0].confidence, found[1].confidence, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("bad", [0, 300])
