@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +14,7 @@ from deepir.clipping import clipped
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
-from deepir.io.checks import empty
+from deepir.io.checks import empty, lost
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
@@ -31,7 +32,7 @@ class Burst:
     `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
     masked ones among them. `truth` holds what is known of the scene (h, w), or (N, h, w) if each frame has its own, of
     gain, offset, motion ... by name, and `radiometry` makes kelvin of counts. `clipped` (N, h, w) is 1 or -1 for
-    samples that are cut off at an end of the range, else 0; None if none is.
+    samples that are cut off at an end of the range, else 0; None if none is. `messages` say what was left out.
     """
 
     frames: Array
@@ -43,6 +44,7 @@ class Burst:
     radiometry: Radiometry | None = None
     stretched: bool = False
     clipped: Array | None = None
+    messages: tuple[str, ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -50,8 +52,12 @@ class Burst:
         return self.frames.shape[1], self.frames.shape[2]
 
 
-def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int = 0) -> Burst:
+def load(
+    data: Data, *, frames: Array | None = None, needs: int = 1, seed: int = 0, ordered: bool = False
+) -> Burst:
     """Read or simulate and check what `data` names; `frames`, (N, h, w), stands in for its file.
+
+    Frames that show nothing are left out where enough others do, unless all are wanted, in their order.
 
     Raises:
         DataError: Whatever is wrong with the files or the frames, and where.
@@ -84,6 +90,10 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
         # Motion is about another centre then.
         truth = {k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"}
+    nothing = {} if ordered else lost(stack)
+    messages: tuple[str, ...] = ()
+    if nothing and len(stack) - len(nothing) >= needs:
+        stack, truth, messages = _without(nothing, stack, truth)
     bad, valid = validate(stack, source, needs=needs)
     stack = np.where(valid, stack, np.nan)
     stretched = is_stretched(stack)
@@ -94,7 +104,22 @@ def load(data: Data, *, frames: Array | None = None, needs: int = 1, seed: int =
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
     ends = None if stretched else clipped(np.where(valid, stack, np.nan))
-    return Burst(np.where(valid, stack, 0), valid, bad | mask, source, digest, truth, kelvin, stretched, ends)
+    stack = np.where(valid, stack, 0)
+    return Burst(stack, valid, bad | mask, source, digest, truth, kelvin, stretched, ends, messages)
+
+
+def _without(
+    nothing: Mapping[int, str], stack: Array, truth: dict[str, Array]
+) -> tuple[Array, dict[str, Array], tuple[str, ...]]:
+    """The frames but for those that show nothing, what is known of them, and a message for each of those."""
+    rest = [k for k in range(len(stack)) if k not in nothing]
+    of_each = [name for name in BY_FRAME if len(truth.get(name, ())) == len(stack)]
+    of_each += ["scene"] if truth.get("scene", stack[0]).ndim == 3 else []
+    by_frame = {name: truth[name][rest] for name in of_each}
+    messages = (
+        f"frame {k} is left out: it is {why}. Frames are counted without it" for k, why in nothing.items()
+    )
+    return stack[rest], truth | by_frame, tuple(messages)
 
 
 def _array(frames: Any) -> Array:

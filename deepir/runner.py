@@ -77,7 +77,13 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
     with threads.for_burst(0):
-        data = bursts.load(config.data, frames=frames, needs=definition.frames, seed=config.seed)
+        data = bursts.load(
+            config.data,
+            frames=frames,
+            needs=definition.frames,
+            seed=config.seed,
+            ordered=definition.ordered,
+        )
         check_components(config, data)
     return data
 
@@ -104,6 +110,7 @@ def execute(
     name, method = chosen(config)
     with threads.for_burst(data.frames.size, config.threads), memory.kept():
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
+    result.messages = [*data.messages, *result.messages]
     seconds = time.perf_counter() - start
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}

@@ -33,6 +33,29 @@ def test_the_same_run_gives_the_same_scene(frames):
     assert np.array_equal(first, second)
 
 
+@pytest.mark.parametrize(
+    ("value", "why"), [(7, "7 everywhere (a shutter, or lost)"), (np.nan, "100% NaN or infinite")]
+)
+def test_a_frame_that_shows_nothing_is_left_out_and_told_of(frames, value, why):
+    damaged = np.insert(frames.astype(np.float32), 1, value, axis=0)
+    result = deepir.run("nuc", frames=damaged, **QUICK)
+    assert result.messages[0] == f"frame 1 is left out: it is {why}. Frames are counted without it"
+    assert np.array_equal(result.scene, deepir.run("nuc", frames=frames, **QUICK).scene)
+
+
+def test_too_few_frames_that_show_something_are_refused(frames):
+    damaged = frames.astype(np.float32)
+    damaged[1:] = 0
+    with pytest.raises(DataError, match="frame 1 is 0 everywhere"):
+        deepir.run("nuc", frames=damaged, **QUICK)
+
+
+def test_frames_that_must_follow_each_other_are_all_wanted(frames):
+    damaged = np.insert(frames.astype(np.float32), 1, np.nan, axis=0)
+    with pytest.raises(DataError, match="frame 1 is 100% NaN"):
+        deepir.run("deblur_lag", frames=damaged, **QUICK)
+
+
 def test_the_number_of_threads_is_the_callers_again(frames):
     before = torch.get_num_threads()
     deepir.run("nuc", frames=frames, **QUICK)

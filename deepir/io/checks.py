@@ -30,7 +30,7 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
 
     `bad_pixels` `(h, w)` is True for pixels that are NaN or infinite in more than half of the frames, `valid`
     `(N, h, w)` is True for finite samples. Raises `DataError` for fewer than `needs` frames, frames under
-    16 px on a side, and frames that are constant or mostly not finite; it names the first such frame.
+    16 px on a side, and frames that are constant or mostly not finite (see `lost`); it names the first such frame.
     """
     count, height, width = frames.shape
     if count < needs:
@@ -41,27 +41,31 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
             f"are they {width} frames, counted along the last axis? Save them as (frames, height, width)"
         )
     _check_side(height, width, source)
+    for k, why in lost(frames).items():
+        raise DataError(f"{source}: frame {k} is {why}. Leave it out (data.frames)")
     valid = np.isfinite(frames)
     for k in range(count):
-        share = 1 - valid[k].mean()
-        if share > 0.5:
-            raise DataError(
-                f"{source}: frame {k} is {share:.0%} NaN or infinite; "
-                "leave it out (data.frames), or mend the file"
-            )
         values = frames[k][valid[k]]
         low, high = float(values.min()), float(values.max())
-        if low == high:
-            raise DataError(
-                f"{source}: frame {k} is {low:g} everywhere: a shutter or a lost frame? "
-                "Leave it out (data.frames)"
-            )
         if max(-low, high) > LARGEST or high - low < 1 / LARGEST:
             raise DataError(
                 f"{source}: frame {k} is {low:g} to {high:g}, which is out of bounds (1e-15 to 1e15): damaged, or in "
                 "unusual units? Give counts, kelvin or [0, 1]"
             )
     return valid.mean(axis=0) < 0.5, valid
+
+
+def lost(frames: np.ndarray[Any, Any]) -> dict[int, str]:
+    """Those of the frames `(N, h, w)` that show nothing, by number, and why: all one value, or mostly not finite."""
+    found = {}
+    for k, frame in enumerate(frames):
+        values = frame[np.isfinite(frame)]
+        share = 1 - values.size / frame.size
+        if share > 0.5:
+            found[k] = f"{share:.0%} NaN or infinite"
+        elif values.min() == values.max():
+            found[k] = f"{values[0]:g} everywhere (a shutter, or lost)"
+    return found
 
 
 def empty(frames: np.ndarray[Any, Any]) -> Mask:

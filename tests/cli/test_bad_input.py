@@ -37,8 +37,8 @@ def stored(change):
     return write
 
 
-def one_frame_is(value):
-    return stored(lambda f: np.concatenate([f[:1], np.full_like(f[:1], value, float), f[2:]]))
+def all_but_one_are(value):
+    return stored(lambda f: np.concatenate([f[:1], np.full_like(f[1:], value, float)]))
 
 
 def pictures_of_two_sizes(frames, folder):
@@ -76,8 +76,8 @@ DATA = {
         ["differ in size", "a.png is 40 x 48", "b.png is 30 x 48"],
     ),
     "nothing but NaN": (stored(lambda f: f * np.nan), ["frame 0 is 100% NaN", "data.frames"]),
-    "a frame of NaN": (one_frame_is(np.nan), ["frame 1 is 100% NaN"]),
-    "a constant frame": (one_frame_is(7.0), ["frame 1 is 7 everywhere"]),
+    "no frame but one that is not NaN": (all_but_one_are(np.nan), ["frame 1 is 100% NaN"]),
+    "no frame but one that is not constant": (all_but_one_are(7.0), ["frame 1 is 7 everywhere"]),
     "identical frames": (
         stored(lambda f: f[[0, 0, 0]]),
         ["do not move", "cannot be told apart", "3 to 10 px"],

@@ -42,7 +42,7 @@ def test_a_frame_that_is_mostly_not_finite_is_named(frames):
 def test_a_constant_frame_is_named(frames):
     frames[2] = 7
     frames[2, 0, 0] = np.nan
-    with pytest.raises(DataError, match=r"^a: frame 2 is 7 everywhere: a shutter"):
+    with pytest.raises(DataError, match=r"^a: frame 2 is 7 everywhere \(a shutter, or lost\)"):
         validate(frames, "a")
 
 
