@@ -17,8 +17,8 @@ from deepir.stage import Stage, Step
 from deepir.thin import counted
 
 ENOUGH = 3  # frames: a scene and a pattern explain any two values of a line
-CERTAIN = 3.0  # variance of lines' means, in that of what their halves differ by, from which they jump;
-SHORT = 64  # px: of shorter lines so many times more, as the same edge lies in both halves
+CERTAIN = 3.0  # variance of lines' means, in that of what their halves differ by, from which they jump
+SHORT = 80  # px: lines that are shorter must by more, as their square, for the same edge lies in both halves
 LITTLE = 0.1  # standard deviation of jumps, in that of a sample's noise, up to which they cost nothing
 
 
@@ -80,7 +80,7 @@ def estimate_line_noise(problem: Problem) -> list[LineNoise]:
             whole, chance = (_variance(each, known, field.across) for each in (mean, apart))
             variance = (whole - chance) * len(mean) / (len(mean) - 2)
             least = LITTLE**2 * white * residual.shape[field.along[0]]
-            certain = CERTAIN * max(1.0, SHORT / residual.shape[field.along[0]])
+            certain = CERTAIN * max(1.0, SHORT / residual.shape[field.along[0]]) ** 2
             variance = variance if whole > certain * chance and variance > least else 0.0
             new += [field] if variance and not field.sigma > 0 else []
             field.sigma.fill_(variance**0.5)

@@ -57,10 +57,18 @@ def test_where_no_line_jumps_nothing_changes(effects):
     np.testing.assert_array_equal(result.scene, run(sim, WITHOUT).scene)
 
 
-def test_edges_as_long_as_a_short_line_do_not_make_it_jump():
-    camera = dataclasses.replace(CAMERA, shape=(24, 32), offset_pixel=0.04, offset_row=0.03)
+@pytest.mark.parametrize(
+    ("scene", "camera"),
+    [
+        (2, {"shape": (24, 32), "max_shift": 4.0, "offset_pixel": 0.04, "offset_row": 0.03}),
+        (1, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}),
+        (4, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}),
+    ],
+)
+def test_edges_as_long_as_a_short_line_do_not_make_it_jump(scene, camera):
     for seed in range(4):
-        sim = simulate(procedural(2, (430, 500)), dataclasses.replace(camera, max_shift=4.0), seed=seed)
+        settings = dataclasses.replace(CAMERA, **camera)
+        sim = simulate(procedural(scene, (430, 500)), settings, seed=seed)
         assert not any("jump" in message for message in run(sim).messages)
 
 
