@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 # The threads of OpenMP and OpenBLAS wait by spinning: as soon as another program wants a core, a solve takes many times
-# as long. Read when torch and scipy are first imported; on an idle machine it costs nothing that could be measured.
+# as long. So they sleep soon; those of OpenMP after a tenth of a millisecond or so, as to wake them takes nearly as
+# long, and torch's next operation is mostly there by then. Read when torch and scipy are first imported.
 os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "12")  # the logarithm of cycles
 

@@ -113,9 +113,11 @@ def _without(
 ) -> tuple[Array, dict[str, Array], tuple[str, ...]]:
     """The frames but for those that show nothing, what is known of them, and a message for each of those."""
     rest = [k for k in range(len(stack)) if k not in nothing]
-    of_each = [name for name in BY_FRAME if len(truth.get(name, ())) == len(stack)]
-    of_each += ["scene"] if truth.get("scene", stack[0]).ndim == 3 else []
-    by_frame = {name: truth[name][rest] for name in of_each}
+    by_frame = {
+        name: array[rest]
+        for name, array in truth.items()
+        if len(array) == len(stack) and (name in BY_FRAME or (name == "scene" and array.ndim == 3))
+    }
     messages = (
         f"frame {k} is left out: it is {why}. Frames are counted without it" for k, why in nothing.items()
     )

@@ -76,7 +76,7 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
-    with threads.for_burst(0):
+    with threads.for_burst(0):  # nothing here is worth a second thread
         data = bursts.load(
             config.data,
             frames=frames,

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 import deepir
-from deepir.config import load
+from deepir import burst
+from deepir.config import Data, load
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
 
@@ -41,6 +42,16 @@ def test_a_frame_that_shows_nothing_is_left_out_and_told_of(frames, value, why):
     result = deepir.run("nuc", frames=damaged, **QUICK)
     assert result.messages[0] == f"frame 1 is left out: it is {why}. Frames are counted without it"
     assert np.array_equal(result.scene, deepir.run("nuc", frames=frames, **QUICK).scene)
+
+
+@pytest.mark.parametrize("scenes", [2, 4])
+def test_of_a_truth_for_each_frame_that_of_a_lost_one_goes_with_it(frames, tmp_path, scenes):
+    damaged = np.insert(frames.astype(np.float32), 1, np.nan, axis=0)
+    scene = np.arange(scenes)[:, None, None] * np.ones((40, 48))
+    np.savez(tmp_path / "truth.npz", scene=scene, level=np.arange(4.0))
+    truth = burst.load(Data(truth=str(tmp_path / "truth.npz")), frames=damaged).truth
+    assert truth["level"].tolist() == [0, 2, 3]
+    assert truth["scene"][:, 0, 0].tolist() == ([0, 2, 3] if scenes == 4 else [0, 1])
 
 
 def test_too_few_frames_that_show_something_are_refused(frames):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.io.checks import lost
 from deepir.io.frames import Frames
 from deepir.io.radiometry import ZERO_CELSIUS
 
@@ -35,7 +36,9 @@ def describe(burst: Frames) -> list[str]:
     lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
     lines += _temperatures(burst, finite)
     lines += _unusable(burst, finite)
-    return lines + _noise_and_motion(frames)
+    nothing = lost(frames)
+    lines += [f"frame {k} shows nothing: it is {why}" for k, why in nothing.items()]
+    return lines + _noise_and_motion(np.delete(frames, [*nothing], axis=0))
 
 
 def _temperatures(burst: Frames, finite: Array) -> list[str]:
@@ -52,8 +55,8 @@ def _temperatures(burst: Frames, finite: Array) -> list[str]:
 def _unusable(burst: Frames, finite: Array) -> list[str]:
     frames = burst.frames
     lines = []
-    if lost := frames.size - finite.size:
-        lines.append(f"{lost} sample(s) are NaN or infinite ({lost / frames.size:.2%})")
+    if missing := frames.size - finite.size:
+        lines.append(f"{missing} sample(s) are NaN or infinite ({missing / frames.size:.2%})")
     if stuck := int((frames == 0).all(axis=0).sum()):
         lines.append(f"{stuck} pixel(s) are zero in every frame")
     top = finite.max()

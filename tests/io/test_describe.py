@@ -93,3 +93,12 @@ def test_a_moving_and_a_still_real_camera_are_told_apart(data):
     assert "motion: yes" in moving
     assert "motion: none" in still
     assert number_after("temporal noise at most", moving) == pytest.approx(6, abs=1)
+
+
+def test_frames_that_show_nothing_are_named_and_are_no_noise():
+    rng = np.random.default_rng(0)
+    frames = 1000 + rng.normal(0, 2, (5, 32, 40)).astype(np.float32)
+    whole, frames = text(frames), np.insert(frames, 2, 0, axis=0)
+    said = text(frames)
+    assert "frame 2 shows nothing: it is 0 everywhere" in said
+    assert said.splitlines()[-2:] == whole.splitlines()[-2:]
