@@ -55,9 +55,8 @@ def dead(frames: Tensor, pattern: Tensor, usable: Tensor, noise: float) -> Tenso
     mean /= count.clamp(min=1)
     for frame, known in zip(frames, usable, strict=True):
         change += (frame - mean).square_().mul_(known)
-    freedom = (
-        np.arange(len(frames) + 1).clip(2) - 1
-    )  # of the chi-squared number that noise makes of so many samples
+    # What noise alone makes of so many samples is a chi-squared number.
+    freedom = np.arange(len(frames) + 1).clip(2) - 1
     least = torch.from_numpy(chdtri(freedom, 1 - CALM) * noise**2).to(change)
     calm = (count > 1) & (change < least[count.long()])
     live = (count > 0) & ~calm
