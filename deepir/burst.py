@@ -94,13 +94,13 @@ def load(
     messages: tuple[str, ...] = ()
     if nothing and len(stack) - len(nothing) >= needs:
         stack, truth, messages = _without(nothing, stack, truth)
-    bad, valid = validate(stack, source, needs=needs)
+    valid = validate(stack, source, needs=needs)
     stack = np.where(valid, stack, np.nan)
     stretched = is_stretched(stack)
     valid &= ~empty(stack)
     if stretched:
         valid &= ~cut_off(stack)
-    bad |= valid.mean(0) < 0.5
+    bad = ~valid.any(0)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
     ends = None if stretched else clipped(np.where(valid, stack, np.nan))

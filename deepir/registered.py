@@ -33,13 +33,13 @@ def registered(
     model = _motion_model(config)
     if model is None or len(burst.frames) == 1:
         return None, everything, []
-    ignore = torch.from_numpy(burst.bad_pixels)
+    ignore, valid = torch.from_numpy(burst.bad_pixels), torch.from_numpy(burst.valid | burst.bad_pixels)
     frames = _whole(burst)
     part = one_pattern(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
-    found = register(frames[part], model=model, ignore=ignore, start=part.start)
+    found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
     if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < LITTLE:
         part = slice(0, len(frames))  # a camera that rests here, and there: no shutter
-        found = register(frames, model=model, ignore=ignore)
+        found = register(frames, model=model, ignore=ignore, valid=valid)
     used, motion = ~everything, torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
     used[part], motion[part] = found.used.numpy(), found.motion
     if used.sum() < max(definition.frames, 1):

@@ -25,12 +25,11 @@ REGION, CORE = 20, 0.3
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
-def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tuple[Mask, Mask]:
-    """Check frames `(N, h, w)`; give `(bad_pixels, valid)`.
+def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Mask:
+    """Check frames `(N, h, w)`; give their mask `(N, h, w)`, True for samples that are finite.
 
-    `bad_pixels` `(h, w)` is True for pixels that are NaN or infinite in more than half of the frames, `valid`
-    `(N, h, w)` is True for finite samples. Raises `DataError` for fewer than `needs` frames, frames under
-    16 px on a side, and frames that are constant or mostly not finite (see `lost`); it names the first such frame.
+    Raises `DataError` for fewer than `needs` frames, frames under 16 px on a side, and frames that are constant or
+    mostly not finite (see `lost`); it names the first such frame.
     """
     count, height, width = frames.shape
     if count < needs:
@@ -52,7 +51,7 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> tu
                 f"{source}: frame {k} is {low:g} to {high:g}, which is out of bounds (1e-15 to 1e15): damaged, or in "
                 "unusual units? Give counts, kelvin or [0, 1]"
             )
-    return valid.mean(axis=0) < 0.5, valid
+    return valid
 
 
 def lost(frames: np.ndarray[Any, Any]) -> dict[int, str]:

@@ -21,41 +21,55 @@ from deepir.registration.whole import whole_shifts
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
 NOTHING = 0.7  # of that: a motion that leaves more explains nothing
 CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
+ENOUGH = 0.4  # of the frame beside his way, to be searched in
 PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
 
 
-def beside_walker(one: Placed, weight: Tensor, model: str) -> Placed:
+def beside_walker(one: Placed, weight: Tensor, model: str, holes: Tensor | None = None) -> Placed:
     """Frames that are placed once more without whoever walks through them, if their parts like that better.
 
-    weight: `(H, W)`, zero where a pixel is bad.
+    weight: `(H, W)`, zero where a pixel is bad. holes: `(N, H, W)` bool, samples that nothing is known of, as if
+    somebody stood there; in the end what the other frames show is filled in.
     """
-    if len(one.frames) < 3 or not (stands := someone(one.flat)).any():
-        return one
+    stands = someone(one.flat) if len(one.frames) > 2 else torch.zeros(one.flat.shape, dtype=torch.bool)
+    stands = stands if holes is None else stands | holes
     frames, flat = torch.where(weight > 0, one.frames.float(), 0.0), one.flat
-    level = search_level(blanked(flat, stands, weight), weight)
-    if misfit(level.of(one.used), one.motion) < WELL * misfit(level.of(one.used), identity(len(one.motion))):
-        return one
-    for other in others(one, frames, stands, weight, model):
-        if better(one, other, level, frames, stands, weight):
-            one = without(other, frames, flat, stands, weight, model)
-    return one
+    if len(frames) > 2 and stands.any():
+        level = search_level(blanked(flat, stands, weight), weight)
+        lost = holes is not None and not one.used.all()
+        if lost or not well(one, level):
+            for other in others(one, frames, stands, weight, model):
+                if better(one, other, level, frames, stands, weight):
+                    one = without(other, frames, flat, stands, weight, model)
+    return one if holes is None else without(one, frames, flat, holes, weight, model)
+
+
+def well(one: Placed, level: Level) -> bool:
+    """Whether its motions explain the frames of a level, in which he is filled in as if nothing moved."""
+    left, none = (misfit(level.of(one.used), each) for each in (one.motion, identity(len(one.motion))))
+    return left < WELL * none
 
 
 def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: str) -> Iterator[Placed]:
-    """Where else frames `(N, H, W)` may be: as if he were not there; and by their likelihood beside his way."""
-    used = one.used
+    """Where else frames `(N, H, W)` may be: as if he were not there; by what is beside his way, if that is enough."""
     seen, flat = (blanked(each, stands, weight) for each in (frames, one.flat))
     yield place(seen, flat, weight, model)
-    passed = stands[used].any(0)
-    if used.sum() > 2 and passed.float().mean() < PASSED:
-        beside = weight * ~passed
-        seen, factor = reduced(frames[used], beside)
-        moved = identity(len(seen))
-        moved[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, whole_shifts(seen)))
-        if model == "rigid":
-            turned = turning(frames[used], beside, moved)
-            moved = turned if apart(moved, turned, frames) > FAR else moved
-        yield replace(one, motion=moved)
+    beside = weight * ~stands.any(0)
+    if beside.mean() > ENOUGH:
+        yield place(frames, one.flat * (beside > 0), beside, model)
+        if one.used.sum() > 2:
+            yield replace(one, motion=likeliest(frames[one.used], beside, model))
+
+
+def likeliest(frames: Tensor, weight: Tensor, model: str) -> Tensor:
+    """The likeliest motions `(N, 3, 3)` of frames `(N, H, W)`: shifts, or turns where these are others."""
+    seen, factor = reduced(frames, weight)
+    motion = identity(len(seen))
+    motion[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, whole_shifts(seen)))
+    if model != "rigid":
+        return motion
+    turned = turning(frames, weight, motion)
+    return turned if apart(motion, turned, frames) > FAR else motion
 
 
 def better(one: Placed, other: Placed, level: Level, frames: Tensor, stands: Tensor, weight: Tensor) -> bool:

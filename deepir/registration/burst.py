@@ -15,6 +15,7 @@ from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, left
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
 from deepir.registration.place import ROUNDS, fine, place
+from deepir.registration.walker import blanked
 
 UNSURE = 0.85  # confidence below which a frame's motion may be wrong
 
@@ -36,19 +37,28 @@ class Registration:
 
 @torch.no_grad()
 def register(
-    frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = None, start: int = 0
+    frames: Tensor,
+    *,
+    model: str = "rigid",
+    ignore: Tensor | None = None,
+    valid: Tensor | None = None,
+    start: int = 0,
 ) -> Registration:
     """Motion of every frame of a burst `(N, H, W)` relative to the first that is used, under strong fixed patterns.
 
     model: shift, rigid, affine, homography, or auto: rigid, and a homography where the frames bend. ignore:
-    `(H, W)` bool, True where a pixel must not be used. start: the number of the first frame, for messages.
+    `(H, W)` bool, True where a pixel must not be used. valid: `(N, H, W)` bool, False where a sample is made up, of
+    something finite. start: the number of the first frame, for messages.
     Raises DataError where the shapes or the model's name are wrong.
     """
     check(frames, model, ignore)
     frames = frames.detach().cpu()
+    holes = None if valid is None or valid.all() else ~valid.cpu()
+    if holes is not None:
+        frames = blanked(frames, holes, torch.ones(frames.shape[1:]))
     flat, weight = flatten(frames, None if ignore is None else ignore.cpu())
     first = "rigid" if model == AUTO else model
-    placed = beside_walker(place(frames, flat, weight, first), weight, first)
+    placed = beside_walker(place(frames, flat, weight, first), weight, first, holes)
     coarse, used, found, moved = placed.coarse, placed.used, placed.found, placed.motion
     if used.sum() > 1:
         if model == AUTO:
