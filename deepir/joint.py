@@ -16,6 +16,7 @@ from deepir.errors import ConfigError
 from deepir.given_noise import given_noise
 from deepir.levels import drift_message
 from deepir.line_noise import line_noise_message
+from deepir.moving import moving_message
 from deepir.order import bridge_message, bridged
 from deepir.planned import plan
 from deepir.priors.parts import Part
@@ -65,7 +66,7 @@ def joint(
     if config.scene.get("fit") and not problem.held_out.any():
         hold_out(problem, config.seed)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
-    messages += definition.remarks(problem) + line_noise_message(problem)
+    messages += definition.remarks(problem) + line_noise_message(problem) + moving_message(problem)
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
         messages += drift_message(problem) + shading_message(problem) + contrast_message(problem)
     found = given & ~problem.alive()

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepir.defects import around
 from deepir.median import median
-from deepir.noise import MAD
+from deepir.noise import MAD, typical_noise
 from deepir.operators import Warp
 from deepir.operators.base import own
 from deepir.problem import Problem, Values
@@ -40,7 +40,9 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
     the scene in the fewer of them, if these are few. Who walks less far from frame to frame than he is wide covers
     some places in most frames, though: those follow the places beside them, as whoever stands there does so in much
     the same frames. Where the others still differ when he is out, it is the scene that bends, and nothing is done.
+    Who alone sees the scene misfits what the others made of it, and is no longer doubted for that.
     """
+    problem.moving.zero_()
     values = problem.values()
     first, frames = problem.operator.named()[0][1], len(problem.data)
     same = isinstance(first, Warp) and first.instants.count(frames) == frames and len(values["scene"]) == 1
@@ -54,14 +56,36 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
     if not regions or (not settled and len(regions) >= MANY):
         return
     above = known & (seen > middle)
-    passes = torch.zeros_like(seen)
+    passes, alone = torch.zeros_like(seen), torch.zeros_like(seen)
     for box, region in regions:
         among = known[box] & region
         here = _which_passes(above[box] & region, among & ~above[box])
         if not settled or _differ(seen[box], among & (here == 0)) < AGREE * usual:
             passes[box] += here
+            rest = among * (1 - here)
+            alone[box] += rest * (rest.sum(0) < here.sum(0))
+    _trust(problem, _in_frames(problem, alone[:, None], values) > 0.5)
     whole = _dilated(passes[:, None], 3)  # with its blurred edge
-    problem.precision.mul_(torch.where(_in_frames(problem, whole, values) > 0.5, LITTLE, 1.0))
+    problem.moving.copy_(_in_frames(problem, whole, values) > 0.5)
+    problem.precision.mul_(torch.where(problem.moving, LITTLE, 1.0))
+
+
+def moving_message(problem: Problem) -> list[str]:
+    """A line if something was found to move by itself."""
+    share = float(problem.moving.double().mean())
+    if not share:
+        return []
+    return [
+        f"something moves by itself: {share:.2%} of the samples show it and are left out ('moving' in result.npz); "
+        "what it covers in most frames is told only in part"
+    ]
+
+
+def _trust(problem: Problem, samples: Tensor) -> None:
+    """Let some samples (N, 1, h, w), bool, count as much as is usual, if they are usable."""
+    usual = torch.full_like(problem.precision, typical_noise(problem.precision) ** -2)
+    better = samples & (problem.precision > 0) & (problem.precision < usual)
+    problem.precision.copy_(usual.where(better, problem.precision))
 
 
 def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Tensor, Tensor]:

@@ -44,6 +44,7 @@ class Problem(nn.Module):
     contrast: Tensor
     #: 1 or -1 where a sample is cut off, and the data a bound, (N, C, h, w) int8; None: nowhere.
     ends: Tensor | None
+    moving: Tensor  # samples that show something that moves by itself, (N, 1, h, w), bool
     even: Tensor  # whether that was found to be the same for all
     #: The power of two by which a scene so plain bears stronger penalties; zero until it is known.
     plain: Tensor
@@ -79,6 +80,7 @@ class Problem(nn.Module):
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
         self.register_buffer("ends", None)
+        self.register_buffer("moving", torch.zeros_like(data[:, :1], dtype=torch.bool))
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
         self.register_buffer("even", torch.tensor(False))
         self.register_buffer("plain", torch.tensor(0.0))

@@ -57,6 +57,9 @@ def collect(
     where = geometry.crop(clipped.cpu().numpy())
     if where.any():
         result.extra["clipped"] = where
+    if problem.moving.any():
+        result.extra["moving"] = np.zeros((len(used), *burst.size), bool)
+        result.extra["moving"][taken] = problem.moving[:, 0].cpu().numpy()
     messages = messages + clipping_message(problem, where)
     result.frames_used, result.history, result.messages = used, solution.history, messages
     gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]

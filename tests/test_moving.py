@@ -12,7 +12,7 @@ from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.metrics import scores
-from deepir.moving import doubt_moving
+from deepir.moving import _trust, doubt_moving
 from deepir.problems.nuc import NUC
 from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
@@ -68,3 +68,25 @@ def test_who_walks_through_five_frames_costs_little():
             quality.append(scores(found, np.where(walker, np.nan, sim.truth.scene))["psnr_aligned"])
         costs.append(quality[0] - quality[1])
     assert np.mean(costs) < 1.8
+
+
+def test_who_alone_sees_the_scene_is_not_doubted_for_that():
+    problem = after_the_first_round(simulate(procedural(1, (300, 380)), TONES, seed=3))
+    problem.precision[0, :, 10, 10:13] = torch.tensor([0.0, 0.01, 1e9])
+    before, usual = problem.precision.clone(), float(problem.precision.median())
+    samples = torch.zeros_like(before, dtype=torch.bool)
+    samples[0, :, 10, 10:13] = True
+    _trust(problem, samples)
+    assert problem.precision[0, 0, 10, [10, 12]].tolist() == before[0, 0, 10, [10, 12]].tolist()
+    assert 0.9 * usual < float(problem.precision[0, 0, 10, 11]) < 1.1 * usual
+    assert torch.equal(problem.precision.where(~samples, 0), before.where(~samples, 0))
+
+
+def test_who_walks_is_said_and_shown():
+    walks = simulate(procedural(3, (300, 380)), dataclasses.replace(TONES, **WALKER), seed=4)
+    result = deepir.run("nuc", frames=walks.frames, threads=1)
+    assert any("moves by itself" in message for message in result.messages)
+    assert (result.extra["moving"] & walks.truth.moving).sum() > 0.7 * walks.truth.moving.sum()
+    nobody = deepir.run("nuc", frames=simulate(procedural(3, (300, 380)), TONES, seed=4).frames, threads=1)
+    assert "moving" not in nobody.extra
+    assert not any("moves" in message for message in nobody.messages)

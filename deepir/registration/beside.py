@@ -75,11 +75,12 @@ def likeliest(frames: Tensor, weight: Tensor, model: str) -> Tensor:
 def better(one: Placed, other: Placed, level: Level, frames: Tensor, stands: Tensor, weight: Tensor) -> bool:
     """Whether frames `(N, H, W)` are likelier at the motions of `other`; if these are the same, whether it has more.
 
-    Beside his way, if that is enough. Else he is filled in, by either's motions in turn, for which that speaks.
+    Beside his way, if that is enough. Else he is filled in, by either's motions in turn, for which that speaks. None
+    is better that is of fewer frames.
     level: frames in which he is filled in as if nothing moved; motions that explain no more of them are none.
     """
-    both = one.used & other.used
-    if both.sum() > 2:
+    both, had_frames, has_frames = one.used & other.used, int(one.used.sum()), int(other.used.sum())
+    if has_frames >= had_frames and both.sum() > 2:
         places = [relative(each.motion[both[each.used]]) for each in (one, other)]
         none, had, has = (misfit(level.of(both), each) for each in (identity(int(both.sum())), *places))
         passed = stands[both].any(0)
@@ -95,7 +96,7 @@ def better(one: Placed, other: Placed, level: Level, frames: Tensor, stands: Ten
             # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
             most = CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none)
             return likelier and has < most
-    return bool(other.used.sum() > one.used.sum())
+    return has_frames > had_frames
 
 
 def without(
