@@ -26,15 +26,17 @@ SMOOTH = 3  # px: side of the windows whose mean residual is looked at
 THIN = 5  # px: what is thinner, an edge say, does not count as something that moves
 NEAR = 9  # px: side of the windows from which a place learns in which frames something stands there
 SURE = 0.7  # of the surest place's votes, with which a place is decided before others
-AGREE = 3.0  # robust standard deviations within which the other frames agree in a region; with parallax they do not
+AGREE = 0.12  # of the gap, within which the other frames agree in a region; with parallax they do not
 MANY = 8  # regions, from which it is parallax, where the scene has not settled enough to tell by that
 SOME = 3  # each so manieth place along an axis is enough for a standard deviation
 LITTLE = 1e-3  # weight of a sample that shows something else
 
 
 @torch.no_grad()
-def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
-    """Let samples count next to nothing that show something that moves by itself.
+def doubt_moving(problem: Problem, *, settled: bool = True) -> float:
+    """Let samples count next to nothing that show something that moves by itself; by how much it differs is returned.
+
+    That is in robust standard deviations; zero: nothing does.
 
     Residuals are carried to the scene's grid. In a place where the frames are of two minds, something stands before
     the scene in the fewer of them, if these are few. Who walks less far from frame to frame than he is wide covers
@@ -47,20 +49,22 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
     first, frames = problem.operator.named()[0][1], len(problem.data)
     same = isinstance(first, Warp) and first.instants.count(frames) == frames and len(values["scene"]) == 1
     if frames < 3 or not same or not all(stage.linear for _, stage in problem.operator.named()[:-1]):
-        return
+        return 0.0
     residual = problem.data - problem.predict(values)
     seen, known = _registered(problem, residual, values)
     usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
     gap, middle = _widest_gap(seen, known, APART * usual)
     regions = list(_regions(gap > APART * usual, gap > FAR * usual))
     if not regions or (not settled and len(regions) >= MANY):
-        return
+        return 0.0
     above = known & (seen > middle)
     passes, alone = torch.zeros_like(seen), torch.zeros_like(seen)
     for box, region in regions:
         among = known[box] & region
         here = _which_passes(above[box] & region, among & ~above[box])
-        if not settled or _differ(seen[box], among & (here == 0)) < AGREE * usual:
+        if not settled or _differ(seen[box], among & (here == 0)) < AGREE * float(
+            gap[box[1:]][region].median()
+        ):
             passes[box] += here
             rest = among * (1 - here)
             alone[box] += rest * (rest.sum(0) < here.sum(0))
@@ -68,6 +72,7 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> None:
     whole = _dilated(passes[:, None], 3)  # with its blurred edge
     problem.moving.copy_(_in_frames(problem, whole, values) > 0.5)
     problem.precision.mul_(torch.where(problem.moving, LITTLE, 1.0))
+    return float(torch.cat([gap[box[1:]][region] for box, region in regions]).median()) / usual
 
 
 def moving_message(problem: Problem) -> list[str]:

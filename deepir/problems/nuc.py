@@ -7,8 +7,10 @@ import functools
 import math
 from typing import ClassVar
 
+import torch
+
 from deepir.line_noise import with_jumps
-from deepir.moving import doubt_moving
+from deepir.moving import LITTLE, doubt_moving
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
@@ -29,6 +31,8 @@ from deepir.waves import modelled
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
+#: Robust standard deviations of what moves by itself, from which it draws scene and pattern after it at first.
+CLEAR = 60.0
 #: Gain of ten iterations, in nats for each sample, below which a round of the sensor's ends: the first ones, the last.
 ROUGH, FINE = 2e-3, 3e-4
 #: The same of the scene's own stage, for each of its pixels: dark scenes gain for longer.
@@ -106,7 +110,26 @@ def finish(problem: Problem) -> None:
 def _update(problem: Problem, *, settled: bool = True) -> None:
     update(problem)
     smooth_unseen(problem)
-    doubt_moving(problem, settled=settled)
+    if doubt_moving(problem, settled=settled) > CLEAR and not settled:
+        _start_again(problem)
+
+
+@torch.no_grad()
+def _start_again(problem: Problem) -> None:
+    """Start again without what moves by itself: it has drawn the scene and the pattern after it, which stay there."""
+    doubtful = LITTLE * (problem.moving & (problem.precision > 0))
+    start_precision(problem)
+    typical = problem.precision.amax()
+    problem.precision.mul_(~problem.moving)
+    for name in problem.closed_form():
+        for part in problem.fields[name].parts():
+            part.assign(torch.zeros_like(part.values))
+            if not part.given:
+                part.sigma.zero_()
+    start_scene_and_parts(problem)
+    estimate_slow(problem, start=True)
+    problem.precision.add_(doubtful * typical)
+    weigh_scene(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
