@@ -34,9 +34,9 @@ LITTLE = 1e-3  # weight of a sample that shows something else
 
 @torch.no_grad()
 def doubt_moving(problem: Problem, *, settled: bool = True) -> float:
-    """Let samples count next to nothing that show something that moves by itself; by how much it differs is returned.
+    """Let samples count next to nothing that show something that moves by itself. Returned is by how much it differs.
 
-    That is in robust standard deviations; zero: nothing does.
+    That is in robust standard deviations; zero where nothing moves.
 
     Residuals are carried to the scene's grid. In a place where the frames are of two minds, something stands before
     the scene in the fewer of them, if these are few. Who walks less far from frame to frame than he is wide covers
@@ -62,9 +62,8 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> float:
     for box, region in regions:
         among = known[box] & region
         here = _which_passes(above[box] & region, among & ~above[box])
-        if not settled or _differ(seen[box], among & (here == 0)) < AGREE * float(
-            gap[box[1:]][region].median()
-        ):
+        bends = _differ(seen[box], among & (here == 0)) > AGREE * gap[box[1:]][region].median()
+        if not settled or not bends:
             passes[box] += here
             rest = among * (1 - here)
             alone[box] += rest * (rest.sum(0) < here.sum(0))
