@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -32,46 +33,72 @@ SOME = 3  # each so manieth place along an axis is enough for a standard deviati
 LITTLE = 1e-3  # weight of a sample that shows something else
 
 
+@dataclass(frozen=True)
+class Moving:
+    """What moves by itself: `samples` (N, 1, h, w), bool, that show it, and those that `alone` see the scene behind it.
+
+    `apart`: by how many robust standard deviations it differs from the scene, in the median.
+    """
+
+    samples: Tensor
+    alone: Tensor
+    apart: float
+
+
 @torch.no_grad()
 def doubt_moving(problem: Problem, *, settled: bool = True) -> float:
-    """Let samples count next to nothing that show something that moves by itself. Returned is by how much it differs.
+    """Let samples count next to nothing that show something that moves by itself; see `find_moving`.
 
-    That is in robust standard deviations; zero where nothing moves.
-
-    Residuals are carried to the scene's grid. In a place where the frames are of two minds, something stands before
-    the scene in the fewer of them, if these are few. Who walks less far from frame to frame than he is wide covers
-    some places in most frames, though: those follow the places beside them, as whoever stands there does so in much
-    the same frames. Where the others still differ when he is out, it is the scene that bends, and nothing is done.
-    Who alone sees the scene misfits what the others made of it, and is no longer doubted for that.
+    Returned is by how many robust standard deviations it differs; zero where nothing moves. Who alone sees the scene
+    misfits what the others made of it, and is no longer doubted for that.
     """
     problem.moving.zero_()
+    found = find_moving(problem, settled=settled)
+    if found is None:
+        return 0.0
+    problem.moving.copy_(found.samples)
+    _trust(problem, found.alone)
+    problem.precision.mul_(torch.where(problem.moving, LITTLE, 1.0))
+    return found.apart
+
+
+@torch.no_grad()
+def find_moving(problem: Problem, *, settled: bool = True) -> Moving | None:
+    """What moves by itself, by the residuals, carried to the scene's grid; None where nothing does.
+
+    In a place where the frames are of two minds, something stands before the scene in the fewer of them, if these are
+    few. Who walks less far from frame to frame than he is wide covers some places in most frames, though: those follow
+    the places beside them, as whoever stands there does so in much the same frames. Where the others still differ when
+    he is out, it is the scene that bends, and nothing is found; unless the scene has not `settled` enough to tell.
+    """
     values = problem.values()
     first, frames = problem.operator.named()[0][1], len(problem.data)
     same = isinstance(first, Warp) and first.instants.count(frames) == frames and len(values["scene"]) == 1
     if frames < 3 or not same or not all(stage.linear for _, stage in problem.operator.named()[:-1]):
-        return 0.0
+        return None
     residual = problem.data - problem.predict(values)
     seen, known = _registered(problem, residual, values)
     usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
     gap, middle = _widest_gap(seen, known, APART * usual)
     regions = list(_regions(gap > APART * usual, gap > FAR * usual))
-    if not regions or (not settled and len(regions) >= MANY):
-        return 0.0
+    if not settled and len(regions) >= MANY:
+        return None
     above = known & (seen > middle)
-    passes, alone = torch.zeros_like(seen), torch.zeros_like(seen)
+    passes, alone, apart = torch.zeros_like(seen), torch.zeros_like(seen), []
     for box, region in regions:
-        among = known[box] & region
+        among, gaps = known[box] & region, gap[box[1:]][region]
         here = _which_passes(above[box] & region, among & ~above[box])
-        bends = _differ(seen[box], among & (here == 0)) > AGREE * gap[box[1:]][region].median()
-        if not settled or not bends:
-            passes[box] += here
-            rest = among * (1 - here)
-            alone[box] += rest * (rest.sum(0) < here.sum(0))
-    _trust(problem, _in_frames(problem, alone[:, None], values) > 0.5)
+        if settled and _differ(seen[box], among & (here == 0)) > AGREE * gaps.median():
+            continue
+        passes[box] += here
+        rest = among * (1 - here)
+        alone[box] += rest * (rest.sum(0) < here.sum(0))
+        apart.append(gaps)
+    if not apart:
+        return None
     whole = _dilated(passes[:, None], 3)  # with its blurred edge
-    problem.moving.copy_(_in_frames(problem, whole, values) > 0.5)
-    problem.precision.mul_(torch.where(problem.moving, LITTLE, 1.0))
-    return float(torch.cat([gap[box[1:]][region] for box, region in regions]).median()) / usual
+    samples, only = (_in_frames(problem, each, values) > 0.5 for each in (whole, alone[:, None]))
+    return Moving(samples, only, float(torch.cat(apart).median()) / usual)
 
 
 def moving_message(problem: Problem) -> list[str]:

@@ -42,10 +42,10 @@ class Problem(nn.Module):
     held_out: Tensor
     #: What the data have been divided by, (N, 1, 1, 1), about their middle.
     contrast: Tensor
+    even: Tensor  # whether that was found to be the same for all
     #: 1 or -1 where a sample is cut off, and the data a bound, (N, C, h, w) int8; None: nowhere.
     ends: Tensor | None
     moving: Tensor  # samples that show something that moves by itself, (N, 1, h, w), bool
-    even: Tensor  # whether that was found to be the same for all
     #: The power of two by which a scene so plain bears stronger penalties; zero until it is known.
     plain: Tensor
 

@@ -15,7 +15,7 @@ from deepir.defects import OUTLIER, dead, deviating
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
 from deepir.median import median
-from deepir.noise import MAD
+from deepir.noise import MAD, typical_noise
 from deepir.operators import Warp
 from deepir.penalties.local import Local
 from deepir.priors.parts import Part
@@ -93,6 +93,20 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     # Of the median, too: one frame does not condemn a pixel.
     middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
     problem.precision.mul_(~(deviating(pattern, known) & deviating(middle, known)))
+
+
+@torch.no_grad()
+def pattern_to_noise(problem: Problem) -> float:
+    """How many times stronger than a sample's noise gain and offset are, by the strengths of their parts."""
+    data, counts = thinned(problem.data, problem.precision > 0)
+    power = {"gain": float(counted(data, counts).square().mean()), "offset": 1.0}
+    variances = [
+        power[slot] * float(part.sigma) ** 2
+        for slot in power
+        for part in _all_parts(problem, slot)
+        if not isinstance(part, Shading)
+    ]
+    return sum(variances) ** 0.5 / typical_noise(problem.precision)
 
 
 @torch.no_grad()

@@ -48,6 +48,7 @@ class DeblurLag(NUC):
             hold(problem, float(losses[1] < losses[0]))
         start_motion(problem)
         super().initialise(problem, seed)
+        self.buried = False  # the motion waits for the time constant
 
     def _tried(self, problem: Problem, share: float, seed: int) -> float:
         """The objective, in nats, that a few iterations come to with this speed before the first frame.

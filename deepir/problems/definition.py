@@ -21,7 +21,6 @@ from deepir.thin import counted, thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
 PASSES = 20  # over scene and pattern, at most
-STRONG = 1.5  # times as much as the frames' average shows: a pattern that is to be taken out before a solve
 SETTLED = 0.1  # of the noise: a change of the pattern that is little
 SEEN = 0.1  # frames that must show a pixel of the scene, for it to be known
 
@@ -128,7 +127,7 @@ def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
     scene, weight = problem.backproject(problem.values())
     pattern = pattern_left(rest, problem.precision.sign())
     # By the standard deviation: before a black sky the bulk has next to none.
-    return spread(pattern) > STRONG * float(scene[weight > SEEN * weight.max()].std())
+    return spread(pattern) > float(scene[weight > SEEN * weight.max()].std())
 
 
 @torch.no_grad()

@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 
 from deepir.line_noise import with_jumps
-from deepir.moving import LITTLE, doubt_moving
+from deepir.moving import LITTLE, doubt_moving, find_moving
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
@@ -20,6 +20,7 @@ from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
 from deepir.strengths import (
     hold_out,
+    pattern_to_noise,
     update_strengths,
     weigh_scene,
 )
@@ -31,8 +32,11 @@ from deepir.waves import modelled
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
-#: Robust standard deviations of what moves by itself, from which it draws scene and pattern after it at first.
-CLEAR = 60.0
+#: Strength of the pattern, in standard deviations of the noise, from which it spoils the registration.
+BURIED = 10.0
+#: Robust standard deviations of what moves by itself, from which it draws the motion after it before the pattern is
+#: known, and scene and pattern once it is.
+STRIKING, CLEAR = 20.0, 60.0
 #: Gain of ten iterations, in nats for each sample, below which a round of the sensor's ends: the first ones, the last.
 ROUGH, FINE = 2e-3, 3e-4
 #: The same of the scene's own stage, for each of its pixels: dark scenes gain for longer.
@@ -54,6 +58,8 @@ class NUC(Definition):
     operators: ClassVar[tuple[str, ...]] = ("warp", "sensor")
     #: Unknowns that are refined last: what registration knows of them is good enough to find the sensor.
     late: ClassVar[tuple[str, ...]] = ("motion",)
+    #: Whether it is not, and none are late.
+    buried = False
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
@@ -62,9 +68,13 @@ class NUC(Definition):
         estimate_slow(problem, start=True)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
+        self.buried = _is_buried(problem)
 
     def plan(self, problem: Problem) -> list[Stage]:
-        """Three rounds for the sensor, in the last of which the motion is refined; then the scene on all samples.
+        """Three rounds for the sensor; then the scene on all samples.
+
+        The motion is refined in the last of them, or in all: under a pattern far above the noise it is registered up to
+        a px off, and a sensor that was found with that holds it there.
 
         One more round where what these found tells that the gain is shaded: before, there is as much that looks so.
 
@@ -73,7 +83,7 @@ class NUC(Definition):
         """
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        still = tuple(name for name in free if name not in self.late)
+        still = tuple(name for name in free if self.buried or name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, long, last = (30, 60, 30) if modelled(problem) else (25, 30, 35)
         settled = SETTLED / len(problem.data)
@@ -89,6 +99,14 @@ class NUC(Definition):
             *([shaded] if unknown_shadings(problem) else []),
             *with_jumps(problem, scene),
         ]
+
+
+def _is_buried(problem: Problem) -> bool:
+    """Whether the pattern is far above the noise; and nobody is, too, whom the motion would follow."""
+    if pattern_to_noise(problem) < BURIED:
+        return False
+    walks = find_moving(problem, settled=False)
+    return walks is None or walks.apart < STRIKING
 
 
 def update(problem: Problem) -> None:
