@@ -8,7 +8,7 @@ from torch import Tensor
 
 from deepir.problem import Problem
 
-SEEN = 0.3  # frames that must show a pixel of the scene, for it to be known
+SEEN = 0.2  # frames that must show a pixel of the scene, for it to be known
 
 
 @torch.no_grad()
