@@ -21,7 +21,7 @@ from deepir.thin import counted, thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
 PASSES = 20  # over scene and pattern, at most
-SETTLED = 0.1  # of the noise: a change of the pattern that is little
+SETTLED = 1.0  # of the noise: a change of the pattern that is little
 SEEN = 0.1  # frames that must show a pixel of the scene, for it to be known
 
 
