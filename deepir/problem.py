@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 import torch
 from torch import Tensor, nn
 
+from deepir.average import Average
 from deepir.elimination import Eliminated, eliminate
 from deepir.fidelity import Fidelity, Gaussian
 from deepir.half_squares import of_sensor
@@ -194,33 +195,18 @@ class Problem(nn.Module):
         mask = torch.ones_like(values["scene"])
         return (self.operator.valid(mask, **self._slot_values(values)) > 0.5).expand_as(self.data)
 
-    def backproject(
-        self, values: Values, weights: Tensor | None = None, *, residual: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Registered average of the data on the scene's grid, and the weight of each of its pixels, in frames.
+    def backproject(self, values: Values, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Registered average of the data on the scene's grid, and the weight of each of its pixels, in frames."""
+        average = Average(self, values, weights)
+        return average(self.data - average.at_zero), average.weight
 
-        With `y = A x + b`, and in W the `weights`, or else the precisions, as shares of the largest:
-        `A' W (y - b) / A' W A 1`. Of a `residual`, if there is one, in place of `y - b`.
-        """
-        shown, slots = tuple(values["scene"].shape), self._slot_values(values)
-        zero = torch.zeros_like(values["scene"])
-        unit = self.precision.amax().clamp(min=1e-30) if weights is None else 1
-        weights = self.precision if weights is None else weights
-        at_zero = self.predict(values | {"scene": zero})
-        ones = self.predict(values | {"scene": zero + 1}) - at_zero
-        frames = self.data - at_zero if residual is None else residual
-        # Without a warp, one prediction of its shape stands for all frames.
-        counted = ((each * weights).sum_to_size(at_zero.shape) for each in (frames, ones))
-        total, weight = (self.operator.adjoint(each, shown, **slots) / unit for each in counted)
-        return total / weight.clamp(min=1e-6), weight
-
-    def beside(self, values: Values, residual: Tensor) -> Tensor:
+    def beside(self, values: Values, residual: Tensor, average: Average | None = None) -> Tensor:
         """What is left of the data, (N, C, h, w), once the scene has followed what their `residual` has in common.
 
-        In one step, by its registered average. What all frames show is no outlier: a peak that the scene does not
+        In one step, by its registered `average`. What all frames show is no outlier: a peak that the scene does not
         reach yet leaves as much as somebody who walks by, but the same in each frame.
         """
-        step, _ = self.backproject(values, residual=residual)
+        step = (average or Average(self, values))(residual)
         return self.data - self.predict(values | {"scene": values["scene"] + step})
 
     @torch.no_grad()

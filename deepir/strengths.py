@@ -11,6 +11,7 @@ from collections.abc import Collection
 import torch
 from torch import Tensor
 
+from deepir.average import Average
 from deepir.defects import OUTLIER, dead, deviating
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
@@ -110,15 +111,16 @@ def pattern_to_noise(problem: Problem) -> float:
 
 
 @torch.no_grad()
-def left(problem: Problem) -> Tensor:
+def left(problem: Problem, average: Average | None = None) -> Tensor:
     """What the frames are above their prediction, (N, 1, h, w), once the scene has followed what is no pattern of it.
 
     An average is smooth: without that step a small bright thing stays in all frames, and passes for what moves.
+    `average` spares its computation where it is known.
     """
     values = problem.values()
     rest = problem.data - problem.predict(values)
     weight = problem.precision / problem.precision.amax()
-    return problem.beside(values, rest - pattern_left(rest, weight))
+    return problem.beside(values, rest - pattern_left(rest, weight), average)
 
 
 def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from deepir.average import Average
 from deepir.clipping import give_up_stuck
 from deepir.levels import start_jumps
 from deepir.noise import ROUNDED, sample_noise, step, typical_noise
@@ -105,16 +106,16 @@ def start_scene_and_parts(problem: Problem) -> None:
     give_up_dead(problem, rest, noise)
     fixed = len(problem.data) > 1 and bool(problem.closed_form())
     strong = fixed and pattern_is_strong(problem, rest)
+    taken = torch.zeros_like(rest[:1])
     if strong:
-        take_pattern_out(problem, rest, noise, strong=True)
-        rest = left(problem)
+        rest = take_pattern_out(problem, rest, taken, noise, strong=True)
     doubt_misfits(problem, rest)
     for _ in range(TURNS):
         if strong or (fixed and problem.ends is None):  # what is cut off moves, and is no pattern
-            take_pattern_out(problem, rest, noise, strong=strong)
+            rest = take_pattern_out(problem, rest, taken, noise, strong=strong)
         else:
             start_scene(problem)
-        rest = left(problem)
+            rest = left(problem)
         give_up_dead(problem, rest, noise)
         doubt_misfits(problem, rest)
     if problem.ends is not None:  # what is given up for its other samples is no bound either
@@ -131,35 +132,42 @@ def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
 
 
 @torch.no_grad()
-def take_pattern_out(problem: Problem, rest: Tensor, noise: float, *, strong: bool) -> None:
+def take_pattern_out(problem: Problem, rest: Tensor, taken: Tensor, noise: float, *, strong: bool) -> Tensor:
     """Take out of the scene's start what stands still: the pattern, of frames' `rest`, and the scene by turns.
 
     A pattern many times stronger than the scene is else all that there is in the average, and no solve gets away from
     there. Of others one turn takes most, so that what changes in a pixel is the scene: beside a smeared pattern a plain
     scene's changes look like noise, which gains that are too small explain. But not what is slow of it: that is the
     scene's, unless shading is found.
+
+    Returned is the new `rest`; `taken` (1, 1, h, w), the pattern that was taken out before, is updated.
     """
-    frames, weight = problem.data.clone(), problem.precision / problem.precision.amax()
-    for _ in range(PASSES):
+    average, weight = Average(problem, problem.values()), problem.precision / problem.precision.amax()
+    for _ in range(PASSES if strong else 1):
         pattern = pattern_left(rest, weight)
         if not strong:
             slow = polynomials(*pattern.shape[-2:], pattern.device)
             pattern -= slow.nearest(pattern.double()).to(pattern)
-        problem.data.sub_(pattern)
-        start_scene(problem)
-        if not strong or spread(pattern) < SETTLED * noise:
+        change = spread(pattern - taken)
+        taken.copy_(pattern)
+        start_scene(problem, average, pattern)
+        rest = left(problem, average)
+        if change < SETTLED * noise:
             break
-        rest = left(problem)
-    problem.data.copy_(frames)
+    return rest
 
 
 @torch.no_grad()
-def start_scene(problem: Problem) -> None:
-    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour."""
-    average, weight = problem.backproject(problem.values())
-    frames = len(problem.data) / len(average)  # that show a scene
-    known = weight > SEEN * weight.max() / frames
-    problem.fields["scene"].init_from(filled(average, known))
+def start_scene(problem: Problem, average: Average | None = None, pattern: Tensor | float = 0.0) -> None:
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
+
+    `average` spares its computation where it is known; `pattern`, in every frame, is no scene.
+    """
+    average = average or Average(problem, problem.values())
+    mean = average((problem.data - average.at_zero).sub_(pattern))
+    frames = len(problem.data) / len(mean)  # that show a scene
+    known = average.weight > SEEN * average.weight.max() / frames
+    problem.fields["scene"].init_from(filled(mean, known))
 
 
 def filled(image: Tensor, known: Tensor) -> Tensor:
