@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import torch
 
+from deepir.half_size import halved, step_asked, take_motion
 from deepir.line_noise import with_jumps
 from deepir.moving import LITTLE, doubt_moving, find_moving
 from deepir.problem import Problem
@@ -17,6 +18,7 @@ from deepir.registry import register
 from deepir.residual_noise import update_noise
 from deepir.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
 from deepir.slow_strengths import estimate_slow
+from deepir.solve import solve
 from deepir.stage import Stage, Step
 from deepir.strengths import (
     hold_out,
@@ -32,6 +34,10 @@ from deepir.waves import modelled
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
+ROUNDS = 3  # for the sensor
+#: px by which the start asks a frame to be moved, from which the half of the burst is asked; that of smaller ones, px,
+#: says little.
+ASKED, WHOLE = 0.2, 96
 #: Strength of the pattern, in standard deviations of the noise, from which it spoils the registration.
 BURIED = 10.0
 #: Robust standard deviations of what moves by itself, from which it draws the motion after it before the pattern is
@@ -62,12 +68,17 @@ class NUC(Definition):
     buried = False
 
     def initialise(self, problem: Problem, seed: int) -> None:
-        """Noise and patterns as the raw frames show them; scene: registered average."""
-        start_precision(problem)
-        start_scene_and_parts(problem)
-        estimate_slow(problem, start=True)
-        hold_out(problem, seed)
-        weigh_scene(problem, WEAK)
+        """Noise and patterns as the raw frames show them; scene: registered average.
+
+        Where that asks for another motion, the burst at half its size is solved first, and tells it.
+        """
+        whole = min(problem.data.shape[-2:]) >= WHOLE and problem.ends is None and not problem.stretched
+        untouched = {name: tensor.clone() for name, tensor in problem.state_dict().items()} if whole else {}
+        _start(problem, seed)
+        if untouched and step_asked(problem) > ASKED:
+            problem.load_state_dict(untouched)
+            _move_as_half(problem, seed)
+            _start(problem, seed)
         self.buried = _is_buried(problem)
 
     def plan(self, problem: Problem) -> list[Stage]:
@@ -101,12 +112,27 @@ class NUC(Definition):
         ]
 
 
+def _start(problem: Problem, seed: int) -> None:
+    start_precision(problem)
+    start_scene_and_parts(problem)
+    estimate_slow(problem, start=True)
+    hold_out(problem, seed)
+    weigh_scene(problem, WEAK)
+
+
 def _is_buried(problem: Problem) -> bool:
     """Whether the pattern is far above the noise; and nobody is, too, whom the motion would follow."""
     if pattern_to_noise(problem) < BURIED:
         return False
     walks = find_moving(problem, settled=False)
     return walks is None or walks.apart < STRIKING
+
+
+def _move_as_half(problem: Problem, seed: int) -> None:
+    half, definition = halved(problem), NUC()
+    definition.initialise(half, seed)
+    solve(half, definition.plan(half)[:ROUNDS])
+    take_motion(problem, half)
 
 
 def update(problem: Problem) -> None:
