@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -14,14 +16,17 @@ from deepir.burst import Burst
 from deepir.config import load
 from deepir.operators import Sensor, Warp
 from deepir.priors.field import Field
-from deepir.priors.motion import Motion
+from deepir.priors.motion import Auto, Motion
 from deepir.problem import Problem
+from deepir.solve import solve
+from deepir.stage import Stage
 from deepir.strengths import pattern_left
 
 SOME = slice(1, -1, 3)  # samples along an axis that are enough for a step
 #: Weights along an axis, binomial. Means of two leave waves too short for the half, which the scene can follow
 #: in the first frame only, whose pixels are its own: all others then lie 0.3 px off, together.
 SMOOTH = (1, 7, 21, 35, 35, 21, 7, 1)
+FEWEST, BENDS = 3, 1200.0  # frames that may bend, and nats by which that is the likelier
 KNOWN = 0.5  # of a sample's weight, to count
 
 
@@ -71,6 +76,24 @@ def take_motion(problem: Problem, half: Problem) -> None:
     twice = _from_half(problem)
     motion = twice @ _field(half)().double().cpu() @ torch.linalg.inv(twice)
     _field(problem).init_from(motion.to(problem.data.device))
+
+
+def bent(half: Problem, last: Stage) -> Problem | None:
+    """The half with homographies, solved, if its frames bend; None if they do not, or did already.
+
+    Both go on with the `last` round, at its strengths, to see how much likelier homographies are.
+    """
+    bends = copy.deepcopy(half)
+    field = _field(bends)
+    if not isinstance(field, Auto) or field.bends or len(half.data) < FEWEST:
+        return None
+    field.bend()
+    going_on = replace(last, prepare=None)
+    rigid, free = (solve(each, [going_on]).history[-1]["loss"] for each in (half, bends))
+    if rigid - free < BENDS:
+        return None
+    solve(bends, [last])
+    return bends
 
 
 def _smaller(frames: Tensor) -> Tensor:

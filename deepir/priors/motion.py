@@ -155,6 +155,13 @@ class Auto(Homography):
         self.bends.fill_(bool((bend > ROUNDING).any()))
         super().init_from(value)
 
+    @torch.no_grad()
+    def bend(self) -> None:
+        """Let a rigid motion bend, from where it is."""
+        now = self()[1:].double()
+        self.bends.fill_(True)
+        self.values.copy_(self.parameters_of(now) / self.step)
+
     def matrices(self, p: Tensor) -> Tensor:
         """A homography; of rigid motion the last parameters are idle."""
         return super().matrices(p) if self.bends else _rigid(p[:, :3], self.radius)

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import torch
 
-from deepir.half_size import halved, step_asked, take_motion
+from deepir.half_size import bent, halved, step_asked, take_motion
 from deepir.line_noise import with_jumps
 from deepir.moving import LITTLE, doubt_moving, find_moving
 from deepir.problem import Problem
@@ -131,8 +131,9 @@ def _is_buried(problem: Problem) -> bool:
 def _move_as_half(problem: Problem, seed: int) -> None:
     half, definition = halved(problem), NUC()
     definition.initialise(half, seed)
-    solve(half, definition.plan(half)[:ROUNDS])
-    take_motion(problem, half)
+    rounds = definition.plan(half)[:ROUNDS]
+    solve(half, rounds)
+    take_motion(problem, bent(half, rounds[-1]) or half)
 
 
 def update(problem: Problem) -> None:
