@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.ndimage import find_objects, label
 from torch import Tensor
 
 from deepir.defects import around
+from deepir.foreground import foreground
 from deepir.median import median
 from deepir.noise import MAD, typical_noise
 from deepir.operators import Warp
@@ -21,16 +22,17 @@ from deepir.thin import counted
 
 APART = 5.0  # gap between the frames, in robust standard deviations, from which a place shows two things
 FAR = 12.0  # the same, of one place at least of each region that does
-FEW = 1 / 3  # share of a place's frames in which something that passes is few enough to be told by that
 SEEN = 0.3  # pixels of a frame that a place must be seen by
 SMOOTH = 3  # px: side of the windows whose mean residual is looked at
 THIN = 5  # px: what is thinner, an edge say, does not count as something that moves
-NEAR = 9  # px: side of the windows from which a place learns in which frames something stands there
-SURE = 0.7  # of the surest place's votes, with which a place is decided before others
 AGREE = 0.12  # of the gap, within which the other frames agree in a region; with parallax they do not
 MANY = 8  # regions, from which it is parallax, where the scene has not settled enough to tell by that
+REACH = 30  # px around all of them, that tell how bright the scene is
 SOME = 3  # each so manieth place along an axis is enough for a standard deviation
-LITTLE = 1e-3  # weight of a sample that shows something else
+LITTLE = 1e-5  # weight of a sample that shows something else, which may be hundreds of deviations off
+
+#: A box of frames (N, H, W), and which places of it a region has.
+Region = tuple[tuple[slice, ...], Tensor]
 
 
 @dataclass(frozen=True)
@@ -66,10 +68,9 @@ def doubt_moving(problem: Problem, *, settled: bool = True) -> float:
 def find_moving(problem: Problem, *, settled: bool = True) -> Moving | None:
     """What moves by itself, by the residuals, carried to the scene's grid; None where nothing does.
 
-    In a place where the frames are of two minds, something stands before the scene in the fewer of them, if these are
-    few. Who walks less far from frame to frame than he is wide covers some places in most frames, though: those follow
-    the places beside them, as whoever stands there does so in much the same frames. Where the others still differ when
-    he is out, it is the scene that bends, and nothing is found; unless the scene has not `settled` enough to tell.
+    In a place where the frames are of two minds, something stands before the scene in some of them; in which, see
+    `foreground`. Where the others still differ when he is out, it is the scene that bends, and nothing is found; unless
+    the scene has not `settled` enough to tell.
     """
     values = problem.values()
     first, frames = problem.operator.named()[0][1], len(problem.data)
@@ -81,18 +82,18 @@ def find_moving(problem: Problem, *, settled: bool = True) -> Moving | None:
     usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
     gap, middle = _widest_gap(seen, known, APART * usual)
     regions = list(_regions(gap > APART * usual, gap > FAR * usual))
-    if not settled and len(regions) >= MANY:
+    if not regions or (not settled and len(regions) >= MANY):
         return None
-    above = known & (seen > middle)
+    shown = _shown(seen + around(values["scene"], SMOOTH)[0] / SMOOTH**2, known, seen > middle, regions)
     passes, alone, apart = torch.zeros_like(seen), torch.zeros_like(seen), []
     for box, region in regions:
         among, gaps = known[box] & region, gap[box[1:]][region]
-        here = _which_passes(above[box] & region, among & ~above[box])
-        if settled and _differ(seen[box], among & (here == 0)) > AGREE * gaps.median():
+        here = shown[box] & region
+        rest = among & ~here
+        if settled and _differ(seen[box], rest) > AGREE * gaps.median():
             continue
         passes[box] += here
-        rest = among * (1 - here)
-        alone[box] += rest * (rest.sum(0) < here.sum(0))
+        alone[box] += rest & (rest.sum(0) < here.sum(0))
         apart.append(gaps)
     if not apart:
         return None
@@ -148,7 +149,7 @@ def _usual(seen: Tensor, known: Tensor) -> float:
     return MAD * median(counted(apart.abs_(), known & (count > 1))) * (len(seen) / (len(seen) - 1)) ** 0.5
 
 
-def _regions(wide: Tensor, far: Tensor) -> Iterator[tuple[tuple[slice, ...], Tensor]]:
+def _regions(wide: Tensor, far: Tensor) -> Iterator[Region]:
     """Regions of `wide` places (H, W) that are nowhere thin and hold a `far` one: for each a box around it, of
     (N, H, W), and which places of the box it has."""
     if not far.any():
@@ -170,27 +171,17 @@ def _differ(seen: Tensor, some: Tensor) -> float:
     return float(spread.median()) if len(spread) else 0.0
 
 
-def _which_passes(above: Tensor, below: Tensor) -> Tensor:
-    """Frames (N, H, W), 1 or 0, that show something else: of those above and those below, in places of two minds.
-
-    At the rim of such places it is these of which there are few; from there on inwards those that go best with what is
-    decided nearby, the surest places first. (Inside, few may be the frames that see the scene between two steps.)
-    """
-    over, under = above.sum(0), below.sum(0)
-    two = over + under > 0
-    outermost = _dilated((~two)[None, None].float(), 3)[0, 0] > 0
-    decided = two & outermost & (torch.minimum(over, under) <= FEW * (over + under))
-    passes = (torch.where(over <= under, above, below) & decided).float()
-    difference = below.float() - above.float()
-    while True:
-        # Of decided places nearby, those where a frame shows the scene less those where it does not.
-        votes = (difference * around(((1 - 2 * passes) * decided)[:, None], NEAR)[:, 0]).sum(0)
-        open_ones = votes.where(two & ~decided, 0).abs()
-        if not open_ones.any():
-            return passes
-        now = open_ones >= SURE * open_ones.max()
-        passes = torch.where(now, torch.where(votes > 0, above, below), passes)
-        decided |= now
+def _shown(flux: Tensor, known: Tensor, above: Tensor, regions: Sequence[Region]) -> Tensor:
+    """Frames (N, H, W), bool, that show in `regions` what moves: those `above` the gap or those below."""
+    inside = torch.zeros_like(known[0])
+    for box, region in regions:
+        inside[box[1:]] |= region
+    held = (torch.nonzero(inside.any(axis))[:, 0] for axis in (1, 0))
+    rows, columns = (slice(max(int(at[0]) - REACH, 0), int(at[-1]) + REACH + 1) for at in held)
+    box = (slice(None), rows, columns)
+    among, shown = known & inside, torch.zeros_like(known)
+    shown[box] = foreground(flux[box], known[box], (among & above)[box], (among & ~above)[box])
+    return shown
 
 
 def _in_frames(problem: Problem, masks: Tensor, values: Values) -> Tensor:
