@@ -12,7 +12,7 @@ from deepir.registration.align import Aligned, standing
 from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import identity, relative
 from deepir.registration.parts import FOUR, all_but_one, gains
-from deepir.registration.place import Placed, misfit, place, search_level, settled, turning
+from deepir.registration.place import Placed, misfit, search_level, searched, settled, turning
 from deepir.registration.pyramid import Level
 from deepir.registration.vote import FAR, apart, reduced, scaled, turns
 from deepir.registration.walker import blanked, filled, someone
@@ -51,14 +51,29 @@ def well(one: Placed, level: Level) -> bool:
 
 
 def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: str) -> Iterator[Placed]:
-    """Where else frames `(N, H, W)` may be: as if he were not there; by what is beside his way, if that is enough."""
+    """Where else frames `(N, H, W)` may be: as if he were not there; by what is beside his way, if that is enough.
+
+    Only what the search puts elsewhere is settled there: where it finds the same, he did no harm.
+    """
     seen, flat = (blanked(each, stands, weight) for each in (frames, one.flat))
-    yield place(seen, flat, weight, model)
     beside = weight * ~stands.any(0)
+    sought = searched(seen, flat, weight, model)
+    if any_else := elsewhere(one, sought):
+        yield settled(sought, weight, model)
     if beside.mean() > ENOUGH:
-        yield place(frames, one.flat * (beside > 0), beside, model)
-        if one.used.sum() > 2:
+        sought = searched(frames, one.flat * (beside > 0), beside, model)
+        if elsewhere(one, sought):
+            any_else = True
+            yield settled(sought, beside, model)
+        if any_else and one.used.sum() > 2:
             yield replace(one, motion=likeliest(frames[one.used], beside, model))
+
+
+def elsewhere(one: Placed, other: Placed) -> bool:
+    """Whether others of the frames are used, or these are in other places."""
+    if not torch.equal(one.used, other.used):
+        return True
+    return len(one.motion) > 1 and apart(relative(one.motion), relative(other.motion), one.frames) > FAR
 
 
 def likeliest(frames: Tensor, weight: Tensor, model: str) -> Tensor:

@@ -44,9 +44,14 @@ class Placed:
 
 def place(frames: Tensor, flat: Tensor, weight: Tensor, model: str) -> Placed:
     """Where frames `(N, H, W)` that show one scene are; weight: `(H, W)`, zero where a pixel is bad."""
+    return settled(searched(frames, flat, weight, model), weight, model)
+
+
+def searched(frames: Tensor, flat: Tensor, weight: Tensor, model: str) -> Placed:
+    """The same as the search finds them, nearly."""
     coarse = search_level(flat, weight)
     clear, used, found = one_scene(coarse, "shift" if model == "shift" else "rigid")
-    return settled(Placed(frames, flat, coarse, clear, used, found, found.motion), weight, model)
+    return Placed(frames, flat, coarse, clear, used, found, found.motion)
 
 
 def settled(placed: Placed, weight: Tensor, model: str) -> Placed:
