@@ -73,7 +73,7 @@ def test_what_registers_is_the_scene(picture, n_frames, seed, camera):
 
 
 def test_frames_that_are_well_explained_are_not_placed_again(monkeypatch):
-    monkeypatch.setattr(beside, "place", None)
+    monkeypatch.setattr(beside, "searched", None)
     frames = simulated("astronaut")[0]
     one = place(frames, *flatten(frames, None), "rigid")
     assert beside.beside_walker(one, torch.ones(frames.shape[1:]), "rigid") is one
