@@ -12,13 +12,14 @@ from deepir.registration.align import Aligned, standing
 from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import identity, relative
 from deepir.registration.parts import FOUR, all_but_one, gains
-from deepir.registration.place import Placed, misfit, search_level, searched, settled, turning
+from deepir.registration.place import Placed, fine, misfit, search_level, searched, settled, turning
 from deepir.registration.pyramid import Level
 from deepir.registration.vote import FAR, apart, reduced, scaled, turns
 from deepir.registration.walker import blanked, filled, someone
 from deepir.registration.whole import whole_shifts
 
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
+WHOLE = 0.08  # the same of the frames as they are, on the finest level: of a scene or of him, not of both
 NOTHING = 0.7  # of that: a motion that leaves more explains nothing
 CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
 ENOUGH = 0.4  # of the frame beside his way, to be searched in
@@ -37,17 +38,22 @@ def beside_walker(one: Placed, weight: Tensor, model: str, holes: Tensor | None 
     if len(frames) > 2 and stands.any():
         level = search_level(blanked(flat, stands, weight), weight)
         lost = holes is not None and not one.used.all()
-        if lost or not well(one, level):
+        if lost or not (well(one, level, WELL) or well(one, finest(one, weight), WHOLE)):
             for other in others(one, frames, stands, weight, model):
                 if better(one, other, level, frames, stands, weight):
                     one = without(other, frames, flat, stands, weight, model)
     return one if holes is None else without(one, frames, flat, holes, weight, model)
 
 
-def well(one: Placed, level: Level) -> bool:
-    """Whether its motions explain the frames of a level, in which he is filled in as if nothing moved."""
+def well(one: Placed, level: Level, share: float) -> bool:
+    """Whether its motions leave less than a share of what no motion leaves of a level's frames."""
     left, none = (misfit(level.of(one.used), each) for each in (one.motion, identity(len(one.motion))))
-    return left < WELL * none
+    return left < share * none
+
+
+def finest(one: Placed, weight: Tensor) -> Level:
+    """The level on which motions are refined last: there, what moves by a few px differs."""
+    return fine(one.flat, weight, one.coarse.factor)[-1]
 
 
 def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: str) -> Iterator[Placed]:
