@@ -8,15 +8,37 @@ from __future__ import annotations
 
 import functools
 import itertools
+import logging
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from numba import njit
+from numba.core import event
 from torch import Tensor
 
 from deepir.threads import count as available
+
+log = logging.getLogger("deepir")
+
+
+class _FirstUse(event.Listener):
+    """Says once why it takes long: a loop is compiled, which is not in the cache."""
+
+    said = False
+
+    def on_start(self, event: event.Event) -> None:
+        """Before each."""
+        if not self.said:
+            log.warning("compiling loops for this machine: some 20 s, once")
+        self.said = True
+
+    def on_end(self, event: event.Event) -> None:
+        """After each."""
+
+
+event.register("numba:compile", _FirstUse())
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

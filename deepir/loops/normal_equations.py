@@ -82,11 +82,19 @@ def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, acros
 
 
 @compiled
+def _copy(values, into):
+    """As many as there is room for. A slice that is set to another takes two seconds to compile."""
+    for i in range(len(into)):
+        into[i] = values[i]
+
+
+@compiled
 def _by_rows(maps, root, to_columns, to_rows, weights, x, rest, columns, rows, out):
     """What the rows do to white columns and terms `x`, from which they start at `rest`: `out`; the others are room."""
     height, width = maps.shape[1:]
     terms, a, b = x[2 * width :], columns[:width], columns[width:]
-    columns[:], rows[:] = x[: 2 * width], rest
+    _copy(x, columns)
+    _copy(rest, rows)
     for t in range(len(terms)):
         value, in_columns, in_rows = terms[t], to_columns[t], to_rows[t]
         for j in range(2 * width):
@@ -128,23 +136,28 @@ def solve(first, last, maps, root, to_columns, to_rows, weights, rest, tolerance
         np.empty(2 * maps.shape[1]),
         np.zeros(2 * maps.shape[1]),
     )
-    p, q = np.zeros(len(x)), np.empty(len(x))
+    p, q, r, rr = np.zeros(len(x)), np.empty(len(x)), np.empty(len(x)), 0.0
     _by_rows(maps, root, to_columns, to_rows, weights, p, rest, columns, rows, q)
-    r = x - q
-    p[:] = r
-    x[:] = 0 * r  # what is not a number stays so
-    rr = (r * r).sum()
+    for k in range(len(x)):  # one by one: operations on whole arrays take long to compile
+        r[k] = x[k] - q[k]
+        p[k], x[k] = r[k], 0 * r[k]  # what is not a number stays so
+        rr += r[k] * r[k]
     goal = tolerance * tolerance * rr
     for _ in range(iterations):
         if not rr > goal:
             break
         _by_rows(maps, root, to_columns, to_rows, weights, p, nothing, columns, rows, q)
-        q[:] = p - q
-        step, before = rr / (p * q).sum(), rr
-        x += step * p
-        r -= step * q
-        rr = (r * r).sum()
-        p[:] = r + (rr / before) * p
+        along = 0.0
+        for k in range(len(x)):
+            q[k] = p[k] - q[k]
+            along += p[k] * q[k]
+        step, before, rr = rr / along, rr, 0.0
+        for k in range(len(x)):
+            x[k] += step * p[k]
+            r[k] -= step * q[k]
+            rr += r[k] * r[k]
+        for k in range(len(x)):
+            p[k] = r[k] + (rr / before) * p[k]
 
 
 @compiled
@@ -156,7 +169,8 @@ def finish(
     x, y = np.empty(width), np.empty(width)
     for i in range(first * BAND, min(last * BAND, height)):
         aa, ab, bb, sa, sb = maps[0, i], maps[1, i], maps[2, i], maps[3, i], maps[4, i]
-        x[:], y[:] = columns[0], columns[1]
+        _copy(columns[0], x)
+        _copy(columns[1], y)
         for p in range(len(in_x)):
             x_p, a, b = in_x[p], along[0, i, p], along[1, i, p]
             for j in range(width):

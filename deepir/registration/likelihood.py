@@ -10,7 +10,7 @@ Rubin 1977.)
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -70,9 +70,10 @@ class Spectra:
         self.size, self.known = (h, w), np.ix_(rows, columns)
         spectra = torch.fft.rfft2(frames).numpy() / float(apart.square().sum().sqrt())
         self.frames = spectra[:, rows][:, :, columns]
-        self.total = self.frames.sum(0)
+        self.real, self.imag = (np.ascontiguousarray(each) for each in (self.frames.real, self.frames.imag))
         self.length = np.hypot(self.y[:, None], self.x)
         self.ring = np.digitize(self.length, np.geomspace(2 * np.pi / max(h, w), HIGHEST, RINGS))
+        self.sizes = np.bincount(self.ring.ravel(), minlength=RINGS + 1)
         self._guess(self.length > 0.8 * HIGHEST)
 
     def _guess(self, short: np.ndarray) -> None:
@@ -84,43 +85,32 @@ class Spectra:
         noise = max(float(differ[short].mean()), self.least)
         middle = 1 / np.log(2)  # a wave's power has an exponential distribution: its mean from its median
         white = max(middle * float(np.median(power[short])) - noise, 0.1 * noise)
-        self.scene = np.maximum(_means(power, self.ring) - white - noise, 0.02 * white)
+        total = np.bincount(self.ring.ravel(), power.ravel(), RINGS + 1)
+        self.scene = np.maximum((total / np.maximum(self.sizes, 1))[self.ring] - white - noise, 0.02 * white)
         self.pattern, self.noise = white, np.full(power.shape, noise)
 
     def nats(self, shifts: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the log-likelihood of shifts `(2 (N - 1))`, less what does not depend on them; and its gradient."""
-        turn, along, both, det, scene, pattern = self._scene_and_pattern(shifts.reshape(-1, 2))
-        explained = (along.conj() * scene + self.total.conj() * pattern).real / self.noise
-        pull = ((self.frames - pattern).conj() * (scene / self.noise) + both / det) * turn
-        rows, columns = pull.imag.sum(2) @ self.y, pull.imag.sum(1) @ self.x
-        slope = 2 * np.stack((columns, rows), 1)[1:].ravel()
-        return float((np.log(det) - explained).sum()), slope
+        from deepir.loops.likelihood import nats
+
+        rows = len(self.y)
+        found, slope = np.empty(rows), np.empty((rows, len(self.real), 2))
+        nats(0, rows, *self._at(shifts.reshape(-1, 2)), found, slope)
+        return float(found.sum()), slope.sum(0)[1:].ravel()
 
     def update(self, shifts: np.ndarray) -> None:
         """The powers that are likeliest at shifts `(N - 1, 2)`, nearly."""
-        n = len(self.frames)
+        from deepir.loops.likelihood import powers
+
+        n, rows = len(self.real), len(self.y)
+        expected, white = np.empty((rows, RINGS + 1, 2)), np.empty(rows)
         for _ in range(PASSES):
-            turn, _, both, det, scene, pattern = self._scene_and_pattern(shifts)
-            a, b = n + self.noise / self.scene, n + self.noise / self.pattern
-            unsure = self.noise / det
-            left = (np.abs(self.frames - turn * scene - pattern) ** 2).sum(0)
-            left += unsure * (n * (a + b) - 2 * np.abs(both) ** 2)
-            self.scene = _means(np.abs(scene) ** 2 + unsure * b, self.ring)
-            self.pattern = float((np.abs(pattern) ** 2 + unsure * a).mean())
-            self.noise = np.maximum(_means(left, self.ring) / n, self.least)
+            powers(0, rows, *self._at(shifts), self.ring, expected, white)
+            scene, noise = (expected.sum(0) / np.maximum(self.sizes, 1)[:, None]).T
+            self.scene, self.noise = scene[self.ring], np.maximum(noise / n, self.least)[self.ring]
+            self.pattern = float(white.sum()) / self.ring.size
 
-    def _scene_and_pattern(self, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
-        """`exp(i k d)`, the frames' sum moved back, the normal equations' off-diagonal, determinant and solution."""
-        n, (dx, dy) = len(self.frames), np.vstack((np.zeros((1, 2)), shifts)).T
-        turn = np.exp(1j * dy[:, None] * self.y)[:, :, None] * np.exp(1j * dx[:, None] * self.x)[:, None]
-        a, b = n + self.noise / self.scene, n + self.noise / self.pattern
-        both, along = turn.conj().sum(0), (turn.conj() * self.frames).sum(0)
-        det = a * b - np.abs(both) ** 2
-        scene, pattern = (b * along - both * self.total) / det, (a * self.total - both.conj() * along) / det
-        return turn, along, both, det, scene, pattern
-
-
-def _means(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
-    """For each wave the mean over all of its kind."""
-    total = np.bincount(kind.ravel(), values.ravel(), RINGS + 1)
-    return (total / np.maximum(np.bincount(kind.ravel(), minlength=RINGS + 1), 1))[kind]
+    def _at(self, shifts: np.ndarray) -> tuple[Any, ...]:
+        """What the loops take, at shifts `(N - 1, 2)`."""
+        moved = np.vstack((np.zeros((1, 2)), shifts))
+        return self.real, self.imag, moved, self.y, self.x, self.scene, self.pattern, self.noise
