@@ -1,5 +1,8 @@
 """The compiled loops of the CPU, against what torch computes on other devices; the warp's are in tests/operators."""
 
+import os
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -167,3 +170,17 @@ def test_what_goes_wrong_in_a_part_is_raised(threads):
 
     with pytest.raises(ArithmeticError, match="the last part"):
         spread(fail, 9)
+
+
+def test_a_first_use_says_why_it_takes_long(tmp_path):
+    code = "import torch; from deepir.median import median; print(median(torch.arange(9001.0)))"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
+        )
+        for _ in range(2)
+    )
+    assert first.stdout == second.stdout == "4500.0\n"
+    assert first.stderr.splitlines() == ["compiling loops for this machine: some 20 s, once"]
+    assert second.stderr == ""

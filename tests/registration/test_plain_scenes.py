@@ -95,3 +95,34 @@ def test_the_slope_of_the_shifts_likelihood_is_that_of_its_differences():
     np.testing.assert_allclose(
         spectra.nats(shifts)[1], (np.array(around[::2]) - around[1::2]) / 2e-5, rtol=1e-4
     )
+
+
+def log_likelihood(spectra, shifts):
+    """Minus twice that of waves of all frames, by their dense covariances."""
+    total, (x, y) = 0.0, np.vstack((np.zeros(2), shifts)).T
+    for row, column in np.ndindex(spectra.scene.shape):
+        turn = np.exp(1j * (y * spectra.y[row] + x * spectra.x[column]))
+        covariance = spectra.scene[row, column] * np.outer(turn, turn.conj()) + spectra.pattern
+        covariance += spectra.noise[row, column] * np.eye(len(turn))
+        seen = spectra.frames[:, row, column]
+        total += np.linalg.slogdet(covariance)[1] + (seen.conj() @ np.linalg.solve(covariance, seen)).real
+    return total
+
+
+@pytest.mark.parametrize("n_frames", [2, 3, 5])
+def test_the_shifts_likelihood_is_that_of_the_dense_covariances(n_frames):
+    rng = np.random.default_rng(n_frames)
+    spectra = likelihood.Spectra(torch.from_numpy(rng.normal(size=(n_frames, 20, 27)).cumsum(2)))
+    one, other = rng.normal(0, 3, (2, n_frames - 1, 2))
+    gained = spectra.nats(one.ravel())[0] - spectra.nats(other.ravel())[0]
+    assert np.isclose(gained, log_likelihood(spectra, one) - log_likelihood(spectra, other))
+
+
+def test_with_each_update_the_powers_are_likelier():
+    frames, truth = simulated("moon", n_frames=4)
+    spectra, shifts = likelihood.Spectra(even(frames, torch.ones(SHAPE))[:, 40:80, 50:100]), truth[1:, :2, 2]
+    found = []
+    for _ in range(4):
+        found.append(log_likelihood(spectra, shifts))
+        spectra.update(shifts)
+    assert (np.diff(found) < 0).all()

@@ -79,6 +79,19 @@ def test_frames_that_are_well_explained_are_not_placed_again(monkeypatch):
     assert beside.beside_walker(one, torch.ones(frames.shape[1:]), "rigid") is one
 
 
+def test_bright_things_before_a_dark_scene_are_nobody_where_one_motion_explains_all(monkeypatch):
+    sim = simulate(scene("camera"), camera_of_tones(gain_column=0.1), seed=10)
+    frames = torch.from_numpy(sim.frames)
+    flat, weight = flat_of(sim)
+    one = place(frames, flat, weight, "rigid")
+    assert someone(flat).any()
+    with monkeypatch.context() as patch:
+        patch.setattr(beside, "searched", None)
+        assert beside.beside_walker(one, weight, "rigid") is one
+    still = dataclasses.replace(one, motion=identity(len(frames)))
+    assert not beside.well(still, beside.finest(still, weight), beside.WHOLE)
+
+
 def test_a_scene_that_turns_is_nobody_who_walks():
     # Its dark figure moves otherwise than the rest: parts of the frame that voted put it 24 px off.
     sim = simulate(scene("camera"), camera_of_tones(n_frames=3, gain_column=0.05, max_rotation=6.0), seed=41)
