@@ -13,7 +13,7 @@ import numpy as np
 
 from deepir.loops import compiled
 
-HUGE = 1e200  # a product of determinants, of which a logarithm is taken before it is as large again
+HUGE = 1e200  # a product of determinants, or its inverse, of which a logarithm is taken while it is a number
 
 
 @compiled
@@ -34,7 +34,7 @@ def nats(first, last, real, imag, shifts, y, x, scene, pattern, noise, found, sl
             s[1, c] *= each
         for c in range(len(x)):
             product *= det[0, c]
-            if product > HUGE:
+            if not 1 / HUGE < product < HUGE:
                 total += math.log(product)
                 product = 1.0
         found[r] = total + math.log(product)

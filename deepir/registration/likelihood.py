@@ -111,6 +111,6 @@ class Spectra:
             self.pattern = float(white.sum()) / self.ring.size
 
     def _at(self, shifts: np.ndarray) -> tuple[Any, ...]:
-        """What the loops take, at shifts `(N - 1, 2)`."""
+        """What the loops take, at shifts `(N - 1, 2)`: all rows at once, which are too few to share among threads."""
         moved = np.vstack((np.zeros((1, 2)), shifts))
         return self.real, self.imag, moved, self.y, self.x, self.scene, self.pattern, self.noise

@@ -118,6 +118,17 @@ def test_the_shifts_likelihood_is_that_of_the_dense_covariances(n_frames):
     assert np.isclose(gained, log_likelihood(spectra, one) - log_likelihood(spectra, other))
 
 
+def test_next_to_no_noise_and_no_shift_are_likely_but_not_infinitely():
+    rng = np.random.default_rng(0)
+    one = torch.from_numpy(rng.normal(size=(1, 20, 400)).cumsum(2))
+    spectra = likelihood.Spectra(one + 1e-4 * torch.from_numpy(rng.normal(size=(4, 20, 400))))
+    still, moved = np.zeros((3, 2)), np.full((3, 2), 0.7)
+    spectra.update(still)
+    gained = spectra.nats(moved.ravel())[0] - spectra.nats(still.ravel())[0]
+    wanted = log_likelihood(spectra, moved) - log_likelihood(spectra, still)
+    assert np.isclose(gained, wanted, rtol=1e-4)  # of such frames nearly all cancels
+
+
 def test_with_each_update_the_powers_are_likelier():
     frames, truth = simulated("moon", n_frames=4)
     spectra, shifts = likelihood.Spectra(even(frames, torch.ones(SHAPE))[:, 40:80, 50:100]), truth[1:, :2, 2]
