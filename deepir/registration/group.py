@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from deepir.registration.align import Aligned, align
-from deepir.registration.motion import identity, relative
+from deepir.registration.chain import chained
+from deepir.registration.motion import identity
 from deepir.registration.pull import pull
 from deepir.registration.pyramid import Level
 from deepir.registration.refine import tukey
@@ -22,7 +23,7 @@ SAME = 1.3  # times what is left with motions, for each degree of freedom: frame
 #: few frames see is easily explained.
 FAR, SAME_IF_FAR = 0.3, 4.0
 ROUGH = 3  # rounds of alignment
-#: Share of the frame from which a camera pans, and times frames are looked for from the middle.
+#: Share of the frame from which a camera pans, and times that frames are looked for in those found before.
 PANNED, PANS = 0.2, 3
 
 
@@ -43,7 +44,7 @@ def one_scene(level: Level, model: str) -> tuple[Tensor, Tensor, Aligned]:
     assert best is not None
     clear, used, found = best
     if used.sum() > 2 and is_far(level, found.motion, PANNED):
-        clear, used, found = from_the_middle(level, clear, used, found, model)
+        return panned(level, clear, used, found, model)
     if 1 < used.sum() < len(used):  # the mean of these frames sees more of the scene than one of them
         picture = pull(level.of(used), found.pattern, found.motion).mean
         motion, again = match(picture, level.frames - found.pattern, level, model, standing=False)
@@ -54,24 +55,25 @@ def one_scene(level: Level, model: str) -> tuple[Tensor, Tensor, Aligned]:
     return clear, used, found
 
 
-def from_the_middle(
+def panned(
     level: Level, clear: Tensor, used: Tensor, found: Aligned, model: str
 ) -> tuple[Tensor, Tensor, Aligned]:
-    """The same of frames that are far from each other, all of which see something of what the one in their middle sees.
+    """The same of frames that are far from each other, each looked for in those that see much of what it sees.
 
     Correlations know shifts up to half a frame only, and take one that is longer for another.
     """
+    known = torch.arange(len(clear)) == int(clear.argmax())
+    motion, pattern = identity(len(clear)), level.frames.median(0).values
     for _ in range(PANS):
-        shifts = found.motion[:, :2, 2]
-        middle = int((shifts - (shifts.amin(0) + shifts.amax(0)) / 2).norm(dim=1).argmin())
-        picture = pull(level.of(used), found.pattern, relative(found.motion, middle)).mean
-        motion, again = match(picture, level.frames - found.pattern, level, model, standing=False)
-        more, better = consistent(level, used | (again > 1), motion, model)
-        grown = int(more.sum()) - int(used.sum())
-        if grown < 0 or left(better) > CLEARLY * left(found):
+        motion, again = chained(level.frames - pattern, level, model, motion, known)
+        more, better = consistent(level, again > 1, motion, model)
+        worse = more.sum() < used.sum() or left(better) > CLEARLY * left(found)
+        if worse and not CLEARLY * left(better) < left(found):
             break
+        grown = bool((more & ~known).any())
         clear, used, found = again, more, better
-        if not grown:
+        known, pattern, motion[used] = used, found.pattern, found.motion
+        if not grown or used.all():
             break
     return clear, used, found
 

@@ -20,6 +20,8 @@ FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there woul
 APART = 0.2  # px at the frame's corners: what is closer is the same
 STRETCHED = ("affine", "homography")  # models of which only the shift is changed
 LEAST = 16  # px: of smaller frames a part says too little
+#: Of the frame: of places further apart the likelihood, for which what leaves a frame comes in again, knows nothing.
+SHARED = 0.5
 
 
 def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
@@ -29,7 +31,7 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
     them up. The likelihood knows that, but not that something may walk through one part of the frame: so what counts is
     the gain of all parts but the one that gains most. weight: `(H, W)`, zero where a pixel is bad.
     """
-    if len(frames) < 3 or min(weight.shape) < LEAST:
+    if len(frames) < 3 or min(weight.shape) < LEAST or spans(motion, weight) > SHARED:
         return motion
     small, factor = reduced(frames, weight)
     residual = relative(motion)
@@ -61,6 +63,12 @@ def scaled(motion: Tensor, factor: float) -> Tensor:
 def turns(motion: Tensor, weight: Tensor) -> bool:
     """Whether relative motions `(N, 3, 3)` of frames that are as large as `weight` are no shifts."""
     return float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2 > TURNED
+
+
+def spans(motion: Tensor, weight: Tensor) -> float:
+    """How far apart motions `(N, 3, 3)` put frames that are as large as `weight`, in shares of their sides."""
+    shifts = motion[:, :2, 2] / torch.tensor(weight.shape[::-1])
+    return float((shifts.amax(0) - shifts.amin(0)).max())
 
 
 def starts(frames: Tensor, residual: np.ndarray, turned: bool) -> list[np.ndarray]:

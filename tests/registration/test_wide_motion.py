@@ -72,15 +72,17 @@ def test_what_lines_and_noise_make_of_a_plain_sky_is_no_bend(number, seed, camer
     assert torch.equal(register(frames, model="auto").motion, register(frames).motion)
 
 
-@pytest.mark.parametrize("seed", [2, 3])
-def test_a_pan_by_more_than_half_a_frame_is_followed_to_its_end(seed):
-    scene, rng = procedural(seed, (130, 260)), np.random.default_rng(seed)
+@pytest.mark.parametrize(
+    ("seed", "step", "count"), [(2, 12, 8), (3, 12, 8), (3, 15, 10), (4, 15, 10), (5, 10, 14)]
+)
+def test_a_pan_by_up_to_the_whole_frame_is_followed_to_its_end(seed, step, count):
+    scene, rng = procedural(seed, (130, 170 + step * count)), np.random.default_rng(seed)
     pattern = 1 + 0.03 * rng.normal(size=(120, 160)) + 0.03 * rng.normal(size=160)
-    frames = np.stack([scene[k % 3 :, 12 * k :][:120, :160] * pattern for k in range(8)])
+    frames = np.stack([scene[k % 3 :, step * k :][:120, :160] * pattern for k in range(count)])
     frames += 0.004 * rng.normal(size=frames.shape)
     result = register(torch.from_numpy(frames.astype(np.float32)))
     assert result.used.all()
-    true = np.array([(12 * k, k % 3) for k in range(8)])
+    true = np.array([(step * k, k % 3) for k in range(count)])
     assert np.abs(result.motion.numpy()[:, :2, 2] - true).max() < 0.3
 
 
