@@ -61,14 +61,15 @@ def estimate_shaded_gain(problem: Problem) -> None:
         part.sigma.fill_(gain)
     for part in offsets:  # a gain may stand in for it, but where the scene is even
         part.sigma.fill_(max(offset, float(part.sigma)))
-    for field in drifts:
-        field.sigma.fill_(drift)
+    if not lines_jump(problem):  # without the means of lines the levels are not seen
+        for field in drifts:
+            field.sigma.fill_(drift)
 
 
 @torch.no_grad()
 def _likeliest(problem: Problem) -> list[float] | None:
     """The strengths of the offset's shading, a drift and the gain's shading; None if there is none of the gain."""
-    evidence, drift = _Smooth(problem), bool(slow_unknowns(problem)[2])
+    evidence, drift = _Smooth(problem), bool(slow_unknowns(problem)[2]) and not lines_jump(problem)
     even, _ = evidence.best(shaded=False, drift=drift)
     nats, found = evidence.best(shaded=True, drift=drift)
     certain = CERTAIN if found[-1] < STRONG else SURE

@@ -40,6 +40,13 @@ def test_a_gain_that_falls_to_half_in_the_corners_is_found():
     assert psnr(result, sim) > 48
 
 
+def test_a_drift_goes_on_where_rows_jump():
+    result, sim = run(gain_shading=0.4, level_drift=0.03, row_noise=0.002, n_frames=8, **COUNTS)
+    assert strength(result) > 0
+    assert "drifts" in " ".join(result.messages)
+    assert psnr(result, sim) > 45
+
+
 @pytest.mark.parametrize(
     "effects",
     [

@@ -11,10 +11,11 @@ from deepir.errors import DataError, nearest
 from deepir.registration.align import Aligned, standing
 from deepir.registration.bend import bent
 from deepir.registration.beside import beside_walker
+from deepir.registration.closed import FEWEST, closed
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, left
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
-from deepir.registration.place import ROUNDS, fine, place
+from deepir.registration.place import ROUNDS, fine, place, search_level
 from deepir.registration.walker import blanked
 
 UNSURE = 0.85  # confidence below which a frame's motion may be wrong
@@ -58,26 +59,44 @@ def register(
         frames = blanked(frames, holes, torch.ones(frames.shape[1:]))
     flat, weight = flatten(frames, None if ignore is None else ignore.cpu())
     first = "rigid" if model == AUTO else model
+    shut = (
+        closed(search_level(flat, weight), first) if len(frames) > FEWEST else torch.zeros(len(frames)).bool()
+    )
+    motion = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    confidence = torch.zeros(len(frames), dtype=torch.float64)
+    some = ~shut if shut.any() else slice(None)  # no copy of all
+    motion[some], confidence[some] = moved(
+        frames[some], flat[some], weight, model, None if holes is None else holes[some]
+    )
+    return verdict(motion, confidence, start, shut)
+
+
+def moved(
+    frames: Tensor, flat: Tensor, weight: Tensor, model: str, holes: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """Motions `(N, 3, 3)` of frames and how well they agree `(N,)`, on which `verdict` decides."""
+    first = "rigid" if model == AUTO else model
     placed = beside_walker(place(frames, flat, weight, first), weight, first, holes)
-    coarse, used, found, moved = placed.coarse, placed.used, placed.found, placed.motion
+    coarse, used, found, motion = placed.coarse, placed.used, placed.found, placed.motion
     if used.sum() > 1:
         if model == AUTO:
             level = fine(placed.flat[used], weight, coarse.factor)[-1]
-            moved = bent(placed.frames[used], weight, level, moved, ROUNDS)
-        found = min(found, Aligned(moved, *standing(coarse.of(used), moved)), key=left)
+            motion = bent(placed.frames[used], weight, level, motion, ROUNDS)
+        found = min(found, Aligned(motion, *standing(coarse.of(used), motion)), key=left)
     still = at_rest(coarse, found)
     if still.any():
-        return verdict(identity(len(frames)), still.double(), start)
-    motion = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+        return identity(len(frames)), still.double()
+    every = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
     confidence = 0.5 * FAILED * placed.clear.clamp_max(1)
     if used.sum() > 1:
-        motion[used], confidence[used] = moved, agreement(coarse.of(used), found.pattern, moved)
-    return verdict(motion, confidence, start)
+        every[used], confidence[used] = motion, agreement(coarse.of(used), found.pattern, motion)
+    return every, confidence
 
 
-def verdict(motion: Tensor, confidence: Tensor, start: int = 0) -> Registration:
-    """Confidence and messages; frames that fail are left out by name."""
+def verdict(motion: Tensor, confidence: Tensor, start: int = 0, shut: Tensor | None = None) -> Registration:
+    """Confidence and messages; frames that fail are left out by name, those of a shut shutter as such."""
     confidence = confidence.clamp(0, 1)
+    shut = torch.zeros_like(confidence, dtype=torch.bool) if shut is None else shut
     used = confidence >= FAILED
     if used.sum() < 2:  # nothing agrees: the first frame stands for itself
         used = torch.arange(len(used)) == 0
@@ -85,7 +104,11 @@ def verdict(motion: Tensor, confidence: Tensor, start: int = 0) -> Registration:
         motion[0] = torch.eye(3, dtype=torch.float64)
     messages = []
     for k in range(len(used)):
-        if not used[k]:
+        if shut[k]:
+            messages.append(
+                f"frame {start + k} shows the pattern and no scene, as where a shutter closes: left out"
+            )
+        elif not used[k]:
             messages.append(
                 f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
             )
