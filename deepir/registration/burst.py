@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -59,16 +60,27 @@ def register(
         frames = blanked(frames, holes, torch.ones(frames.shape[1:]))
     flat, weight = flatten(frames, None if ignore is None else ignore.cpu())
     first = "rigid" if model == AUTO else model
-    shut = (
-        closed(search_level(flat, weight), first) if len(frames) > FEWEST else torch.zeros(len(frames)).bool()
-    )
-    motion = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
-    confidence = torch.zeros(len(frames), dtype=torch.float64)
-    some = ~shut if shut.any() else slice(None)  # no copy of all
+    n = len(frames)
+    why = dict.fromkeys(copies(frames), "is the same as the one before it")
+    if n > FEWEST:
+        shut = closed(search_level(flat, weight), first).nonzero()[:, 0].tolist()
+        why |= dict.fromkeys(shut, "shows the pattern and no scene, as where a shutter closes")
+    motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
+    confidence = torch.zeros(n, dtype=torch.float64)
+    some = [k for k in range(n) if k not in why] if why else slice(None)  # no copy of all
     motion[some], confidence[some] = moved(
         frames[some], flat[some], weight, model, None if holes is None else holes[some]
     )
-    return verdict(motion, confidence, start, shut)
+    return verdict(motion, confidence, start, why)
+
+
+def copies(frames: Tensor) -> list[int]:
+    """Frames `(N, H, W)` that are the one before them once more, as where a camera is read faster than it looks.
+
+    None if all are: then nothing moves.
+    """
+    found = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
+    return found if len(found) < len(frames) - 1 else []
 
 
 def moved(
@@ -93,10 +105,9 @@ def moved(
     return every, confidence
 
 
-def verdict(motion: Tensor, confidence: Tensor, start: int = 0, shut: Tensor | None = None) -> Registration:
-    """Confidence and messages; frames that fail are left out by name, those of a shut shutter as such."""
+def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, str]) -> Registration:
+    """Confidence and messages; frames that fail are left out by name, some of which it is known why."""
     confidence = confidence.clamp(0, 1)
-    shut = torch.zeros_like(confidence, dtype=torch.bool) if shut is None else shut
     used = confidence >= FAILED
     if used.sum() < 2:  # nothing agrees: the first frame stands for itself
         used = torch.arange(len(used)) == 0
@@ -104,10 +115,8 @@ def verdict(motion: Tensor, confidence: Tensor, start: int = 0, shut: Tensor | N
         motion[0] = torch.eye(3, dtype=torch.float64)
     messages = []
     for k in range(len(used)):
-        if shut[k]:
-            messages.append(
-                f"frame {start + k} shows the pattern and no scene, as where a shutter closes: left out"
-            )
+        if k in why:
+            messages.append(f"frame {start + k} {why[k]}: left out")
         elif not used[k]:
             messages.append(
                 f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
