@@ -20,6 +20,9 @@ from deepir.registration.whole import whole_shifts
 
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
 WHOLE = 0.08  # the same of the frames as they are, on the finest level: of a scene or of him, not of both
+WORSE = (
+    3.7  # times what is left of the frames as they are: motions that leave more are no better, whoever walks
+)
 NOTHING = 0.7  # of that: a motion that leaves more explains nothing
 CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
 ENOUGH = 0.4  # of the frame beside his way, to be searched in
@@ -39,8 +42,9 @@ def beside_walker(one: Placed, weight: Tensor, model: str, holes: Tensor | None 
         level = search_level(blanked(flat, stands, weight), weight)
         lost = holes is not None and not one.used.all()
         if lost or not (well(one, level, WELL) or well(one, finest(one, weight), WHOLE)):
+            whole = finest(one, weight)
             for other in others(one, frames, stands, weight, model):
-                if better(one, other, level, frames, stands, weight):
+                if better(one, other, level, frames, stands, weight) and not far_worse(one, other, whole):
                     one = without(other, frames, flat, stands, weight, model)
     return one if holes is None else without(one, frames, flat, holes, weight, model)
 
@@ -49,6 +53,13 @@ def well(one: Placed, level: Level, share: float) -> bool:
     """Whether its motions leave less than a share of what no motion leaves of a level's frames."""
     left, none = (misfit(level.of(one.used), each) for each in (one.motion, identity(len(one.motion))))
     return left < share * none
+
+
+def far_worse(one: Placed, other: Placed, level: Level) -> bool:
+    """Whether other motions leave far more of a level's frames, of those that both use."""
+    both = one.used & other.used
+    had, has = (misfit(level.of(both), each.motion[both[each.used]]) for each in (one, other))
+    return has > WORSE * had
 
 
 def finest(one: Placed, weight: Tensor) -> Level:
