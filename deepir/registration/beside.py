@@ -20,9 +20,7 @@ from deepir.registration.whole import whole_shifts
 
 WELL = 0.2  # of what no motion leaves unexplained where he is filled in: a motion that leaves less is right
 WHOLE = 0.08  # the same of the frames as they are, on the finest level: of a scene or of him, not of both
-WORSE = (
-    3.7  # times what is left of the frames as they are: motions that leave more are no better, whoever walks
-)
+WORSE = 3.7  # times what is left of the frames as they are: what leaves more is no better, whoever walks
 NOTHING = 0.7  # of that: a motion that leaves more explains nothing
 CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
 ENOUGH = 0.4  # of the frame beside his way, to be searched in

@@ -110,9 +110,10 @@ def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, st
     confidence = confidence.clamp(0, 1)
     used = confidence >= FAILED
     if used.sum() < 2:  # nothing agrees: the first frame stands for itself
-        used = torch.arange(len(used)) == 0
+        first = next(k for k in range(len(used)) if k not in why)
+        used = torch.arange(len(used)) == first
         confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * FAILED))
-        motion[0] = torch.eye(3, dtype=torch.float64)
+        motion[first] = torch.eye(3, dtype=torch.float64)
     messages = []
     for k in range(len(used)):
         if k in why:
