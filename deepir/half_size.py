@@ -78,6 +78,14 @@ def take_motion(problem: Problem, half: Problem) -> None:
     _field(problem).init_from(motion.to(problem.data.device))
 
 
+@torch.no_grad()
+def take_moving(problem: Problem, half: Problem) -> None:
+    """Let the samples of a burst show what moves by itself where those of its half do."""
+    twice = half.moving.repeat_interleave(2, -2).repeat_interleave(2, -1)
+    problem.moving.zero_()
+    problem.moving[..., : twice.shape[-2], : twice.shape[-1]] = twice.to(problem.moving.device)
+
+
 def bent(half: Problem, last: Stage) -> Problem | None:
     """The half with homographies, solved, if its frames bend; None if they do not, or did already.
 

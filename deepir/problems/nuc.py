@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import torch
 
-from deepir.half_size import bent, halved, step_asked, take_motion
+from deepir.half_size import bent, halved, step_asked, take_motion, take_moving
 from deepir.line_noise import with_jumps
 from deepir.moving import LITTLE, doubt_moving, find_moving
 from deepir.problem import Problem
@@ -74,11 +74,12 @@ class NUC(Definition):
         """
         whole = min(problem.data.shape[-2:]) >= WHOLE and problem.ends is None and not problem.stretched
         untouched = {name: tensor.clone() for name, tensor in problem.state_dict().items()} if whole else {}
-        _start(problem, seed)
+        _start(problem)
         if untouched and step_asked(problem) > ASKED:
             problem.load_state_dict(untouched)
-            _move_as_half(problem, seed)
-            _start(problem, seed)
+            _take_from_half(problem, seed)
+            _start(problem)
+        hold_out(problem, seed)
         self.buried = _is_buried(problem)
 
     def plan(self, problem: Problem) -> list[Stage]:
@@ -112,11 +113,15 @@ class NUC(Definition):
         ]
 
 
-def _start(problem: Problem, seed: int) -> None:
+@torch.no_grad()
+def _start(problem: Problem) -> None:
+    """Start without what is known to move by itself."""
     start_precision(problem)
+    doubtful = LITTLE * problem.precision * problem.moving
+    problem.precision.mul_(~problem.moving)
     start_scene_and_parts(problem)
     estimate_slow(problem, start=True)
-    hold_out(problem, seed)
+    problem.precision.add_(doubtful)
     weigh_scene(problem, WEAK)
 
 
@@ -128,12 +133,14 @@ def _is_buried(problem: Problem) -> bool:
     return walks is None or walks.apart < STRIKING
 
 
-def _move_as_half(problem: Problem, seed: int) -> None:
+def _take_from_half(problem: Problem, seed: int) -> None:
+    """Take the motion of a burst, and what moves by itself, from its half."""
     half, definition = halved(problem), NUC()
     definition.initialise(half, seed)
     rounds = definition.plan(half)[:ROUNDS]
     solve(half, rounds)
     take_motion(problem, bent(half, rounds[-1]) or half)
+    take_moving(problem, half)
 
 
 def update(problem: Problem) -> None:
@@ -162,19 +169,12 @@ def _update(problem: Problem, *, settled: bool = True) -> None:
 @torch.no_grad()
 def _start_again(problem: Problem) -> None:
     """Start again without what moves by itself: it has drawn the scene and the pattern after it, which stay there."""
-    doubtful = LITTLE * (problem.moving & (problem.precision > 0))
-    start_precision(problem)
-    typical = problem.precision.amax()
-    problem.precision.mul_(~problem.moving)
     for name in problem.closed_form():
         for part in problem.fields[name].parts():
             part.assign(torch.zeros_like(part.values))
             if not part.given:
                 part.sigma.zero_()
-    start_scene_and_parts(problem)
-    estimate_slow(problem, start=True)
-    problem.precision.add_(doubtful * typical)
-    weigh_scene(problem, WEAK)
+    _start(problem)
 
 
 def _finish(problem: Problem) -> None:
