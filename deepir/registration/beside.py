@@ -9,15 +9,24 @@ import torch
 from torch import Tensor
 
 from deepir.registration.align import Aligned, standing
-from deepir.registration.consensus import PLAIN, costs, prefers
+from deepir.registration.consensus import cost, gain
 from deepir.registration.likelihood import likeliest_shifts
 from deepir.registration.motion import identity, relative
-from deepir.registration.place import Placed, search_level, searched, settled, turning
+from deepir.registration.parts import FOUR, all_but_one, gains
+from deepir.registration.place import Placed, fine, misfit, search_level, searched, settled, turning
 from deepir.registration.repair import repaired
-from deepir.registration.vote import FAR, apart, reduced
+from deepir.registration.vote import FAR, apart, reduced, scaled, turns
 from deepir.registration.walker import blanked, filled, someone
 from deepir.registration.whole import whole_shifts
 
+#: Nats that each sample costs where most frames show one scene and nothing else; and up to which edges of dark scenes
+#: may do it: what no motion leaves is then so many times more, of a scene or of him, not of both.
+PLAIN, ROUGH, WHOLE = 0.7, 1.0, 0.08
+CLEAR = 0.08  # nats by which each sample is better explained, beyond doubt
+DOUBT = 0.25  # and up to which it may be worse, where the likelihood of what is beside him says better
+NOTHING = 0.7  # of what no motion leaves where he is filled in: a motion that leaves more explains nothing
+CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
+PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
 ENOUGH = 0.4  # of the frame beside his way, to be searched in
 
 
@@ -32,13 +41,24 @@ def beside_walker(one: Placed, weight: Tensor, model: str, holes: Tensor | None 
     frames, flat, level = torch.where(weight > 0, one.frames.float(), 0.0), one.flat, one.coarse
     if len(frames) > 2 and stands.any():
         lost = holes is not None and not one.used.all()
-        if lost or costs(level, every(one)) > PLAIN:
-            for other in others(one, frames, stands, weight, model):
-                motion = repaired(level, every(other), "shift" if model == "shift" else "rigid")
-                if prefers(level, every(one), motion):
-                    other = at(other, motion)
+        if lost or not well(one, weight):
+            for sought in others(one, frames, stands, weight, model):
+                other = at(sought, repaired(level, every(sought), model))
+                gained = gain(level, every(one), every(other))
+                if gained > CLEAR or (gained > -DOUBT and better(one, other, frames, stands, weight)):
                     one = without(other, frames, flat, stands, weight, model)
     return one if holes is None else without(one, frames, flat, holes, weight, model)
+
+
+def well(one: Placed, weight: Tensor) -> bool:
+    """Whether its motions explain most of the frames; that, or less of them in samples but in squares next to all."""
+    left = cost(one.coarse, every(one))
+    if not PLAIN < left < ROUGH:
+        return left <= PLAIN
+    level = fine(one.flat, weight, one.coarse.factor)[-1].of(
+        one.used
+    )  # there, what moves by a few px differs
+    return misfit(level, one.motion) < WHOLE * misfit(level, identity(len(one.motion)))
 
 
 def every(placed: Placed) -> Tensor:
@@ -89,6 +109,33 @@ def likeliest(frames: Tensor, weight: Tensor, model: str) -> Tensor:
         return motion
     turned = turning(frames, weight, motion)
     return turned if apart(motion, turned, frames) > FAR else motion
+
+
+def better(one: Placed, other: Placed, frames: Tensor, stands: Tensor, weight: Tensor) -> bool:
+    """Whether frames `(N, H, W)` are likelier at the motions of `other`; if these are the same, whether it has more.
+
+    Beside his way, if that is enough. Else he is filled in, by either's motions in turn, for which that speaks. None
+    is better that is of fewer frames.
+    """
+    both, had_frames, has_frames = one.used & other.used, int(one.used.sum()), int(other.used.sum())
+    if has_frames >= had_frames and both.sum() > 2:
+        places = [relative(each.motion[both[each.used]]) for each in (one, other)]
+        level = search_level(blanked(one.flat, stands, weight), weight).of(both)
+        none, had, has = (misfit(level, each) for each in (identity(int(both.sum())), *places))
+        passed = stands[both].any(0)
+        if passed.float().mean() < PASSED:
+            seen = [reduced(frames[both], weight * ~passed)]
+        else:
+            seen = [reduced(filled(frames[both], stands[both], weight, each), weight) for each in places]
+        small, factor = seen[0]
+        before, after = (scaled(each, factor) for each in places)
+        if factor * apart(before, after, small) > FAR:
+            gained = [gains(each, before, after, FOUR) for each, _ in seen]
+            likelier = all_but_one([sum(part) for part in zip(*gained, strict=True)]) > 0
+            # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
+            most = CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none)
+            return likelier and has < most
+    return has_frames > had_frames
 
 
 def without(

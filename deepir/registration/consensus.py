@@ -10,28 +10,32 @@ from deepir.registration.pyramid import Level, sample
 
 SEEN = 2.5  # frames that must show a place of the scene, for it to say something
 TAILS = 4.0  # variances, from which a residual counts little more,
-BOUND = 20.0  # and standard deviations, from which no more, and as which a sample counts that others do not see
-CLEAR = 0.03  # nats that each sample gains from motions that are better
-PLAIN = 0.75  # that each sample costs at most where most frames show one scene and nothing else
+BOUND = (
+    10.0  # and standard deviations, from which no more, and as which a sample counts that others do not see
+)
+SPARED = 2  # of the nine parts, at either end
 PASSES = 4  # over scene and pattern
 
 
-def prefers(level: Level, before: Tensor, after: Tensor) -> bool:
-    """Whether other motions `(N, 3, 3)` explain more of frames `(N, h, w)`; NaN where a frame is not used.
+def gain(level: Level, before: Tensor, after: Tensor) -> float:
+    """By how many nats a sample other motions `(N, 3, 3)` explain more of frames; NaN where a frame is not used.
 
     By a likelihood with heavy tails, of residuals as wide as those of the better. Samples that no others see are not
-    explained: else motions would be best that share nothing.
+    explained: else motions would be best that share nothing. Of nine parts of the frame, those that gain most and
+    least do not count: somebody may walk there.
     """
     had, has = (residuals(level, motion) for motion in (before, after))
     usual = min(width(had), width(has))
-    gained = unexplained(had, usual).sum() - unexplained(has, usual).sum()
-    return float(gained) > CLEAR * had.numel()
+    gained = (unexplained(had, usual) - unexplained(has, usual)).mean(0)
+    parts = sorted(float(part.mean()) for rows in gained.chunk(3) for part in rows.chunk(3, 1))
+    middle = parts[SPARED:-SPARED] or parts  # frames of a few lines have fewer
+    return sum(middle) / len(middle)
 
 
-def costs(level: Level, motion: Tensor) -> float:
-    """How much motions `(N, 3, 3)` leave unexplained of frames, in nats for each sample; near `PLAIN` if that is noise."""
-    rest = residuals(level, motion)
-    return float(unexplained(rest, width(rest)).sum()) / rest.numel()
+def cost(level: Level, motion: Tensor) -> float:
+    """How much motions `(N, 3, 3)` leave unexplained of the frames that are used, in nats for each sample."""
+    rest = residuals(level, motion)[motion.isfinite().all((1, 2))]
+    return float(unexplained(rest, width(rest)).mean())
 
 
 def width(rest: Tensor) -> float:
@@ -41,8 +45,8 @@ def width(rest: Tensor) -> float:
 
 
 def unexplained(rest: Tensor, usual: float) -> Tensor:
-    """Minus the log-likelihood of each frame `(N,)`, the rest of which has a `usual` width."""
-    return torch.log1p((rest / usual).clamp_max(BOUND).square() / TAILS).double().sum((1, 2))
+    """Minus the log-likelihood of samples `(N, h, w)`, the rest of which has a `usual` width."""
+    return torch.log1p((rest / usual).where(rest.isfinite(), BOUND).clamp_max(BOUND).square() / TAILS)
 
 
 def residuals(level: Level, motion: Tensor) -> Tensor:
@@ -57,7 +61,7 @@ def residuals(level: Level, motion: Tensor) -> Tensor:
 
 
 def explained(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Scene and pattern `(h, w)`, and the samples `(M, h, w)` of the M frames that are used which more of them see.
+    """Scene and pattern `(h, w)`, and which samples `(M, h, w)` of the M frames that are used others see, too.
 
     Both are medians over these frames, so that somebody who is in a place in a few of them is in neither.
     """
@@ -74,5 +78,7 @@ def explained(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _median(images: Tensor, known: Tensor) -> Tensor:
-    """That over the known of images `(N, h, w)`, zero where none is."""
-    return images.where(known, torch.nan).nanmedian(0).values.nan_to_num(0)
+    """That over the known of images `(N, h, w)`, of two middle ones the mean; zero where none is known."""
+    order, last = images.where(known, torch.inf).sort(0).values, known.sum(0) - 1
+    middle = [order.gather(0, at.clamp_min(0)[None])[0] for at in (last // 2, last - last // 2)]
+    return torch.where(last >= 0, (middle[0] + middle[1]) / 2, 0)

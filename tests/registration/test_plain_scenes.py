@@ -59,7 +59,7 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, see
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
     monkeypatch.setattr(vote, "MOST", 2)
-    monkeypatch.setattr(beside, "WELL", torch.inf)  # which finds them, too,
+    monkeypatch.setattr(beside, "PLAIN", torch.inf)  # which finds them, too,
     monkeypatch.setattr(group, "PANNED", 1.0)  # as does this
     assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 

@@ -1,0 +1,72 @@
+"""Most of the frame decides which motions are right, whoever walks through the rest."""
+
+import numpy as np
+import pytest
+import torch
+from registered import simulated
+
+from deepir.registration.consensus import cost, gain, residuals
+from deepir.registration.flatten import flatten
+from deepir.registration.place import search_level
+from deepir.registration.repair import repaired
+
+
+def burst(name="astronaut", n=6):
+    frames, truth = simulated(name, n_frames=n)
+    return search_level(*flatten(frames, None)), torch.from_numpy(truth)
+
+
+def shifted(truth, x):
+    motion = truth.clone()
+    motion[:, 0, 2] += x * torch.arange(len(truth))
+    return motion
+
+
+@pytest.mark.parametrize("name", ["astronaut", "camera", "gravel"])
+def test_true_motions_explain_more_than_others_and_than_none(name):
+    level, truth = burst(name)
+    still = torch.eye(3, dtype=torch.float64).expand_as(truth)
+    for wrong in (still, shifted(truth, 1.0), shifted(truth, 12.0)):
+        assert gain(level, wrong, truth) > 0 > gain(level, truth, wrong)
+
+
+def test_somebody_in_a_seventh_of_the_frame_makes_his_own_motion_no_better():
+    level, truth = burst("moon")
+    for k, frame in enumerate(level.frames):  # stripes, ten times as bright as the scene
+        frame[:, 12 + 11 * k : 26 + 11 * k] += 10 * (-1) ** (torch.arange(14) // 4)
+    his = torch.eye(3, dtype=torch.float64).repeat(len(truth), 1, 1)
+    his[:, 0, 2] = -11 * level.factor * torch.arange(len(truth))
+    assert gain(level, his, truth) > 0
+
+
+def test_a_frame_that_is_not_used_explains_nothing_but_costs_nothing_either():
+    level, truth = burst()
+    fewer = truth.clone()
+    fewer[3] = torch.nan
+    assert residuals(level, fewer)[3].isinf().all()
+    assert gain(level, truth, fewer) < 0
+    assert cost(level, fewer) == pytest.approx(cost(level, truth), rel=0.2)
+
+
+def test_frames_that_share_nothing_explain_nothing():
+    level, truth = burst()
+    apart = shifted(truth, 1000.0)
+    assert gain(level, apart, truth) > 1
+    assert np.isfinite(cost(level, apart))
+
+
+def test_a_frame_in_a_wrong_place_is_found_again_and_the_others_stay():
+    level, truth = burst()
+    for k in range(6):
+        wrong = truth.clone()
+        wrong[k, :2, 2] += torch.tensor([17.0, -9.0])
+        found = repaired(level, wrong, "rigid")
+        rest = [j for j in range(6) if j != k]
+        assert torch.equal(found[rest], wrong[rest])
+        assert (found[k] - truth[k])[:2, 2].abs().max() < 1.5 * level.factor
+
+
+def test_a_frame_that_is_left_out_stays_so():
+    level, truth = burst()
+    truth[2] = torch.nan
+    assert torch.equal(repaired(level, truth, "rigid").isnan(), truth.isnan())
