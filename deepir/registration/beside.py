@@ -22,6 +22,7 @@ from deepir.registration.whole import whole_shifts
 #: Nats that each sample costs where most frames show one scene and nothing else; and up to which edges of dark scenes
 #: may do it: what no motion leaves is then so many times more, of a scene or of him, not of both.
 PLAIN, ROUGH, WHOLE = 0.7, 1.0, 0.08
+STILL = 0.5  # px up to which a frame seems to stand still
 CLEAR = 0.08  # nats by which each sample is better explained, beyond doubt
 DOUBT = 0.25  # and up to which it may be worse, where the likelihood of what is beside him says better
 NOTHING = 0.7  # of what no motion leaves where he is filled in: a motion that leaves more explains nothing
@@ -51,7 +52,14 @@ def beside_walker(one: Placed, weight: Tensor, model: str, holes: Tensor | None 
 
 
 def well(one: Placed, weight: Tensor) -> bool:
-    """Whether its motions explain most of the frames; that, or less of them in samples but in squares next to all."""
+    """Whether its motions explain most of the frames; that, or less of them in samples but in squares next to all.
+
+    Not where all but one seem to stand still: that one may have lost lines on its way, and all follow the pattern.
+    """
+    shifts = every(one)[one.used][:, :2, 2]
+    still = (shifts - shifts.median(0).values).norm(dim=1) < STILL
+    if len(shifts) > 3 and still.sum() == len(shifts) - 1:
+        return False
     left = cost(one.coarse, every(one))
     if not PLAIN < left < ROUGH:
         return left <= PLAIN
