@@ -10,10 +10,10 @@ import deepir
 from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.half_size import halved, step_asked, take_motion
+from deepir.half_size import halved, step_asked, take_motion, take_moving
 from deepir.metrics import scores
 from deepir.problems.definition import start_scene
-from deepir.problems.nuc import ASKED
+from deepir.problems.nuc import ASKED, _start
 from deepir.scenes import procedural, sky
 from deepir.simulate import Settings, simulate
 
@@ -154,3 +154,30 @@ def test_a_plain_scene_that_bends_is_found_to_by_its_half():
     sim = simulate(sky(4, (430, 500)), camera, seed=13)
     result = deepir.run("nuc", frames=sim.frames, threads=1)
     assert scores(result.scene, sim.truth.scene)["psnr_aligned"] > 60
+
+
+@pytest.mark.parametrize("shape", [(40, 48), (41, 49)])
+def test_what_moves_in_the_half_moves_in_the_four_px_of_each_of_its_own(shape):
+    problem = made(np.random.default_rng(0).normal(size=(4, *shape)))
+    half = halved(problem)
+    half.moving[1, 0, 3:7, 5:20] = True
+    take_moving(problem, half)
+    expected = np.zeros((4, 1, *shape), bool)
+    expected[1, 0, 6:14, 10:40] = True
+    np.testing.assert_array_equal(problem.moving.numpy(), expected)
+
+
+def test_what_is_known_to_move_is_not_in_the_start():
+    sim = simulate(procedural(2, (430, 500)), CAMERA, seed=4)
+    spoilt = np.array(sim.frames)
+    spoilt[1, 20:60, 30:50] += 3 * np.ptp(sim.frames)
+    scenes = []
+    for frames in (sim.frames, spoilt):
+        problem = made(frames, torch.from_numpy(sim.truth.motion))
+        problem.moving[1, 0, 20:60, 30:50] = True
+        _start(problem)
+        scenes.append(problem.fields["scene"]().detach().numpy())
+        inside = problem.precision[1, 0, 20:60, 30:50]
+        assert inside.max() < 1e-4 * problem.precision.median()  # next to nothing, but known to be there
+        assert inside.min() > 0
+    assert np.abs(scenes[1] - scenes[0]).max() < 0.05 * np.ptp(scenes[0])
