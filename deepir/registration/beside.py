@@ -123,7 +123,7 @@ def better(one: Placed, other: Placed, frames: Tensor, stands: Tensor, weight: T
     """Whether frames `(N, H, W)` are likelier at the motions of `other`; if these are the same, whether it has more.
 
     Beside his way, if that is enough. Else he is filled in, by either's motions in turn, for which that speaks. None
-    is better that is of fewer frames.
+    is better that is of fewer frames, nor of more which it does not explain.
     """
     both, had_frames, has_frames = one.used & other.used, int(one.used.sum()), int(other.used.sum())
     if has_frames >= had_frames and both.sum() > 2:
@@ -143,7 +143,7 @@ def better(one: Placed, other: Placed, frames: Tensor, stands: Tensor, weight: T
             # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
             most = CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none)
             return likelier and has < most
-    return has_frames > had_frames
+    return has_frames > had_frames and well(other, weight)
 
 
 def without(

@@ -22,8 +22,10 @@ def gain(level: Level, before: Tensor, after: Tensor) -> float:
 
     By a likelihood with heavy tails, of residuals as wide as those of the better. Samples that no others see are not
     explained: else motions would be best that share nothing. Of nine parts of the frame, those that gain most and
-    least do not count: somebody may walk there.
+    least do not count: somebody may walk there. Two frames are explained by anything: they gain and lose nothing.
     """
+    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < SEEN:
+        return 0.0
     had, has = (residuals(level, motion) for motion in (before, after))
     usual = min(width(had), width(has))
     gained = (unexplained(had, usual) - unexplained(has, usual)).mean(0)

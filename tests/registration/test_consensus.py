@@ -70,3 +70,9 @@ def test_a_frame_that_is_left_out_stays_so():
     level, truth = burst()
     truth[2] = torch.nan
     assert torch.equal(repaired(level, truth, "rigid").isnan(), truth.isnan())
+
+
+def test_two_frames_say_nothing():
+    level, truth = burst()
+    truth[2:] = torch.nan
+    assert gain(level, truth, shifted(truth, 3.0)) == 0
