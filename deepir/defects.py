@@ -7,6 +7,7 @@ as good as any.
 from __future__ import annotations
 
 import numpy as np
+import scipy.ndimage
 import torch
 import torch.nn.functional as F
 from scipy.special import chdtri
@@ -20,6 +21,8 @@ MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, fro
 MOST = 100.0  # squared misfit that counts of one sample: one frame does not condemn a pixel
 LONELY = 4.0  # how many times more a defective pixel misfits than its neighbourhood
 CALM = 1e-3  # chance at which noise alone changes as little over the frames as a pixel that does not change
+MOVES = 9.0  # variance over the frames, in units of the noise's, expected of a pixel that is drawn over
+RIM = 0.5  # share of the rim of what hangs together
 OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
 WINDOW = 5  # px: side of a neighbourhood
 ENOUGH = 128  # pixels of a line are enough for its median
@@ -42,30 +45,61 @@ def deviating(pattern: Tensor, known: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def dead(frames: Tensor, pattern: Tensor, usable: Tensor, noise: float) -> Tensor:
-    """Pixels (1, 1, h, w), bool, that do not even show noise, and whose pattern is far from the others'.
+def still(frames: Tensor, usable: Tensor, noise: float) -> Tensor:
+    """Pixels (1, 1, h, w), bool, that do not even show noise, of standard deviation `noise`; of (N, 1, h, w)."""
+    change, count = changes(frames, usable)
+    # What noise alone makes of so many samples is a chi-squared number.
+    least = torch.from_numpy(chdtri(np.arange(len(frames) + 1).clip(2) - 1, 1 - CALM) * noise**2).to(change)
+    return (count > 1) & (change < least[count])
+
+
+@torch.no_grad()
+def dead(calm: Tensor, pattern: Tensor, known: Tensor) -> Tensor:
+    """Pixels (1, 1, h, w), bool, of those that are `calm`, whose pattern is far from that of the others known.
 
     Whole lines and blocks of them too, which `deviating` takes for columns, or for something in the scene. What is
-    saturated or zero because the scene is has no pattern. frames, usable (N, 1, h, w); noise: of a sample.
+    saturated or zero because the scene is has no pattern.
     """
-    count, mean, change = (torch.zeros_like(pattern) for _ in range(3))
-    for frame, known in zip(frames, usable, strict=True):  # one at a time stays in the cache
-        count += known
-        mean += frame * known
-    mean /= count.clamp(min=1)
-    for frame, known in zip(frames, usable, strict=True):
-        change += (frame - mean).square_().mul_(known)
-    # What noise alone makes of so many samples is a chi-squared number.
-    freedom = np.arange(len(frames) + 1).clip(2) - 1
-    least = torch.from_numpy(chdtri(freedom, 1 - CALM) * noise**2).to(change)
-    calm = (count > 1) & (change < least[count.long()])
-    live = (count > 0) & ~calm
+    live = known & ~calm
     far = torch.zeros_like(calm)
     for axis in (-2, -1):  # a dead column differs from all others in its rows
         apart = (pattern - usual(pattern, live, axis)).abs()
         some, counts = thinned(apart, live)
         far |= apart > OFF * MAD * some[counts].median()
     return calm & far
+
+
+@torch.no_grad()
+def drawn_over(calm: Tensor, expected: Tensor, usable: Tensor, noise: float) -> Tensor:
+    """Pixels (1, 1, h, w), bool, of those that are `calm`, at which the scene that is expected changes all the same.
+
+    Bars, boxes and letters that a camera draws over its pictures. The inside of a box expects itself, as a plain sky
+    does: of what hangs together all is drawn if most of its rim is. expected, usable (N, 1, h, w).
+    """
+    change, count = changes(expected, usable)
+    drawn = calm & (change > MOVES * noise**2 * (count - 1))
+    if not drawn.any():
+        return drawn
+    whole = calm[0, 0].numpy(force=True)
+    names, _ = scipy.ndimage.label(whole, np.ones((3, 3)))
+    rim = whole & ~scipy.ndimage.binary_erosion(whole, border_value=1)
+    found, all_of_it = (
+        np.bincount(names[rim & each], minlength=names.max() + 1)
+        for each in (drawn[0, 0].numpy(force=True), whole)
+    )
+    return drawn | torch.from_numpy((found > RIM * all_of_it)[names]).to(drawn)
+
+
+def changes(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
+    """The sum of each pixel's squared deviations from its mean over the frames, (1, 1, h, w); how many are usable."""
+    count, mean, change = (torch.zeros_like(frames[:1]) for _ in range(3))
+    for frame, known in zip(frames, usable, strict=True):  # one at a time stays in the cache
+        count += known
+        mean += frame * known
+    mean /= count.clamp(min=1)
+    for frame, known in zip(frames, usable, strict=True):
+        change += (frame - mean).square_().mul_(known)
+    return change, count.long()
 
 
 def usual(image: Tensor, known: Tensor, axis: int) -> Tensor:

@@ -19,6 +19,8 @@ from deepir.registry import components
 STILL = 0.5
 #: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
 LITTLE = 3.0
+#: Share of the pixels that hold one value in all frames from which this is what the burst shows.
+MOST = 0.5
 
 
 def registered(
@@ -37,6 +39,11 @@ def registered(
     frames = _whole(burst)
     part = one_pattern(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
     found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
+    drawn = (frames == frames[0]).all(0)
+    if _spans(found.motion[found.used], burst.size).max() < STILL and 0 < drawn.double().mean() < MOST:
+        # Before a plain scene what the camera draws over its pictures keeps all of them at rest.
+        bad = ignore | drawn
+        found = register(frames[part], model=model, ignore=bad, valid=valid[part], start=part.start)
     if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < LITTLE:
         part = slice(0, len(frames))  # a camera that rests here, and there: no shutter
         found = register(frames, model=model, ignore=ignore, valid=valid)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from deepir.average import Average
-from deepir.defects import OUTLIER, dead, deviating
+from deepir.defects import OUTLIER, dead, deviating, drawn_over, still
 from deepir.evidence import likeliest
 from deepir.line_noise import estimate_line_noise
 from deepir.median import median
@@ -133,10 +133,19 @@ def pattern_left(rest: Tensor, weight: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def give_up_dead(problem: Problem, rest: Tensor, noise: float) -> None:
-    """Give up pixels that are dead; from the edge of a block inwards, for its inside shows itself in the average."""
-    pattern = pattern_left(rest, problem.precision.sign())
-    problem.precision.mul_(~dead(problem.data, pattern, problem.precision > 0, noise))
+def give_up_dead(problem: Problem, rest: Tensor, noise: float, calm: Tensor) -> None:
+    """Give up pixels that are dead, or drawn over; from the edge of a block inwards, for its inside shows itself.
+
+    calm: those that do not change in the frames as they are, (1, 1, h, w); once levels and contrasts are evened out
+    others may not.
+    """
+    usable = problem.precision > 0
+    calm = calm | still(problem.data, usable, noise)
+    gone = dead(calm, pattern_left(rest, problem.precision.sign()), usable.any(0, keepdim=True))
+    if problem.ends is not None:  # a scene beyond the range is as calm
+        calm = calm & (problem.ends == 0).all(0, keepdim=True)
+    gone |= drawn_over(calm, problem.data - rest, usable, noise)
+    problem.precision.mul_(~gone)
 
 
 @torch.no_grad()

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 import deepir
-from deepir.defects import crowded, dead, defective, deviating
+from deepir.defects import crowded, dead, defective, deviating, drawn_over, still
 from deepir.simulate import Settings, simulate
 
 KNOWN = torch.ones(1, 1, 40, 50, dtype=torch.bool)
@@ -37,7 +37,7 @@ def test_a_saturated_half_is_not_dead():
 def test_dead_lines_and_blocks_are_found_live_pixels_that_hardly_change_are_not():
     frames, usable = 8000 + pattern() + 3 * torch.randn(6, 1, 40, 50), torch.ones(6, 1, 40, 50) > 0
     frames[..., 7], frames[:, :, 21], frames[:, :, 30:36, 30:36] = 50.0, 16383.0, 0.0
-    found = dead(frames, frames.mean(0, keepdim=True) - 8000, usable, 3.0)
+    found = dead(still(frames, usable, 3.0), frames.mean(0, keepdim=True) - 8000, KNOWN)
     expected = torch.zeros_like(found)
     expected[..., 7] = expected[:, :, 21] = expected[:, :, 30:36, 30:36] = True
     assert torch.equal(found, expected)
@@ -47,7 +47,47 @@ def test_what_is_saturated_as_the_scene_is_lives():
     frames, usable = 8000 + pattern() + 3 * torch.randn(6, 1, 40, 50), torch.ones(6, 1, 40, 50) > 0
     frames[:, :, :20] = 16383.0
     left = frames.mean(0, keepdim=True) - torch.where(torch.arange(40)[:, None] < 20, 16383.0, 8000.0)
-    assert not dead(frames, left, usable, 3.0).any()
+    assert not dead(still(frames, usable, 3.0), left, KNOWN).any()
+
+
+def moving():
+    """Frames of a scene that moves two pixels from one to the next, plain at its right."""
+    torch.manual_seed(0)
+    scene = 100 + 40 * torch.randn(1, 40, 80)
+    scene[..., 40:] = 120.0
+    return torch.stack([scene[..., 2 * k : 2 * k + 50] for k in range(6)])
+
+
+def test_a_box_drawn_over_moving_pictures_is_found_to_its_middle_that_expects_itself():
+    expected, usable = moving(), torch.ones(6, 1, 40, 50) > 0
+    frames = expected + torch.randn(6, 1, 40, 50)
+    box = torch.zeros(1, 1, 40, 50, dtype=torch.bool)
+    box[..., 5:15, 3:24] = True
+    frames[:, 0, box[0, 0]] = 50.0
+    expected[..., 8:12, 6:20] = 50.0
+    assert torch.equal(drawn_over(still(frames, usable, 1.0), expected, usable, 1.0), box)
+
+
+def test_a_plain_sky_without_noise_lives_though_a_ghost_is_expected_in_it():
+    expected, usable = moving(), torch.ones(6, 1, 40, 50) > 0
+    frames = expected.clone()
+    expected[2, 0, 10:14, 44:46] = 160.0
+    found = drawn_over(still(frames, usable, 1.0), expected, usable, 1.0)
+    assert found.sum() == 8
+
+
+def test_a_scale_drawn_over_pictures_of_eight_bits_costs_nothing_but_its_place():
+    camera = Settings(n_frames=6, shape=(64, 80), shading=0.0, dead_pixels=0.0)
+    frames = simulate(None, camera, seed=5).frames
+    frames = np.round(255 * (frames - frames.min()) / np.ptp(frames))
+    drawn, hidden = frames.copy(), np.zeros((64, 80), bool)
+    hidden[8:-8, -7:-3] = True
+    drawn[:, hidden] = np.linspace(250, 5, 48).round().repeat(4)
+    frames[:, hidden] = np.nan
+    cut, found = (deepir.run("nuc", frames=each, threads=1) for each in (frames, drawn))
+    assert found.bad_pixels[hidden].all()
+    apart = np.abs(found.scene - cut.scene)[:, :-14]
+    assert np.median(apart) < 0.2
 
 
 def test_a_burst_with_dead_columns_and_a_dead_block_is_as_good_as_without():
@@ -101,3 +141,19 @@ def test_a_plain_scene_in_coarse_steps_has_no_dead_pixels():
     assert steps[1].bad_pixels.mean() < 0.002
     assert np.median(coarse) < 20
     assert np.median(fine) < np.median(coarse)
+
+
+def test_a_logo_before_a_plain_scene_does_not_keep_the_frames_at_rest():
+    rng, (y, x) = np.random.default_rng(19), np.mgrid[:480, :640]
+    scene = np.zeros((480, 640))
+    for _ in range(14):
+        width, height = rng.uniform(8, 40), rng.uniform(0.1, 0.6)
+        off = (x - rng.uniform(0, 640)) ** 2 + (y - rng.uniform(0, 480)) ** 2
+        scene += height * np.exp(-off / 2 / width**2)
+    camera = Settings(n_frames=5, shape=(96, 128), shading=0.0, dead_pixels=0.0, max_shift=4.0)
+    sim = simulate((scene - scene.min()) / np.ptp(scene), camera, seed=5)
+    frames = np.round(60 + 120 * (sim.frames - sim.frames.min()) / np.ptp(sim.frames))
+    frames[:, ((x[:96, :128] - 65) / 26) ** 2 + ((y[:96, :128] - 48) / 20) ** 2 < 1] = 20
+    frames[:, 40:56, 50:80:4] = 250
+    result = deepir.run("nuc", frames=frames, threads=1)
+    assert np.abs(result.motion - sim.truth.motion).max() < 0.3

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from deepir.average import Average
 from deepir.clipping import give_up_stuck
+from deepir.defects import still
 from deepir.levels import start_jumps
 from deepir.noise import ROUNDED, sample_noise, step, typical_noise
 from deepir.problem import Problem
@@ -93,17 +94,19 @@ def start_scene_and_parts(problem: Problem) -> None:
     Scene and weights by turns: in an average, who walks through two frames of five is half as far off as he is from
     what the others show.
     """
+    noise = typical_noise(problem.precision)
+    calm = still(problem.data, problem.precision > 0, noise)
     start_scene(problem)
     give_up_stuck(problem)
+    give_up_dead(problem, left(problem), noise, calm)  # contrasts are told by least squares
+    start_scene(problem)
     for _ in range(TURNS):
         uneven = even_contrast(problem, GROSS)
         if not start_jumps(problem) and not uneven:
             break
         start_scene(problem)
-    noise = typical_noise(problem.precision)
     rest = left(problem)
     start_parts(problem, rest)
-    give_up_dead(problem, rest, noise)
     fixed = len(problem.data) > 1 and bool(problem.closed_form())
     strong = fixed and pattern_is_strong(problem, rest)
     taken = torch.zeros_like(rest[:1])
@@ -116,7 +119,7 @@ def start_scene_and_parts(problem: Problem) -> None:
         else:
             start_scene(problem)
             rest = left(problem)
-        give_up_dead(problem, rest, noise)
+        give_up_dead(problem, rest, noise, calm)
         doubt_misfits(problem, rest)
     if problem.ends is not None:  # what is given up for its other samples is no bound either
         problem.ends.mul_((problem.precision > 0) | (problem.ends != 0).all(0))
