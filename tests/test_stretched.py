@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import skimage.data
 
 import deepir
 from deepir.metrics import scores
@@ -36,6 +37,20 @@ def test_a_gain_that_changes_much_is_told():
     stretched = np.rint(128 + (frames - middle) / np.ptp(frames) * 150 * factor)
     messages = deepir.run("nuc", frames=stretched, threads=1).messages
     assert any("automatic gain" in message and "20%" in message for message in messages)
+
+
+def test_who_walks_through_pictures_does_not_pass_for_their_contrast():
+    camera = dataclasses.replace(CAMERA, shape=(96, 128), dead_pixels=0.0)
+    sim = simulate(skimage.data.camera() / 255, camera, seed=4)
+    y, x = np.mgrid[:96, :128]
+    walks = [((x - 15 - 12 * k) / 6) ** 2 + ((y - 45) / 18) ** 2 < 1 for k in range(6)]
+    tones = (sim.frames - float(sim.frames.min())) / np.ptp(sim.frames)
+    pictures = [np.rint(255 * each) for each in (tones, np.where(walks, 0.8, tones))]
+    alone, both = (
+        scores(deepir.run("nuc", frames=each, threads=1).scene, sim.truth.scene)["psnr_aligned"]
+        for each in pictures
+    )
+    assert both > alone - 1
 
 
 def test_an_interrupted_run_on_such_pictures_goes_on_to_the_same_result(tmp_path):

@@ -98,7 +98,10 @@ def start_scene_and_parts(problem: Problem) -> None:
     calm = still(problem.data, problem.precision > 0, noise)
     start_scene(problem)
     give_up_stuck(problem)
-    give_up_dead(problem, left(problem), noise, calm)  # contrasts are told by least squares
+    if problem.stretched:  # contrasts are told by least squares, and not by who walks by
+        doubt_misfits(problem, left(problem))
+        start_scene(problem)
+    give_up_dead(problem, left(problem), noise, calm)
     start_scene(problem)
     for _ in range(TURNS):
         uneven = even_contrast(problem, GROSS)
