@@ -11,7 +11,7 @@ import numpy as np
 from deepir.analysis import Statistics, Verdict
 from deepir.analysis.statistics import ALIKE, HOLDS
 from deepir.io import replace
-from deepir.report.summary import draw_map
+from deepir.report.summary import DEVIATION, draw_map
 from deepir.result import Array
 
 
@@ -33,7 +33,7 @@ def write_analysis(
     if statistics.in_time is not None:
         _over_time(grid[1, 1], statistics.in_time)
     elif doubt is not None:
-        draw_map(grid[1, 1], doubt, "standard deviation of the scene", "viridis")
+        draw_map(grid[1, 1], doubt, "standard deviation of the scene", DEVIATION)
     else:
         grid[1, 1].set_axis_off()
     buffer = io.BytesIO()

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from deepir.result import Result
 
 Array = np.ndarray[Any, Any]
+DEVIATION = "viridis"  # palette of standard deviations,
+DECADES = 30.0  # which are shown by their logarithms if the largest is so many times the least
 
 
 def write_summary(path: Path, result: Result, example: Array) -> None:
@@ -35,7 +37,7 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     if result.scene.ndim == 3:
         draw_map(grid[0, 2], some(result.scene), f"some of the {len(result.scene)} scenes", "gray")
     elif "scene" in result.uncertainty:
-        draw_map(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", "viridis")
+        draw_map(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", DEVIATION)
     else:
         draw_map(grid[0, 2], result.scene, "scene, inferno", "inferno")
     draw_map(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
@@ -64,6 +66,7 @@ def draw_map(axes: Any, image: Array, title: str, palette: str, centre: float | 
         low, high = centre - reach, centre + reach
     shown = axes.imshow(
         image,
+        norm="log" if palette == DEVIATION and high > DECADES * low > 0 else None,  # where no frame looks
         cmap=colormaps[palette].with_extremes(bad="lightsteelblue"),
         vmin=low,
         vmax=high if high > low else low + 1,
