@@ -11,6 +11,7 @@ constant. All that the data say of them is a matrix `M_j` and a vector `q_j` for
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from collections.abc import Collection, Sequence
@@ -27,6 +28,7 @@ from deepir.problem import Problem
 from deepir.thin import ENOUGH, thinned
 
 POINTS = 40  # along each axis, where the polynomials are sampled
+RIDGE = 1e-12  # of the information of frames, some of which may have none, as a share of the mean
 SMOOTH = (-1, 1)  # no axes: the polynomials of a shading
 
 #: Of the pattern's parts, by the axes along which they are constant.
@@ -62,21 +64,34 @@ class Slow:
         self.information = area * terms.T @ (weights[..., None] * terms)
         self.kept = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(self.information)
 
-    def doubt(self, variance: Tensor) -> None:
-        """Take from the information what the slow parts of each frame vary by chance, (terms + 1,), independently."""
-        self.kept = torch.linalg.inv(self.kept + self.information * variance)
-        self.information = self.kept @ self.information
+    def doubted(self, variance: Tensor) -> Slow:
+        """The same with less information: the slow parts of each frame vary by chance, (terms + 1,), independently."""
+        found = copy.copy(self)
+        found.kept = torch.linalg.inv(self.kept + self.information * variance)
+        found.information = found.kept @ self.information
+        return found
 
     def normal(self, *more: Tensor) -> Tensor:
         """Normal matrix of (θ, level of the pattern, φ, and `more`, such as the levels of the frames)."""
         maps = self._maps(more)
         return (maps.mT @ self.information @ maps).sum(0)
 
-    def score(self, residual: Tensor, *more: Tensor) -> Tensor:
-        """The right-hand side to it, of what the frames (N, h, w) are above their prediction without slow parts."""
+    def seen(self, residual: Tensor) -> Tensor:
+        """q_j, (N, terms + 1), of what the frames (N, h, w) are above their prediction without slow parts."""
         weighted = (self.problem.fitted()[:, 0] * residual).double()
-        seen = torch.cat((weighted.sum((1, 2))[:, None], self.frame.sums(weighted)), 1)
+        return torch.cat((weighted.sum((1, 2))[:, None], self.frame.sums(weighted)), 1)
+
+    def score(self, seen: Tensor, *more: Tensor) -> Tensor:
+        """The right-hand side to the normal matrix, of q_j."""
         return (self._maps(more).mT @ self.kept @ seen[..., None]).sum(0)[:, 0]
+
+    def unexplained(self, seen: Tensor) -> Tensor:
+        """Nats, up to a constant, of q_j where no slow part explains them: they vary by chance as they are doubted."""
+        told = (self.kept @ seen[..., None])[..., 0]
+        system = self.information.clone()
+        system.diagonal(dim1=1, dim2=2).add_(RIDGE * self.information.diagonal(dim1=1, dim2=2).mean())
+        values = torch.linalg.solve(system, told)
+        return ((values * told).sum() - torch.linalg.slogdet(self.kept).logabsdet.sum()) / 2
 
     def levels(self) -> Tensor:
         """What the frames' levels, less their mean, make of each frame's slow part, (N, terms + 1, N)."""

@@ -23,6 +23,7 @@ from deepir.white_evidence import Evidence
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 ENOUGH = 3  # frames to tell shading and stray flux from the scene
+SHARES = (1.0, 1 / 4, 1 / 16)  # of what lines may do to the frames by chance
 CERTAIN = 3  # nats by which shading or drift have to make the frames likelier
 RARE = 5  # the same of a drift where it may be shading, which is far more common,
 FOLLOWS = 40  # and of shading in stretched pictures: their levels follow the motion, as if it were shading
@@ -131,21 +132,30 @@ class _Evidence:
             self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
                 0
             )
-        self.slow.doubt(self._chance(variance) + in_polynomials(problem, self.slow.frame))
-        #: Levels that jump do drift.
-        self.jumps = bool(jumps(problem).any())
+        self.jumps = float(jumps(problem).square().mean().sqrt())
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = thinned(residual[:, None])
         middle = median(some)
         limit = OUTLIER * median((some - middle).abs())
-        self.count, free = len(residual), len(self.slow.scene.white) + 1
-        levels = self.slow.levels()
-        normal = self.slow.normal(levels)
-        rhs = self.slow.score((residual - middle).clamp(-limit, limit), levels)
-        for each in strays:  # the residual is without what is known of them
-            slow = self.slow.of_terms(each)[0] @ each.coefficients.double()
-            rhs += normal[:, free - 1 : free + len(self.expected)] @ slow
-        self.evidence = Evidence(normal, rhs, free)
+        self.count, self.strays = len(residual), strays
+        seen = self.slow.seen((residual - middle).clamp(-limit, limit))
+        known, chance = in_polynomials(problem, self.slow.frame), self._chance(variance)
+        each = [self._doubted(seen, known + share * chance) for share in SHARES]
+        self.slow, self.evidence, _ = min(each, key=lambda found: float(found[2]))
+
+    def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
+        """What is slow, if so much of it varies by chance, its evidence, and minus that's logarithm if all is free."""
+        slow, free = self.slow.doubted(variance), len(self.slow.scene.white) + 1
+        levels = slow.levels()
+        normal = slow.normal(levels)
+        rhs = slow.score(seen, levels)
+        for each in self.strays:  # the residual is without what is known of them
+            terms = slow.of_terms(each)[0] @ each.coefficients.double()
+            rhs += normal[:, free - 1 : free + len(self.expected)] @ terms
+        evidence = Evidence(normal, rhs, free)
+        most = float(contrast(slow.problem))
+        nats = evidence.nats(self._prior(self.expected.new_tensor([[most, most]])))[0]
+        return slow, evidence, slow.unexplained(seen).cpu() + evidence.constant.cpu() + nats
 
     def _chance(self, variance: dict[tuple[int, ...], float]) -> float:
         """Variance of what the lines' pattern does to the frames by chance.
@@ -160,13 +170,15 @@ class _Evidence:
     def most_likely(self, *, smooth: bool, drift: bool) -> tuple[float, float]:
         """Strengths of shading and drift; zero for what makes the frames not by `CERTAIN` nats, or `RARE`, likelier."""
         grid = float(contrast(self.slow.problem)) * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
+        # Levels that jump drift by as much, and what was known of the jumps already follows slopes.
+        levels = grid.new_tensor([self.jumps]) if self.jumps else grid
         used = torch.cartesian_prod(
-            torch.arange(1 + smooth), torch.arange(int(self.jumps and drift), 1 + drift)
+            torch.arange(1 + smooth), torch.arange(int(drift and self.jumps > 0), 1 + drift)
         )
-        best = [
-            self._best(each, torch.cartesian_prod(*(grid if one else grid.new_zeros(1) for one in each)))
-            for each in used
-        ]
+        best = []
+        for each in used:
+            some = (of if one else grid.new_zeros(1) for one, of in zip(each, (grid, levels), strict=True))
+            best.append(self._best(each, torch.cartesian_prod(*some)))
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
         shaded = nats.get((1, 0), math.inf) + CERTAIN < nats.get((0, 0), math.inf)
         stretched = self.slow.problem.stretched and not self.slow.problem.even

@@ -13,7 +13,8 @@ RIDGE = 1e-9  # of those without a prior, as a share of the mean: some look the 
 class Evidence:
     """Of data that say `½ x' A x - b' x` nats of unknowns, of which the first `free` have no prior.
 
-    `system` and `score`: what is left of A and b for the others, once the first are integrated out.
+    `system` and `score`: what is left of A and b for the others, once the first are integrated out, which makes
+    `constant` nats.
     """
 
     def __init__(self, normal: Tensor, rhs: Tensor, free: int) -> None:
@@ -22,6 +23,7 @@ class Evidence:
         self.back = torch.linalg.solve(a, torch.cat((b, rhs[:free, None]), 1))
         self.system = normal[free:, free:] - b.T @ self.back[:, :-1]
         self.score = rhs[free:] - b.T @ self.back[:, -1]
+        self.constant = (torch.linalg.slogdet(a).logabsdet - rhs[:free] @ self.back[:, -1]) / 2
 
     def nats(self, prior: Tensor) -> Tensor:
         """Minus the evidence's logarithm, up to a constant, (K,), for variances (K, unknowns) of the others."""

@@ -40,9 +40,9 @@ ROUNDS = 3  # for the sensor
 ASKED, WHOLE = 0.2, 96
 #: Strength of the pattern, in standard deviations of the noise, from which it spoils the registration.
 BURIED = 10.0
-#: Robust standard deviations of what moves by itself, from which it draws the motion after it before the pattern is
-#: known, and scene and pattern once it is.
-STRIKING, CLEAR = 20.0, 60.0
+#: Robust standard deviations of what moves by itself, from which it is left out of the start, from which it draws the
+#: motion after it before the pattern is known, and scene and pattern once it is.
+SHOWN, STRIKING, CLEAR = 12.0, 20.0, 60.0
 #: Gain of ten iterations, in nats for each sample, below which a round of the sensor's ends: the first ones, the last.
 ROUGH, FINE = 2e-3, 3e-4
 #: The same of the scene's own stage, for each of its pixels: dark scenes gain for longer.
@@ -79,8 +79,13 @@ class NUC(Definition):
             problem.load_state_dict(untouched)
             _take_from_half(problem, seed)
             _start(problem)
+        walks = find_moving(problem, settled=False)
+        apart = 0.0 if walks is None else walks.apart
+        if walks is not None and apart > SHOWN:
+            problem.moving.copy_(walks.samples)
+            _start_again(problem)
         hold_out(problem, seed)
-        self.buried = _is_buried(problem)
+        self.buried = apart < STRIKING and pattern_to_noise(problem) >= BURIED
 
     def plan(self, problem: Problem) -> list[Stage]:
         """Three rounds for the sensor; then the scene on all samples.
@@ -123,14 +128,6 @@ def _start(problem: Problem) -> None:
     estimate_slow(problem, start=True)
     problem.precision.add_(doubtful)
     weigh_scene(problem, WEAK)
-
-
-def _is_buried(problem: Problem) -> bool:
-    """Whether the pattern is far above the noise; and nobody is, too, whom the motion would follow."""
-    if pattern_to_noise(problem) < BURIED:
-        return False
-    walks = find_moving(problem, settled=False)
-    return walks is None or walks.apart < STRIKING
 
 
 def _take_from_half(problem: Problem, seed: int) -> None:

@@ -11,8 +11,9 @@ from torch import Tensor
 from deepir.errors import DataError, nearest
 from deepir.registration.align import Aligned, standing
 from deepir.registration.bend import bent
-from deepir.registration.beside import beside_walker
+from deepir.registration.beside import CLEAR, beside_walker
 from deepir.registration.closed import FEWEST, closed
+from deepir.registration.consensus import gain
 from deepir.registration.flatten import flatten
 from deepir.registration.group import FAILED, agreement, at_rest, left
 from deepir.registration.motion import AUTO, PARAMETERS, identity, relative
@@ -95,10 +96,13 @@ def moved(
             level = fine(placed.flat[used], weight, coarse.factor)[-1]
             motion = bent(placed.frames[used], weight, level, motion, ROUNDS)
         found = min(found, Aligned(motion, *standing(coarse.of(used), motion)), key=left)
-    still = at_rest(coarse, found)
-    if still.any():
-        return identity(len(frames)), still.double()
     every = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    every[used] = relative(motion)
+    if (still := at_rest(coarse, found)).any():
+        # Unless most of the frame moves: somebody changes the frames as much, whether the camera moves or rests.
+        rest = identity(len(frames)).where(used[:, None, None], torch.nan)
+        if gain(coarse, rest, every) < CLEAR:
+            return identity(len(frames)), still.double()
     confidence = 0.5 * FAILED * placed.clear.clamp_max(1)
     if used.sum() > 1:
         every[used], confidence[used] = motion, agreement(coarse.of(used), found.pattern, motion)

@@ -107,3 +107,15 @@ def test_as_if_nothing_moved_he_is_the_mean_of_the_others():
     torch.testing.assert_close(
         blanked(frames, stands, weight), filled(frames, stands, weight, identity(len(frames)))
     )
+
+
+@pytest.mark.parametrize("reach", [0.0, 2.0])
+def test_whether_a_camera_rests_is_told_beside_somebody_who_changes_the_frames_more(reach):
+    camera = camera_of_tones(
+        n_frames=5, shape=(96, 128), max_shift=reach, walker=0.6, walker_contrast=0.5, **COUNTS
+    )
+    sim = simulate(procedural(5, (400, 500)), camera, seed=5)
+    found = register(torch.from_numpy(sim.frames.astype(np.float32)))
+    assert found.used.all()
+    off = np.abs(found.motion.numpy() - sim.truth.motion)[:, :2, 2]
+    assert off.max() < (0.3 if reach else 0.05)
