@@ -144,7 +144,7 @@ class _Evidence:
         self.slow, self.evidence, _ = min(each, key=lambda found: float(found[2]))
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
-        """What is slow, if so much of it varies by chance, its evidence, and minus that's logarithm if all is free."""
+        """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
         slow, free = self.slow.doubted(variance), len(self.slow.scene.white) + 1
         levels = slow.levels()
         normal = slow.normal(levels)

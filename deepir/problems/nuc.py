@@ -70,7 +70,8 @@ class NUC(Definition):
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average.
 
-        Where that asks for another motion, the burst at half its size is solved first, and tells it.
+        Where that asks for another motion, the burst at half its size is solved first, and tells it. Whoever it shows
+        to move by himself is left out of it.
         """
         whole = min(problem.data.shape[-2:]) >= WHOLE and problem.ends is None and not problem.stretched
         untouched = {name: tensor.clone() for name, tensor in problem.state_dict().items()} if whole else {}
@@ -80,8 +81,8 @@ class NUC(Definition):
             _take_from_half(problem, seed)
             _start(problem)
         walks = find_moving(problem, settled=False)
-        apart = 0.0 if walks is None else walks.apart
-        if walks is not None and apart > SHOWN:
+        apart = walks.apart if walks else 0.0
+        if walks and apart > SHOWN:
             problem.moving.copy_(walks.samples)
             _start_again(problem)
         hold_out(problem, seed)

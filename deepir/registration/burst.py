@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -11,7 +11,7 @@ from torch import Tensor
 from deepir.errors import DataError, nearest
 from deepir.registration.align import Aligned, standing
 from deepir.registration.bend import bent
-from deepir.registration.beside import CLEAR, beside_walker
+from deepir.registration.beside import CLEAR, beside_walker, every
 from deepir.registration.closed import FEWEST, closed
 from deepir.registration.consensus import gain
 from deepir.registration.flatten import flatten
@@ -96,17 +96,16 @@ def moved(
             level = fine(placed.flat[used], weight, coarse.factor)[-1]
             motion = bent(placed.frames[used], weight, level, motion, ROUNDS)
         found = min(found, Aligned(motion, *standing(coarse.of(used), motion)), key=left)
-    every = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
-    every[used] = relative(motion)
     if (still := at_rest(coarse, found)).any():
         # Unless most of the frame moves: somebody changes the frames as much, whether the camera moves or rests.
-        rest = identity(len(frames)).where(used[:, None, None], torch.nan)
-        if gain(coarse, rest, every) < CLEAR:
+        rest, moves = (every(replace(placed, motion=each)) for each in (identity(len(motion)), motion))
+        if gain(coarse, rest, moves) < CLEAR:
             return identity(len(frames)), still.double()
+    found_at = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
     confidence = 0.5 * FAILED * placed.clear.clamp_max(1)
     if used.sum() > 1:
-        every[used], confidence[used] = motion, agreement(coarse.of(used), found.pattern, motion)
-    return every, confidence
+        found_at[used], confidence[used] = motion, agreement(coarse.of(used), found.pattern, motion)
+    return found_at, confidence
 
 
 def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, str]) -> Registration:
