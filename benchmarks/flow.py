@@ -24,18 +24,18 @@ from written import write
 
 import deepir
 from deepir.metrics import scores
+from deepir.noise.residual import update_noise
 from deepir.operators import Chain, Sensor, Warp
 from deepir.operators.points import displacements
 from deepir.operators.warp import coords
-from deepir.optical_flow import optical_flow
 from deepir.priors.constant import Constant
 from deepir.priors.flow import Flow
 from deepir.priors.motion import Homography
 from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
 from deepir.registration import register
+from deepir.registration.optical_flow import optical_flow
 from deepir.report.panels import write_panels
-from deepir.residual_noise import update_noise
 from deepir.simulate import Settings, Simulation, simulate
 from deepir.solve import solve
 from deepir.stage import Stage, Step

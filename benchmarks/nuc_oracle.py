@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config, load
+from deepir.joint.build import build
 from deepir.metrics import scores
 from deepir.problems.definition import start_scene
 from deepir.simulate import Settings, Simulation, render

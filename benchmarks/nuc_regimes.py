@@ -15,8 +15,8 @@ import skimage.data
 from skimage.color import rgb2gray
 from skimage.transform import downscale_local_mean
 
-from deepir.scenes import procedural, sky
 from deepir.simulate import Settings
+from deepir.simulate.scenes import procedural, sky
 
 SEEDS = {"A": (101, 102, 103), "B": (201, 202, 203)}
 PICTURE_SIZE = (430, 500)  # px of the scenes that are drawn: twice as fine as the frames

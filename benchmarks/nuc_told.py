@@ -13,10 +13,12 @@ import numpy as np
 import torch
 from nuc_oracle import aligned, climb, noise_variance
 
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.contest import Contest
+from deepir.evidence.strengths import weigh_scene
+from deepir.evidence.texture import follow_texture
+from deepir.joint.build import build
+from deepir.joint.contest import Contest
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.problems.definition import start_scene
@@ -24,8 +26,6 @@ from deepir.problems.nuc import WEAK
 from deepir.simulate import Simulation
 from deepir.solve import solve
 from deepir.stage import Stage, Step
-from deepir.strengths import weigh_scene
-from deepir.texture import follow_texture
 
 VERSION = 5  # to be raised with a change, here or of deepir's solve, that gives other figures
 ITERATIONS, TOLERANCE = 300, 1e-7  # of the sensor; the scene has a third of them, at each weight

@@ -1,4 +1,4 @@
-"""The registered average of a problem's frames."""
+"""The registered average of a problem's frames, and what fills its holes."""
 
 from __future__ import annotations
 
@@ -43,3 +43,16 @@ class Average:
         # Without a warp, one prediction of its shape stands for all frames.
         each = (frames * self._weights).sum_to_size(self.at_zero.shape)
         return self._problem.operator.adjoint(each, self._shape, **self._slots)
+
+
+def filled(image: Tensor, known: Tensor) -> Tensor:
+    """Replace unknown pixels (S, C, H, W) by the nearest known one of the row, or, where none is, of the column."""
+    for axis in (-1, -2):
+        side = image.shape[axis]
+        at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
+        before = at.where(known, -side).cummax(axis).values
+        after = at.where(known, 2 * side).flip(axis).cummin(axis).values.flip(axis)
+        nearest = before.where(at - before <= after - at, after)
+        image = image.gather(axis, nearest.clamp(0, side - 1))
+        known = known.any(axis, keepdim=True).expand(known.shape)
+    return image

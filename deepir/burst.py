@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepir.clipping import clipped
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
+from deepir.evidence.stretched import cut_off, is_stretched
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
 from deepir.io.checks import empty, lost
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
-from deepir.stretched import cut_off, is_stretched
+from deepir.outliers.clipping import clipped
 
 Array = np.ndarray[Any, Any]
 #: Of a truth, what it has for each frame.

@@ -131,7 +131,7 @@ def from_flats(flats: Sequence[Array]) -> Maps:
     """
     import torch  # not above: `deepir --help` and `deepir apply` do without
 
-    from deepir.defects import deviating
+    from deepir.outliers.defects import deviating
 
     if len({flat.shape for flat in flats}) > 1:
         raise DataError(

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from deepir.burst import Burst
-from deepir.geometry import scaled
+from deepir.joint.geometry import scaled
 from deepir.metrics import motion_error, scores
 from deepir.result import Result
 

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.half_squares import half_squares
+from deepir.closed_form.half_squares import half_squares
 from deepir.registry import register
 
 NEGATIVE = 0.1  # share of samples below zero from which they are no photons

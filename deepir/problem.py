@@ -8,9 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from deepir.average import Average
-from deepir.elimination import Eliminated, eliminate
+from deepir.closed_form.elimination import Eliminated, eliminate
+from deepir.closed_form.half_squares import of_sensor
 from deepir.fidelity import Fidelity, Gaussian
-from deepir.half_squares import of_sensor
 from deepir.operators import Chain, Sensor
 from deepir.operators.base import own
 from deepir.penalties.local import Local
@@ -85,6 +85,10 @@ class Problem(nn.Module):
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
         self.register_buffer("even", torch.tensor(False))
         self.register_buffer("plain", torch.tensor(0.0))
+
+    def field_of(self, slot: str) -> Field:
+        """The field of the unknown that a slot takes."""
+        return self.fields[self.slots[slot]]
 
     def values(self, free: Collection[str] | None = None, without: Collection[str] = ()) -> Values:
         """The value of each unknown but those in `without`; those not in `free` carry no gradient (None: all do)."""
@@ -220,7 +224,7 @@ class Problem(nn.Module):
     ) -> dict[str, list[Tensor]]:
         """Set the unknowns of `group` to their optimum given the others; `values` is updated.
 
-        Returns the posterior variance of each part, by unknown, see `deepir.elimination`. `flux`
+        Returns the posterior variance of each part, by unknown, see `deepir.closed_form.elimination`. `flux`
         and `precision` spare their computation where they are known.
         """
         flux = self.flux(values) if flux is None else flux

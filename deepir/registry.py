@@ -25,7 +25,7 @@ HOMES = {
     "denoiser": ["deepir.denoisers"],
     "fidelity": ["deepir.fidelity"],
     "problem": ["deepir.problems"],
-    "method": ["deepir.joint", "deepir.baselines"],
+    "method": ["deepir.joint.joint", "deepir.baselines"],
     "training": ["deepir.training"],
     "camera": ["deepir.cameras"],
 }

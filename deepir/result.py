@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from deepir.config.schema import Config
 from deepir.io import write_json, write_mat, write_npz, write_preview, write_tiff
 from deepir.io.radiometry import KELVIN, Radiometry, unit
-from deepir.schema import Config
 
 Array = np.ndarray[Any, Any]
 

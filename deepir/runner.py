@@ -19,14 +19,14 @@ import torch
 import deepir
 from deepir import burst as bursts
 from deepir import memory, threads
-from deepir.build import build
 from deepir.comparison import compared
 from deepir.config import Config, load
+from deepir.config.method import chosen
 from deepir.errors import ConfigError
-from deepir.method import chosen
+from deepir.joint.build import build
+from deepir.joint.order import demand_order
+from deepir.joint.planned import plan
 from deepir.metrics import roughness
-from deepir.order import demand_order
-from deepir.planned import plan
 from deepir.registry import lookup
 from deepir.result import Result
 from deepir.solve import Progress
@@ -57,7 +57,7 @@ def run(
     Raises:
         DeepIRError: The configuration or the data are wrong; the message says what and where.
     """
-    from deepir.stored import run_into
+    from deepir.storage.stored import run_into
 
     checked = config if isinstance(config, Config) else load(config, overrides, options)
     if checked.output.dir is not None:

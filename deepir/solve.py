@@ -12,14 +12,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.clipping import hold_bounds, let_go
 from deepir.errors import SolverError
-from deepir.held_out import held_out_error
-from deepir.objective import objective, optimisers_of
 from deepir.optimisers import Optimiser
-from deepir.position import Position, keep, restore
+from deepir.optimisers.held_out import held_out_error
+from deepir.optimisers.objective import objective, optimisers_of
+from deepir.outliers.clipping import hold_bounds, let_go
 from deepir.problem import Problem, Values
 from deepir.stage import Stage, Step
+from deepir.storage.position import Position, keep, restore
 
 #: A solve has diverged whose objective is so many times what its stage began with (or a nat a sample).
 RISE = 1e3

@@ -33,7 +33,7 @@ class Stage:
     iterations: int = 100
     prepare: Callable[[Problem], None] | None = None
     use_held_out: bool = False
-    #: What is slow of the scene stays as it was found; see `deepir.curvature`.
+    #: What is slow of the scene stays as it was found; see `deepir.curvature.preconditioner`.
     fine: bool = False
     tolerance: float = 1e-5  # stop when ten iterations gain less than this, in nats for each sample
     #: Asked when the stage comes, before all else: it is left out if there is no need.

@@ -22,26 +22,17 @@ SECTIONS = {
 }
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
-    "Running": ["runner", "config", "overrides", "schema", "burst", "result", "stored", "errors"],
-    "Solving": [
-        "build",
-        "problem",
-        "solve",
-        "optimisers",
-        "joint",
-        "elimination",
-        "strengths",
-        "uncertainty",
-        "evidence",
-    ],
+    "Running": ["runner", "config", "burst", "result", "storage", "errors"],
+    "Solving": ["problem", "solve", "stage", "optimisers", "joint", "closed_form", "curvature"],
+    "Estimating": ["evidence", "noise", "outliers"],
     "Operators": ["operators"],
     "Fields": ["priors"],
     "Penalties": ["penalties", "denoisers", "fidelity"],
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
-    "Simulator": ["simulate", "scenes", "metrics", "comparison"],
+    "Simulator": ["simulate", "metrics", "comparison"],
     "Sweeps": ["sweep", "analysis", "training"],
-    "Files": ["io", "calibration", "capture", "cameras"],
+    "Files": ["io", "calibration", "cameras"],
     "For plugins": ["registry", "testing"],
 }
 

@@ -49,7 +49,7 @@ def test_every_regime_fits_its_pictures():
 def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
     from nuc_oracle import oracle
 
-    from deepir.scenes import procedural
+    from deepir.simulate.scenes import procedural
 
     monkeypatch.setattr("nuc_oracle.ITERATIONS", 30)
     scene = procedural(2, (140, 160))
@@ -63,7 +63,7 @@ def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
 def test_the_oracles_noise_is_that_of_the_frames():
     from nuc_oracle import noise_variance
 
-    from deepir.scenes import procedural
+    from deepir.simulate.scenes import procedural
 
     scene = procedural(2, (140, 160))
     camera = dataclasses.replace(SMALL, photons=300.0, max_shift=0.0, counts=True, n_frames=60)

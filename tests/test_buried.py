@@ -6,8 +6,8 @@ import numpy as np
 
 import deepir
 from deepir.metrics import scores
-from deepir.scenes import sky
 from deepir.simulate import Settings, simulate
+from deepir.simulate.scenes import sky
 
 RAW = Settings(
     n_frames=6,

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.fidelity import Gaussian
-from deepir.geometry import MARGIN, footprint
+from deepir.joint.build import build
+from deepir.joint.geometry import MARGIN, footprint
 from deepir.operators import Add, Blur, Chain, Downsample, Sensor, Warp
 from deepir.penalties.tv import TV
 from deepir.priors.parts import Pixel

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.denoisers.unit_range import unit_range
+from deepir.evidence.strengths import weigh_scene
+from deepir.joint.build import build
 from deepir.penalties.red import RED
 from deepir.registry import components
-from deepir.strengths import weigh_scene
 
 DENOISERS = components("denoiser")
 

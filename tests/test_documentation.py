@@ -14,9 +14,9 @@ from pydantic import BaseModel
 from deepir.burst import Burst
 from deepir.cli import app
 from deepir.config import SHIPPED, load
+from deepir.config.schema import Config
 from deepir.report.components import page as components_page
 from deepir.runner import check_components
-from deepir.schema import Config
 from deepir.simulate import Settings
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
@@ -145,7 +145,7 @@ def test_every_key_is_documented_with_its_default():
 
 
 def test_what_a_slot_may_hold_is_documented():
-    from deepir.unknowns import SLOT_KEYS
+    from deepir.joint.unknowns import SLOT_KEYS
 
     assert {key.strip("`") for key, _ in rows(CONFIGURATION, "## Unknowns")} == set(SLOT_KEYS)
 
@@ -169,7 +169,7 @@ def test_every_command_is_documented():
 
 
 def test_every_file_of_a_run_is_documented():
-    from deepir.folder import FILES
+    from deepir.storage.folder import FILES
 
     text = (ROOT / "docs/cli.md").read_text()
     assert [name for name in FILES if f"`{name}`" not in text] == ["checkpoint.part"]

@@ -15,7 +15,7 @@ import deepir
 from deepir import registry
 from deepir.errors import ConfigError
 from deepir.registry import load_plugin
-from deepir.scenes import procedural
+from deepir.simulate.scenes import procedural
 from deepir.testing import check_operator
 
 PAGE = ROOT / "docs/extending.md"
@@ -211,7 +211,7 @@ def test_mistakes_are_named(plugin, change, message):
 
 
 def test_options_of_a_component_need_no_keyword_marker(monkeypatch):
-    from deepir.components import make
+    from deepir.config.components import make
     from deepir.penalties.penalty import Penalty
 
     monkeypatch.setattr(registry, "_components", {kind: registry.components(kind) for kind in registry.HOMES})

@@ -10,9 +10,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir import half_squares
+from deepir.closed_form import half_squares
+from deepir.closed_form.normal_equations import Pixels, PixelsOnCPU
 from deepir.loops import spread
-from deepir.normal_equations import Pixels, PixelsOnCPU
 from deepir.penalties.penalty import squared_gradient
 from deepir.penalties.tv import TV
 
@@ -173,7 +173,7 @@ def test_what_goes_wrong_in_a_part_is_raised(threads):
 
 
 def test_a_first_use_says_why_it_takes_long(tmp_path):
-    code = "import torch; from deepir.median import median; print(median(torch.arange(9001.0)))"
+    code = "import torch; from deepir.noise.median import median; print(median(torch.arange(9001.0)))"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     first, second = (
         subprocess.run(

@@ -62,7 +62,7 @@ def test_a_wrong_seed_is_named(seed):
 
 
 def test_an_interrupted_run_of_a_simulated_burst_is_resumed(tmp_path):
-    from deepir.stored import resume
+    from deepir.storage.stored import resume
 
     settings = {"data": {"simulate": SMALL}, "threads": 1, "solver": {"max_iterations": 3}}
 

@@ -97,7 +97,7 @@ def test_a_folder_is_written_when_it_is_named(frames, tmp_path):
 
 
 def test_frames_from_memory_cannot_be_resumed(frames, tmp_path):
-    from deepir.stored import resume
+    from deepir.storage.stored import resume
 
     def stop(progress):
         raise KeyboardInterrupt
@@ -188,7 +188,7 @@ def test_a_burst_that_moves_along_one_axis_only_is_warned_of():
 
 
 def test_a_burst_that_moves_along_a_slanted_line_is_warned_of():
-    from deepir.registered import _along_a_line
+    from deepir.joint.registered import _along_a_line
 
     line = torch.tensor([[0.0, 0.0], [-10.0, -7.2], [-7.8, -5.8]])
     (message,) = _along_a_line(line)

@@ -6,17 +6,17 @@ import math
 import pytest
 import torch
 
-from deepir import checkpoint as store
 from deepir.errors import DataError, SolverError
-from deepir.held_out import held_out_error
 from deepir.operators import Chain, Operator, Sensor
 from deepir.optimisers import OPTIMISERS
+from deepir.optimisers.held_out import held_out_error
 from deepir.penalties.ridge import Ridge
 from deepir.priors.constant import Constant
 from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
 from deepir.solve import solve
 from deepir.stage import Stage, Step
+from deepir.storage import checkpoint as store
 
 EVERYTHING = ("gain", "offset")
 ELIMINATE = Step(EVERYTHING, "eliminate")

@@ -9,17 +9,17 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from deepir.build import build
+from deepir.average import filled
 from deepir.burst import Burst
 from deepir.config import Config
+from deepir.joint.build import build
+from deepir.joint.registered import registered
 from deepir.operators.points import homographies
-from deepir.problems.definition import filled
-from deepir.registered import registered
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 
 Array = np.ndarray[Any, Any]
-#: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.registered.registered`.
+#: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.joint.registered.registered`.
 Found = tuple[torch.Tensor | None, Array, list[str]]
 
 LEAST, MOST = 0.2, 5.0  # gains, in medians, beyond which a pixel is a bad one

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from deepir.average import filled
 from deepir.baselines.average import Array
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.problems.definition import filled
+from deepir.joint.build import build
 from deepir.registry import register
 from deepir.result import Result, neutral
 

@@ -13,11 +13,11 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from deepir.baselines.average import find
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError
-from deepir.noise import sample_noise
+from deepir.joint.build import build
+from deepir.noise.typical import sample_noise
 from deepir.operators import Chain, Sensor
 from deepir.problems.definition import start_scene
 from deepir.registry import register

@@ -93,8 +93,8 @@ def _usage(message: str, given: Sequence[str]) -> str:
     """A usage error with what was probably meant."""
     message = message.rstrip(".")
     if message.startswith("No such option: --") and given[0] in ("run", "check", "compare", "batch"):
-        from deepir.components import annotation_of
-        from deepir.schema import Config
+        from deepir.config.components import annotation_of
+        from deepir.config.schema import Config
 
         name = message.partition("--")[2].split(" ")[0].split("=")[0]
         example = f"{name}=..." if annotation_of(Config, name) else "output.dir=FOLDER"

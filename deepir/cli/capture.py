@@ -12,7 +12,7 @@ import typer
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
 
 if TYPE_CHECKING:
-    from deepir.capture import Captured
+    from deepir.cameras.capture import Captured
 
 
 def capture(
@@ -31,7 +31,7 @@ def capture(
 ) -> int:
     """Take a burst from a live camera, and say how to move it: deepir capture burst.npz device=/dev/video2."""
     load_plugins(plugin)
-    from deepir.capture import FROZEN
+    from deepir.cameras.capture import FROZEN
     from deepir.cli.signals import Interrupted, Interruptible, stopped
     from deepir.errors import DataError
     from deepir.io import write_npz
@@ -62,9 +62,9 @@ def capture(
 
 def _taken(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
     from deepir.cameras.camera import Array
-    from deepir.capture import advice, capture, reach
-    from deepir.components import make, options_schema
-    from deepir.overrides import split
+    from deepir.cameras.capture import advice, capture, reach
+    from deepir.config.components import make, options_schema
+    from deepir.config.overrides import split
     from deepir.registry import lookup
 
     options: dict[str, Any] = dict(split(settings, options_schema(lookup("camera", name, "camera"))))

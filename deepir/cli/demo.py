@@ -15,8 +15,8 @@ def demo() -> int:
     from deepir.cli.run import run_stored
     from deepir.config import load
     from deepir.errors import DataError
-    from deepir.folder import Folder
     from deepir.simulate import Settings, simulate
+    from deepir.storage.folder import Folder
 
     folder = Folder(FOLDER)
     folder.check_free(overwrite=True)

@@ -16,10 +16,10 @@ def resume(
 ) -> int:
     """Finish a run that was interrupted, from its last checkpoint."""
     plugins = load_plugins(plugin)
-    from deepir import stored
     from deepir.cli.run import report
     from deepir.cli.signals import Interrupted, Interruptible, farewell
     from deepir.report.progress import on_stderr
+    from deepir.storage import stored
 
     try:
         with Interruptible() as interruptible, on_stderr() as progress:

@@ -46,7 +46,7 @@ def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[s
     """Run into a folder with progress on stderr; the exit status."""
     from deepir.cli.signals import Interrupted, Interruptible, farewell
     from deepir.report.progress import on_stderr
-    from deepir.stored import run_into
+    from deepir.storage.stored import run_into
 
     try:
         with Interruptible() as interruptible, on_stderr() as progress:

@@ -32,8 +32,8 @@ def simulate(
 ) -> None:
     """Simulate a burst with known truth: deepir simulate burst.npz n_frames=8 shape=[240,320] counts=true."""
     from deepir import simulate as camera
+    from deepir.config.overrides import split
     from deepir.errors import DataError
-    from deepir.overrides import split
     from deepir.simulate.pictures import picture
     from deepir.simulate.settings import parse, schema
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import raw as headerless
 from deepir.io import readers
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array, folder
 from deepir.paths import expanded
-from deepir.schema import Raw
 
 Select = str | int | Sequence[int] | None
 

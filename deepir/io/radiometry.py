@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir import schema
+from deepir.config import schema
 from deepir.errors import ConfigError
 
 Array = np.ndarray[Any, Any]

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.guards import check_size
 from deepir.io.readers import Array, guarded
-from deepir.schema import Raw
 
 
 def read(path: Path, layout: Raw) -> Array:

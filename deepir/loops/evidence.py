@@ -1,5 +1,5 @@
 # mypy: disable-error-code="no-untyped-def"
-"""Likelihood of the strengths of gain and offset; see `deepir.evidence`."""
+"""Likelihood of the strengths of gain and offset; see `deepir.evidence.parts`."""
 
 from __future__ import annotations
 

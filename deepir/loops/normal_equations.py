@@ -1,5 +1,5 @@
 # mypy: disable-error-code="no-untyped-def"
-"""Passes over the pixels' normal equations; see `deepir.normal_equations` for what they compute.
+"""Passes over the pixels' normal equations; see `deepir.closed_form.normal_equations` for what they compute.
 
 Ranges are of bands of `BAND` rows, and columns are summed by band: parts of a range never write to the same place.
 """

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from deepir.held_out import held_out_error
+from deepir.optimisers.held_out import held_out_error
 from deepir.optimisers.optimiser import Evaluate, Optimiser, Rate, free_parameters
 from deepir.problem import Problem
 

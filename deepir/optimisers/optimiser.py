@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import torch
 from torch import Tensor, nn
 
-from deepir.curvature import Curvature
+from deepir.curvature.preconditioner import Curvature
 from deepir.priors.strength import Held
 from deepir.problem import Problem, Values
 

@@ -19,7 +19,7 @@ class Part(Field):
 
     `sigma` is in the unknown's units (a fraction for a gain, counts for an offset); without it, it is
     estimated from the burst. The parameters are white, `value / sigma`, and float64 whatever the output is:
-    see `deepir.elimination`.
+    see `deepir.closed_form.elimination`.
     """
 
     along: ClassVar[tuple[int, ...]] = ()

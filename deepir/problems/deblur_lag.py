@@ -8,13 +8,13 @@ from typing import ClassVar
 
 import torch
 
-from deepir.build import FREE, build_scene
+from deepir.evidence.slow import late
+from deepir.joint.build import FREE, build_scene
 from deepir.operators import Lag
 from deepir.operators.path import Path
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.registry import register
-from deepir.slow import late
 from deepir.solve import solve
 from deepir.stage import Stage
 

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import torch
 
-from deepir.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
 from deepir.errors import ConfigError
+from deepir.evidence.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
+from deepir.evidence.slow_strengths import estimate_slow
+from deepir.evidence.spectrum import fit_psf, spectral_noise
+from deepir.evidence.strengths import HELD_OUT as LEAST
+from deepir.evidence.strengths import hold_out, update_strengths, weigh_scene
+from deepir.noise.residual import update_noise
 from deepir.priors.airy import Airy
 from deepir.priors.defocus import Defocus
 from deepir.priors.gaussian import Gaussian
@@ -15,12 +20,7 @@ from deepir.priors.simplex import Simplex
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene, start_scene_and_parts
 from deepir.registry import register
-from deepir.residual_noise import update_noise
-from deepir.slow_strengths import estimate_slow
-from deepir.spectrum import fit_psf, spectral_noise
 from deepir.stage import Stage, Step
-from deepir.strengths import HELD_OUT as LEAST
-from deepir.strengths import hold_out, update_strengths, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2

@@ -7,19 +7,27 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from deepir.average import Average
-from deepir.clipping import give_up_stuck
-from deepir.defects import still
-from deepir.levels import start_jumps
-from deepir.noise import ROUNDED, sample_noise, step, typical_noise
+from deepir.average import Average, filled
+from deepir.evidence.levels import start_jumps
+from deepir.evidence.slow import polynomials
+from deepir.evidence.slow_strengths import estimate_slow
+from deepir.evidence.strengths import (
+    doubt_misfits,
+    give_up_dead,
+    left,
+    pattern_left,
+    spread,
+    start_parts,
+    weigh_scene,
+)
+from deepir.evidence.stretched import GROSS, even_contrast
+from deepir.noise.thin import counted, thinned
+from deepir.noise.typical import ROUNDED, sample_noise, step, typical_noise
+from deepir.outliers.clipping import give_up_stuck
+from deepir.outliers.defects import still
 from deepir.problem import Problem
 from deepir.registry import register
-from deepir.slow import polynomials
-from deepir.slow_strengths import estimate_slow
 from deepir.stage import Stage, Step
-from deepir.strengths import doubt_misfits, give_up_dead, left, pattern_left, spread, start_parts, weigh_scene
-from deepir.stretched import GROSS, even_contrast
-from deepir.thin import counted, thinned
 
 TURNS = 3  # of the scene's start and the samples' weights
 PASSES = 20  # over scene and pattern, at most
@@ -174,16 +182,3 @@ def start_scene(problem: Problem, average: Average | None = None, pattern: Tenso
     frames = len(problem.data) / len(mean)  # that show a scene
     known = average.weight > SEEN * average.weight.max() / frames
     problem.fields["scene"].init_from(filled(mean, known))
-
-
-def filled(image: Tensor, known: Tensor) -> Tensor:
-    """Replace unknown pixels (S, C, H, W) by the nearest known one of the row, or, where none is, of the column."""
-    for axis in (-1, -2):
-        side = image.shape[axis]
-        at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
-        before = at.where(known, -side).cummax(axis).values
-        after = at.where(known, 2 * side).flip(axis).cummin(axis).values.flip(axis)
-        nearest = before.where(at - before <= after - at, after)
-        image = image.gather(axis, nearest.clamp(0, side - 1))
-        known = known.any(axis, keepdim=True).expand(known.shape)
-    return image

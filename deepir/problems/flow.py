@@ -7,14 +7,14 @@ from typing import Any
 
 import torch
 
+from deepir.curvature.waves import modelled
 from deepir.errors import ConfigError
-from deepir.optical_flow import optical_flow
 from deepir.priors.flow import Flow
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC, finish, update
+from deepir.registration.optical_flow import optical_flow
 from deepir.registry import register
 from deepir.stage import Stage, Step
-from deepir.waves import modelled
 
 
 @register("problem", "flow")

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.defects import lonely
+from deepir.closed_form.unregistered import find_pattern
 from deepir.errors import ConfigError, DataError
-from deepir.noise import flat_noise
+from deepir.evidence.strengths import weigh_scene
+from deepir.noise.typical import flat_noise
+from deepir.outliers.defects import lonely
 from deepir.priors.parts import Part
 from deepir.priors.shading import Shading
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_scene
 from deepir.registry import register
 from deepir.stage import Stage, Step
-from deepir.strengths import weigh_scene
-from deepir.unregistered import find_pattern
 
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared

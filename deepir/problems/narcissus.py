@@ -7,8 +7,10 @@ from dataclasses import replace
 import torch
 
 from deepir.errors import ConfigError
-from deepir.geometry import MARGIN
-from deepir.one_frame import flattest
+from deepir.evidence.one_frame import flattest
+from deepir.evidence.slow_strengths import estimate_slow, strays
+from deepir.evidence.strengths import doubt_misfits, hold_out, left, start_parts, weigh_scene
+from deepir.joint.geometry import MARGIN
 from deepir.operators import Add, Warp
 from deepir.priors.constant import Constant
 from deepir.priors.terms import Terms
@@ -18,9 +20,7 @@ from deepir.problems.nuc import NUC, WEAK, finish, update
 from deepir.registration import register as register_frames
 from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
-from deepir.slow_strengths import estimate_slow, strays
 from deepir.stage import Stage, Step
-from deepir.strengths import doubt_misfits, hold_out, left, start_parts, weigh_scene
 
 ALONE = (
     "one frame: stray flux is told from the scene by its being smooth, and by nothing else. A slope or a large glow of "

@@ -9,28 +9,30 @@ from typing import ClassVar
 
 import torch
 
-from deepir.half_size import bent, halved, step_asked, take_motion, take_moving
-from deepir.line_noise import with_jumps
-from deepir.moving import LITTLE, doubt_moving, find_moving
-from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
-from deepir.registry import register
-from deepir.residual_noise import update_noise
-from deepir.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
-from deepir.slow_strengths import estimate_slow
-from deepir.solve import solve
-from deepir.stage import Stage, Step
-from deepir.strengths import (
+from deepir.curvature.uncertainty import pattern_cost
+from deepir.curvature.unseen import smooth_unseen
+from deepir.curvature.waves import modelled
+from deepir.evidence.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
+from deepir.evidence.slow_strengths import estimate_slow
+from deepir.evidence.strengths import (
     hold_out,
     pattern_to_noise,
     update_strengths,
     weigh_scene,
 )
-from deepir.stretched import even_contrast
-from deepir.texture import follow_texture
-from deepir.uncertainty import pattern_cost
-from deepir.unseen import smooth_unseen
-from deepir.waves import modelled
+from deepir.evidence.stretched import even_contrast
+from deepir.evidence.texture import follow_texture
+from deepir.joint.bends import bent
+from deepir.joint.half_size import halved, take_motion, take_moving
+from deepir.joint.step_asked import step_asked
+from deepir.noise.lines import with_jumps
+from deepir.noise.residual import update_noise
+from deepir.outliers.moving import LITTLE, doubt_moving, find_moving
+from deepir.problem import Problem
+from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
+from deepir.registry import register
+from deepir.solve import solve
+from deepir.stage import Stage, Step
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from deepir.cross_validation import start_trials, trials, weigh_by_trials
+from deepir.evidence.cross_validation import start_trials, trials, weigh_by_trials
+from deepir.evidence.strengths import hold_out, update_strengths, weigh_scene
+from deepir.noise.residual import update_noise
 from deepir.operators import Downsample
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
-from deepir.residual_noise import update_noise
 from deepir.stage import Stage, Step
-from deepir.strengths import hold_out, update_strengths, weigh_scene
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.noise import MAD
+from deepir.noise.typical import MAD
 from deepir.registration.pyramid import Level, sample
 
 SEEN = 2.5  # frames that must show a place of the scene, for it to say something

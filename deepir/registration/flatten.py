@@ -6,9 +6,9 @@ import scipy.ndimage
 import torch
 from torch import Tensor
 
-from deepir.defects import median
-from deepir.noise import MAD
-from deepir.thin import thinned
+from deepir.noise.thin import thinned
+from deepir.noise.typical import MAD
+from deepir.outliers.defects import median
 
 STUCK = 10.0  # robust standard deviations beyond which a pixel of the mean frame is stuck
 WINDOW = 31  # px across the stripes: what is broader is none

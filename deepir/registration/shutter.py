@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.noise import detail
-from deepir.thin import thinned
+from deepir.noise.thin import thinned
+from deepir.noise.typical import detail
 
 ENOUGH, LEAST = 40_000, 200  # samples of all frames, and of each
 BULK = 0.75  # share of the samples that count: edges of the scene do not

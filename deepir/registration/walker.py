@@ -7,7 +7,7 @@ import torch
 from scipy.ndimage import binary_dilation, binary_opening, label, uniform_filter
 from torch import Tensor
 
-from deepir.noise import MAD
+from deepir.noise.typical import MAD
 from deepir.registration.pyramid import Level, average, sample
 from deepir.registration.vote import SIZE
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepir.components import options_schema
 from deepir.config import SHIPPED, headline, priors, shipped_names
+from deepir.config.components import options_schema
 from deepir.registry import components, summary
 
 HEAD = """# Components

@@ -16,8 +16,8 @@ from deepir.report.page import write_page
 from deepir.report.panels import few
 
 if TYPE_CHECKING:
+    from deepir.config.schema import Config
     from deepir.result import Result
-    from deepir.schema import Config
 
 Array = np.ndarray[Any, Any]
 #: Tables of colours beside those to choose from: of maps about a centre, of standard deviations, of yes and no.

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.scenes import procedural
 from deepir.simulate.blur import psf
 from deepir.simulate.bolometer import housing, pixels
 from deepir.simulate.events import observe
@@ -20,6 +19,7 @@ from deepir.simulate.line_noise import line_noise
 from deepir.simulate.optics import at_rest, drawn, homographies, move, reach_of, scale_of
 from deepir.simulate.parallax import flow_of, parallax, relief
 from deepir.simulate.pictures import Scene
+from deepir.simulate.scenes import procedural
 from deepir.simulate.sensor import expose, more_defects, pattern
 from deepir.simulate.settings import DEFAULT, Settings
 from deepir.simulate.stray import stray_flux

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.errors import DataError, nearest
 from deepir.paths import expanded
-from deepir.scenes import procedural, sky
+from deepir.simulate.scenes import procedural, sky
 
 #: Draw a scene of any size from a seed: `procedural:3`.
 DRAWN = {"procedural": procedural, "sky": sky}

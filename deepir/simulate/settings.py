@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
-from deepir.components import explain
+from deepir.config.components import explain
 from deepir.errors import ConfigError, nearest
 
 CHOICES = {

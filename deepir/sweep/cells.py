@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from deepir.config import Config, dump, load, read
+from deepir.config.yaml import parse
 from deepir.errors import ConfigError, DataError, DeepIRError
-from deepir.folder import Folder
 from deepir.io.frames import digest
 from deepir.paths import expanded
 from deepir.runner import prepare
-from deepir.stored import check_unchanged, hashes, pinned
+from deepir.storage.folder import Folder
+from deepir.storage.stored import check_unchanged, hashes, pinned
 from deepir.sweep.axes import BURST, Axis, folder_name
-from deepir.yaml import parse
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from deepir.errors import DeepIRError
 from deepir.registry import load_plugin
-from deepir.stored import resume, run_into
+from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
 
 #: torch's seed and the package's log belong to the process: it does one run at a time.

@@ -13,12 +13,12 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter
 from torch import Tensor, nn
 
+from deepir.evidence.texture import held, plainness
 from deepir.operators.spline import image
 from deepir.penalties.foe import Experts, counted
 from deepir.penalties.penalty import squared_gradient
 from deepir.registry import register
-from deepir.scenes import procedural, sky
-from deepir.texture import held, plainness
+from deepir.simulate.scenes import procedural, sky
 from deepir.training.training import Training
 
 #: Of scikit-image, among those that constants are tuned on; never what is judged by.

@@ -8,8 +8,8 @@ from skimage.transform import resize
 
 from deepir.baselines.destripe_cnn import destriped
 from deepir.metrics import scores
-from deepir.scenes import procedural
 from deepir.simulate.pictures import picture
+from deepir.simulate.scenes import procedural
 
 
 def scene(name="camera"):

@@ -15,8 +15,9 @@ import matplotlib.backends.backend_agg
 import matplotlib.figure  # noqa: F401 - what runs need is imported once, before the forks
 import numpy as np
 
-from deepir import registry, solve, stored  # noqa: F401
+from deepir import registry, solve
 from deepir.cli import main
+from deepir.storage import stored  # noqa: F401
 
 RUN = ["run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=15"]
 solve.solve.__kwdefaults__["every"] = 0.02  # seconds between checkpoints: a short run has some

@@ -63,7 +63,7 @@ def test_twice(deepir, scene, signalled):
 
 def test_a_signal_while_registering_ends_the_run_at_once(deepir, folder, scene, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("deepir.registered.register", lambda *a, **k: os.kill(os.getpid(), signal.SIGINT))
+        patch.setattr("deepir.joint.registered.register", lambda *a, **k: os.kill(os.getpid(), signal.SIGINT))
         status, _, err = deepir(*RUN)
     assert status == 130
     assert "before the first checkpoint" in err
@@ -142,7 +142,7 @@ def test_half_written_files_are_cleared_away(deepir, interrupted):
 
 
 def test_one_process_at_a_time(deepir, interrupted):
-    from deepir.folder import Folder
+    from deepir.storage.folder import Folder
 
     with Folder(interrupted).logging():
         status, _, err = deepir("resume", "runs/nuc")

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from deepir.folder import FILES
+from deepir.storage.folder import FILES
 
 ENDED = {
     "config.yaml",
@@ -165,7 +165,7 @@ def test_a_diverging_solve_ends_with_status_1_and_keeps_its_state(nuc, folder, m
 
 
 def test_something_unforeseen_is_one_line_and_a_traceback_in_the_log(nuc, folder, monkeypatch):
-    monkeypatch.setattr("deepir.joint.solve", lambda *a, **k: 1 / 0)
+    monkeypatch.setattr("deepir.joint.joint.solve", lambda *a, **k: 1 / 0)
     status, _, err = nuc("data.path=burst.npz")
     assert status == 1
     assert err.count("\n") == 1
@@ -184,7 +184,7 @@ def test_too_little_memory_says_what_to_do(nuc, monkeypatch, error, words):
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr("deepir.joint.solve", fail)
+    monkeypatch.setattr("deepir.joint.joint.solve", fail)
     status, _, err = nuc("data.path=burst.npz")
     assert status == 1
     assert words in err

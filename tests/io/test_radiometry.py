@@ -8,10 +8,10 @@ import recordings
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deepir.config.schema import Radiometry as Asked
 from deepir.errors import ConfigError
 from deepir.io import read_frames, write_tiff
 from deepir.io.radiometry import KELVIN, Linear, Planck, air, chosen, unit
-from deepir.schema import Radiometry as Asked
 
 T640 = Planck(16556.0, 1428.0, 1.0, -342.0, 0.0451)
 

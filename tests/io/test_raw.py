@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import read_frames
-from deepir.schema import Raw
 
 
 @pytest.mark.parametrize("endian", ["little", "big"])

@@ -3,8 +3,8 @@ import typing
 import numpy as np
 import pytest
 
+from deepir.config.schema import Output
 from deepir.io.tones import PALETTES, TONES, coloured, table
-from deepir.schema import Output
 
 
 @pytest.fixture

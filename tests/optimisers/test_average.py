@@ -2,7 +2,7 @@
 
 import torch
 
-from deepir.held_out import held_out_error
+from deepir.optimisers.held_out import held_out_error
 from deepir.solve import solve
 from deepir.stage import Stage, Step
 

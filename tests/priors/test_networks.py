@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import nn
 
-from deepir.build import build_scene
 from deepir.config import load
+from deepir.joint.build import build_scene
 from deepir.priors.dip import DIP
 from deepir.priors.grid import Grid
 from deepir.priors.network import Network

@@ -7,14 +7,14 @@ import pytest
 import torch
 
 import deepir
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError
+from deepir.joint.build import build
 from deepir.metrics import scores
 from deepir.problems.deblur_lag import speed_message, start_motion
-from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
+from deepir.simulate.scenes import procedural
 
 CAMERA = Settings(
     n_frames=7,

@@ -11,14 +11,14 @@ from skimage.restoration import richardson_lucy, wiener
 
 import deepir
 from deepir.errors import ConfigError
+from deepir.evidence.spectrum import fit_psf, spectral_noise
 from deepir.metrics import scores
 from deepir.priors.airy import Airy
 from deepir.priors.defocus import Defocus
 from deepir.priors.gaussian import Gaussian
 from deepir.priors.motion_blur import MotionBlur
-from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
-from deepir.spectrum import fit_psf, spectral_noise
+from deepir.simulate.scenes import procedural
 
 CLEAN = dict.fromkeys(
     ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"],

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 import deepir
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.scenes import procedural
+from deepir.joint.build import build
+from deepir.simulate.scenes import procedural
 
 BLUR = {"radius": 2, "psf": {"type": "gaussian", "sigma": 0.8, "fixed": True}}
 CHAINS = {

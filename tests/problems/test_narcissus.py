@@ -5,17 +5,17 @@ import pytest
 import torch
 
 import deepir
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError
+from deepir.evidence.one_frame import flattest
+from deepir.evidence.texture import follow_texture
+from deepir.joint.build import build
 from deepir.metrics import scores
-from deepir.one_frame import flattest
 from deepir.priors.terms import DCT, Radial
 from deepir.problems.definition import start_scene
-from deepir.scenes import procedural
 from deepir.simulate import Settings, simulate
-from deepir.texture import follow_texture
+from deepir.simulate.scenes import procedural
 
 CAMERA = {
     "shape": (64, 80), "max_shift": 8.0, "shading": 0.0, "photons": 1000.0, "read_noise": 0.002, "dead_pixels": 0.0,

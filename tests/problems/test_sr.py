@@ -6,11 +6,11 @@ import torch
 from scipy.interpolate import BSpline
 
 import deepir
-from deepir.build import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError
-from deepir.geometry import scaled
+from deepir.joint.build import build
+from deepir.joint.geometry import scaled
 from deepir.metrics import scores
 from deepir.operators import Downsample, Warp
 from deepir.problems.sr import few_frames

@@ -6,8 +6,8 @@ import torch
 from registered import camera_of_tones
 
 from deepir.registration import register
-from deepir.scenes import procedural, sky
 from deepir.simulate import simulate
+from deepir.simulate.scenes import procedural, sky
 
 COUNTS = {"counts": True, "photons": 0.0, "read_noise": 0.003}
 SCENES = {

@@ -5,10 +5,10 @@ import pytest
 import torch
 from registered import apart, camera_of_tones
 
-from deepir.problems.definition import filled
+from deepir.average import filled
 from deepir.registration import register
-from deepir.scenes import procedural
 from deepir.simulate import simulate
+from deepir.simulate.scenes import procedural
 
 COUNTS = {"counts": True, "read_noise": 0.004, "photons": 0.0}
 

@@ -7,9 +7,9 @@ from registered import SHAPE, apart, camera_of_tones, simulated
 
 from deepir.registration import beside, group, likelihood, register, vote, whole
 from deepir.registration.even import even
-from deepir.scenes import procedural, sky
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
+from deepir.simulate.scenes import procedural, sky
 
 
 @pytest.mark.parametrize(("number", "n_frames", "camera"), [(1, 3, {}), (2, 5, {}), (3, 3, {"counts": True})])

@@ -7,9 +7,9 @@ from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 
 from deepir.registration import likelihood, register
 from deepir.registration.even import even, filled
-from deepir.scenes import procedural, sky
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
+from deepir.simulate.scenes import procedural, sky
 
 
 def strangers(frames, **settings):

@@ -10,8 +10,8 @@ from deepir.registration import place, register
 from deepir.registration.motion import carried
 from deepir.registration.parts import _Turns, likeliest_turns
 from deepir.registration.vote import reduced
-from deepir.scenes import sky
 from deepir.simulate import simulate
+from deepir.simulate.scenes import sky
 
 COUNTS = {"counts": True, "read_noise": 0.003, "photons": 0.0}
 STRONG = {"gain_pixel": 0.1, "offset_pixel": 0.1, "offset_row": 0.05}

@@ -12,9 +12,9 @@ from deepir.registration.flatten import flatten
 from deepir.registration.motion import identity
 from deepir.registration.place import place
 from deepir.registration.walker import blanked, filled, someone
-from deepir.scenes import procedural, sky
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
+from deepir.simulate.scenes import procedural, sky
 
 WALKER = {"walker": 0.5, "walker_contrast": 0.3}
 COUNTS = {"counts": True, "read_noise": 0.004, "photons": 0.0}

@@ -6,8 +6,8 @@ import torch
 from registered import COUNTS, SHAPE, camera_of_tones, errors, simulated
 
 from deepir.registration import place, register
-from deepir.scenes import procedural, sky
 from deepir.simulate import Settings, optics, simulate
+from deepir.simulate.scenes import procedural, sky
 
 
 @pytest.mark.parametrize("name", ["camera", "astronaut", "grass"])

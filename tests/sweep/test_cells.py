@@ -7,7 +7,7 @@ import pytest
 from documentation import ROOT, blocks
 
 from deepir.errors import ConfigError, DataError
-from deepir.stored import run_into
+from deepir.storage.stored import run_into
 from deepir.sweep.axes import bursts, listed
 from deepir.sweep.cells import cells, check, check_inputs
 from deepir.sweep.sweep import prepare

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from deepir import schema
+from deepir.config import schema
 from deepir.errors import ConfigError, DataError
 from deepir.io.guards import check_size, grey
 from deepir.io.radiometry import KELVIN, Radiometry, chosen

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import recordings
 
+from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import stream_frames
-from deepir.schema import Raw
 
 
 @pytest.mark.parametrize(("name", "write"), [*recordings.MANY, *recordings.ONE])

@@ -1,0 +1,1 @@
+"""Gain and offset in closed form, given what falls on the detector."""

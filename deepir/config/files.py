@@ -1,0 +1,213 @@
+"""Configurations: YAML files merged with presets and `key=value` overrides, checked before anything runs."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import ValidationError
+
+from deepir.config import overrides
+from deepir.config.components import explain
+from deepir.config.schema import Config
+from deepir.config.yaml import parse
+from deepir.errors import ConfigError, nearest
+from deepir.paths import expanded, is_file
+
+PACKED = Path(__file__).parent.parent / "configs"  # in the wheel
+SHIPPED = PACKED if PACKED.is_dir() else Path(__file__).parents[2] / "configs"  # in a checkout
+
+
+def load(
+    config: str | Path | Mapping[str, Any],
+    changes: Sequence[str] = (),
+    options: Mapping[str, Any] | None = None,
+) -> Config:
+    """A configuration from a path, a shipped name (`nuc`) or a mapping.
+
+    Args:
+        config: The path, name or mapping.
+        changes: `key=value`, applied last; see `deepir.config.overrides`.
+        options: Top-level keys, merged over `config`.
+
+    Raises:
+        ConfigError: Unknown name, broken YAML, unknown key or wrong value; the message gives the key's path.
+    """
+    if not isinstance(config, str | os.PathLike | Mapping):
+        raise ConfigError(f"configuration: {config!r}: a shipped name, a path or a mapping is needed")
+    label = "configuration" if isinstance(config, Mapping) else str(config)
+    base = _merge(
+        label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {})
+    )
+    pairs = overrides.split(changes, Config)
+    prior = (base | dict(pairs)).get("prior") or Config.model_fields["prior"].default
+    whole = _merge(label, _preset(str(prior)), base)
+    for key, value in pairs:
+        overrides.apply(whole, key, value)
+    checked = _check(_merge(label, whole, resolve=True), label, changes)
+    _order(checked, list(base.get("physics") or {}), label)
+    return checked
+
+
+def read(path: Path) -> Config:
+    """A configuration that `dump` wrote: complete, so that presets are not looked at."""
+    return _check(_read(path), str(path))
+
+
+def dump(config: Config) -> str:
+    """The configuration as YAML that `read` and `load` read back."""
+    return OmegaConf.to_yaml(OmegaConf.create(config.model_dump()))
+
+
+def find(name: str | Path) -> Path:
+    """The file of a configuration, given its path or its shipped name."""
+    path = expanded(name)
+    if str(name) in shipped_names() and not is_file(path):
+        return SHIPPED / f"{name}.yaml"
+    if path.suffix in (".yaml", ".yml") and is_file(path):
+        return path
+    if os.path.exists(path):  # noqa: PTH110 - however long
+        use = f"resume {name}" if (path / "config.yaml").is_file() else f"run nuc data.path={name}"
+        raise ConfigError(f"{name}: not a configuration (a .yaml file); did you mean `deepir {use}`?")
+    here = [str(each) for each in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
+    hint = _did_you_mean(str(name), [*shipped_names(), *here])
+    raise ConfigError(
+        f"no configuration '{name}'; {hint}Give a .yaml file or one of: {', '.join(shipped_names())}"
+    )
+
+
+def shipped_names() -> list[str]:
+    """Names of the shipped configurations, presets of priors left out."""
+    found = (path.relative_to(SHIPPED).with_suffix("").as_posix() for path in SHIPPED.rglob("*.yaml"))
+    return sorted(name for name in found if not name.startswith("prior/"))
+
+
+def priors() -> list[str]:
+    """Names of the priors' presets."""
+    return sorted(path.stem for path in (SHIPPED / "prior").glob("*.yaml"))
+
+
+def headline(path: Path) -> str:
+    """The comment that a configuration's file begins with, in one line."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return lines[0].lstrip("# ") if lines and lines[0].startswith("#") else ""
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        parsed = parse(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: broken YAML: {error}") from None
+    if not isinstance(parsed, dict):
+        raise ConfigError(
+            f"{path}: a configuration is a mapping of keys to values; `deepir list` shows examples"
+        )
+    return parsed
+
+
+def _merge(label: str, *parts: Mapping[str, Any], resolve: bool = False) -> dict[str, Any]:
+    try:
+        merged = OmegaConf.create(functools.reduce(_over, parts, {}))
+        return OmegaConf.to_container(merged, resolve=resolve, throw_on_missing=resolve)  # type: ignore[return-value]
+    except (OmegaConfBaseException, RecursionError) as error:
+        raise ConfigError(f"{label}: {str(error).splitlines()[0]}") from None
+
+
+def _over(under: Any, over: Any, where: str = "") -> Any:
+    """What is `over`, and of mappings what is `under` beside it.
+
+    `OmegaConf.merge` raises a bare TypeError for some that do not go together; this says where the mistake is.
+    """
+    if not isinstance(over, Mapping):
+        return over
+    if wrong := [key for key in over if not isinstance(key, str)]:
+        raise ConfigError(f"{where}{wrong[0]!r}: a key is text")
+    below = under if isinstance(under, Mapping) else {}
+    return {**below, **{key: _over(below.get(key), each, f"{where}{key}.") for key, each in over.items()}}
+
+
+def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) -> Config:
+    try:
+        return Config.model_validate(whole)
+    except ValidationError as error:
+        path, problem = explain(error, Config)
+        own = next(
+            (f"'{each}'" for each in reversed(changes) if f"{path}.".startswith(f"{each.split('=')[0]}.")),
+            label,
+        )
+        raise ConfigError(f"{own}: {problem}") from None
+
+
+def _preset(name: str) -> dict[str, Any]:
+    """What `prior: name` stands for: a shipped preset, one's own .yaml file, or a field without penalties."""
+    own = expanded(name)
+    if name in priors():
+        return _read(SHIPPED / "prior" / f"{name}.yaml")
+    if own.suffix in (".yaml", ".yml"):
+        if not is_file(own):
+            raise ConfigError(
+                f"prior: {name}: no such file; give a .yaml file or a name: {', '.join(priors())}"
+            )
+        given = _read(own)
+        if unknown := next((key for key in given if key not in Config.model_fields), None):
+            raise ConfigError(f"{name}: no option '{unknown}'; a prior's file holds `scene:`")
+        return given
+
+    from deepir.registry import components  # not above: `deepir --help` does without torch
+
+    if name in components("field"):
+        return {"scene": {"type": name, "init": "average"}}
+    raise ConfigError(
+        f"prior: no prior is called '{name}'; {nearest(name, priors())}, a field's name or a .yaml file"
+    )
+
+
+def _order(config: Config, in_file: list[str], label: str) -> None:
+    """Put stages that say `before` where they belong; one that an override adds must say it."""
+    stages = config.physics
+    for name in list(stages):
+        options = stages[name] = dict(stages[name] or {})
+        target = options.pop("before", None)
+        if target is None:
+            if name not in in_file:
+                hint = _did_you_mean(name, in_file).rstrip()
+                raise ConfigError(
+                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)})"
+                    f"{f'; {hint}' if hint else '.'} A new stage must say where it goes, for example "
+                    f"physics.{name}.before={in_file[-1] if in_file else 'STAGE'}"
+                )
+            continue
+        if target not in stages or target == name:
+            others = [each for each in stages if each != name]
+            raise ConfigError(f"physics.{name}.before: no stage '{target}'; {nearest(str(target), others)}")
+        own = stages.pop(name)
+        rest = list(stages.items())
+        index = [key for key, _ in rest].index(target)
+        stages.clear()
+        stages.update([*rest[:index], (name, own), *rest[index:]])
+
+
+def _did_you_mean(name: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{close[0]}'? " if close else ""
+
+
+def _plain(value: Any) -> Any:
+    """Paths as text and NumPy's numbers as Python's, for a caller in Python; `ConfigError` for an array."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if getattr(value, "ndim", 0) > 0:
+        raise ConfigError(
+            f"an array of shape {tuple(value.shape)} in the options: save it, and give the name of its file"
+        )
+    return os.fspath(value) if isinstance(value, os.PathLike) else getattr(value, "tolist", lambda: value)()

@@ -1,0 +1,125 @@
+"""What a configuration may hold. What a component may be given, its constructor says: `deepir.config.components`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)  # a folder may be called 2021
+
+
+class Raw(_Strict):
+    """How a recording without a header is laid out."""
+
+    width: int = Field(ge=1, le=2**15)  # px
+    height: int = Field(ge=1, le=2**15)  # px
+    bits: int = Field(16, ge=1, le=16)  # that count; up to 8 take one byte a sample, more take two
+    offset: int = Field(0, ge=0)  # bytes before the first frame
+    endian: Literal["little", "big"] = "little"
+
+
+class Radiometry(_Strict):
+    """Counts to kelvin, see `deepir.io.radiometry`; what is None is as the file says."""
+
+    scale: float | None = Field(default=None, gt=0)  # kelvin a count: 0.01 for TLinear
+    zero: float | None = None  # kelvin at zero counts
+    r1: float | None = Field(default=None, gt=0)  # Planck's law, in FLIR's constants
+    b: float | None = Field(default=None, gt=0)
+    f: float | None = None
+    o: float | None = None
+    r2: float | None = Field(default=None, gt=0)
+    emissivity: float | None = Field(default=None, gt=0, le=1)  # of the surface
+    reflected: float | None = Field(default=None, gt=0)  # K, of the surroundings
+    transmission: float | None = Field(default=None, gt=0, le=1)  # of the air
+    atmosphere: float | None = Field(default=None, gt=0)  # K
+    window_transmission: float | None = Field(default=None, gt=0, le=1)
+    window: float | None = Field(default=None, gt=0)  # K
+
+
+class Data(_Strict):
+    """Where the frames come from."""
+
+    path: str | None = None  # file, folder or glob
+    simulate: dict[str, Any] | None = None  # in place of a path; `deepir.simulate.recorded` checks it
+    truth: str | None = None  # .npz with `scene`, or a picture: scores are added to metrics.json
+    mask: str | None = None  # picture or array of a frame's size; nonzero = ignore
+    crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
+    frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
+    key: str | None = None  # array in a file that holds several
+    raw: Raw | None = None  # layout of a file without a header
+    radiometry: Radiometry = Radiometry()
+    fps: float | None = Field(default=None, gt=0)  # frames a second
+
+
+class Noise(_Strict):
+    """Noise of a sample: variance `read² + y / photons`."""
+
+    read: float = Field(ge=0, le=1e15)  # standard deviation, in the data's units
+    photons: float | None = Field(None, ge=1e-15)  # photons for each unit of data; None: no photon noise
+
+
+class StepConfig(_Strict):
+    """A step of a stage, see `deepir.solve.Step`."""
+
+    group: list[str] = Field(min_length=1)
+    method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
+    lr: float = Field(1e-2, gt=0)
+    rates: dict[str, Annotated[float, Field(gt=0)]] = {}  # for unknowns whose lr is another
+    every: int = Field(1, ge=1)
+    average: float = Field(0.0, ge=0, lt=1)  # of adam's iterates: the decay
+
+
+class Fit(_Strict):
+    """`scene.fit`: how a prior is fitted to the scene once the sensor is known."""
+
+    method: Literal["lbfgs", "adam"] = "adam"
+    lr: float = Field(1e-2, gt=0)
+    iterations: int = Field(300, ge=0)  # of each round
+    rounds: int = Field(1, ge=1, le=1000)  # at whose begin penalties learn from the scene what they need
+    average: float = Field(0.0, ge=0, lt=1)
+    with_sensor: bool = False  # gain and offset follow the scene, where they have a closed form
+
+
+class StageConfig(_Strict):
+    """A stage of the plan, see `deepir.solve.Stage`."""
+
+    name: str
+    steps: list[StepConfig] = Field(min_length=1)
+    iterations: int = Field(100, ge=0)
+
+
+class Solver(_Strict):
+    """How long, and in which order."""
+
+    max_iterations: int | None = Field(default=None, ge=0)  # caps each stage
+    plan: list[StageConfig] | None = Field(default=None, min_length=1)  # None: the problem's own
+
+
+class Output(_Strict):
+    """Where results go."""
+
+    dir: str | None = None
+    palette: Literal["white-hot", "black-hot", "ironbow", "inferno", "magma", "turbo"] = "white-hot"
+    tones: Literal["percentile", "clahe"] = "percentile"
+    mat: bool = False  # result.mat beside result.npz
+
+
+class Config(_Strict):
+    """A whole configuration; `physics`, `scene`, `fidelity` and `method` are checked by the components they name."""
+
+    problem: str = "generic"
+    method: str | dict[str, Any] = "joint"
+    prior: str = "tv"
+    scene: dict[str, Any] = {}
+    physics: dict[str, dict[str, Any] | None]
+    fidelity: str | dict[str, Any] = "gaussian"
+    noise: Literal["auto"] | Noise = "auto"
+    data: Data = Data()
+    solver: Solver = Field(default_factory=Solver)
+    output: Output = Output()
+    seed: int = Field(0, ge=0, lt=2**63)
+    device: str = "cpu"
+    threads: int | None = Field(None, ge=1, le=1024)

@@ -1,0 +1,1 @@
+"""How the objective curves: where L-BFGS starts from, and how sure what it finds is."""

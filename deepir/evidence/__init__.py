@@ -1,0 +1,1 @@
+"""Strengths from the data: how likely are they, whatever gain, offset and scene may be?"""

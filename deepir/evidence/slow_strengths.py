@@ -1,0 +1,253 @@
+"""Whether there is shading, and whether the levels drift: by the evidence of what is slow over the frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+
+import torch
+from torch import Tensor
+
+from deepir.closed_form.elimination import COLUMN, ROW
+from deepir.evidence.slow import Slow, expected, variances
+from deepir.evidence.white import Evidence
+from deepir.noise.lines import in_polynomials
+from deepir.noise.median import median
+from deepir.noise.thin import counted, thinned
+from deepir.operators import Add, Blur, Lag, Sensor, Warp
+from deepir.operators.points import displaced
+from deepir.priors.drift import Drift
+from deepir.priors.shading import Shading
+from deepir.priors.terms import Terms
+from deepir.problem import Problem, Values
+
+OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
+ENOUGH = 3  # frames to tell shading and stray flux from the scene
+SHARES = (1.0, 1 / 4, 1 / 16)  # of what lines may do to the frames by chance
+CERTAIN = 3  # nats by which shading or drift have to make the frames likelier
+RARE = 5  # the same of a drift where it may be shading, which is far more common,
+FOLLOWS = 40  # and of shading in stretched pictures: their levels follow the motion, as if it were shading
+
+
+@torch.no_grad()
+def estimate_slow(problem: Problem, *, start: bool = False) -> None:
+    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too.
+
+    Stray flux is shading of another shape: there is some if there is shading, and it is as strong as it was found.
+    """
+    shadings, stray, drifts = slow_unknowns(problem)
+    if not (shadings or stray or drifts):
+        return
+    evidence = _Evidence(problem, problem.closed_form(), stray)
+    # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
+    sure = not (start and stray)
+    smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
+    if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
+        smooth = drift = 0.0
+    step = contrast(problem) / problem.data[0].numel() ** 0.5 if start else None
+    for part in shadings:
+        part.sigma.fill_(smooth)
+    for field in drifts:
+        field.sigma.fill_(drift)
+        if step is not None:
+            field.step.copy_(step)
+            field.init_from(field.jumps + evidence.levels(smooth, drift))
+    for each in stray:
+        if not each.given:
+            known = bool(smooth) and bool(each.sigma > 0)
+            each.sigma.fill_(float(each.coefficients.square().mean().sqrt()) if known else smooth)
+        if step is not None:
+            each.step.copy_(step)
+            each.init_from(evidence.slow_pattern(smooth, drift))
+    if start and (smooth or drift):
+        scene = problem.fields["scene"]
+        scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
+
+
+@torch.no_grad()
+def shading_message(problem: Problem) -> list[str]:
+    """Say so if too few frames are shaded."""
+    shadings, stray, drifts = slow_unknowns(problem)
+    if not (shadings or stray) or len(problem.data) >= ENOUGH:
+        return []
+    evidence = _Evidence(problem, problem.closed_form(), stray)
+    smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
+    if not smooth:
+        return []
+    return [
+        f"the frames are shaded, which {len(problem.data)} of them do not tell from the scene: it is left in. "
+        f"Take {ENOUGH} or more"
+    ]
+
+
+def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Drift]]:
+    """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
+    first, *others = (stage for _, stage in problem.operator.named())
+    # Of one size, but for a blur's reach.
+    same = all(isinstance(stage, Add | Blur | Lag | Sensor) for stage in others)
+    if not (isinstance(first, Warp) and same) or len(problem.data) < 2:
+        return [], [], []
+    closed, free = problem.closed_form(), problem.free()
+    offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]
+    parts = [part for name in offsets for part in problem.fields[name].parts()]
+    fields = [module for name in free for module in problem.fields[name].modules()]
+    return (
+        [part for part in parts if isinstance(part, Shading) and not part.given],
+        strays(problem),
+        [field for field in fields if isinstance(field, Drift) and not field.given],
+    )
+
+
+def contrast(problem: Problem) -> Tensor:
+    """Standard deviation of the data."""
+    data, precision = thinned(problem.data, problem.precision)
+    return counted(data, precision > 0).std()
+
+
+def added_flux(problem: Problem) -> list[str]:
+    """The unknowns that are added to the scene's flux in front of the sensor."""
+    *before, (_, last) = problem.operator.named()
+    added = {name for name, stage in before if isinstance(stage, Add) and isinstance(last, Sensor)}
+    return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in added]
+
+
+def strays(problem: Problem) -> list[Terms]:
+    """Those of them that are free maps of few terms."""
+    free = problem.free()
+    fields = [problem.fields[name] for name in added_flux(problem) if name in free]
+    return [field for field in fields if isinstance(field, Terms)]
+
+
+class _Evidence:
+    """How likely the slow parts of the frames are, for strengths (shading, drift); the scene's may be anything."""
+
+    def __init__(self, problem: Problem, eliminated: Collection[str], strays: Sequence[Terms] = ()) -> None:
+        values = problem.values()
+        self.slow = Slow(problem, tuple(values["scene"].shape))
+        variance = variances(problem, eliminated)
+        self.expected = expected(variance, self.slow.frame)
+        #: Variances of the polynomials for a strength of one.
+        self.shape = self.slow.frame.share.square()
+        if strays:
+            self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
+                0
+            )
+        self.jumps = float(jumps(problem).square().mean().sqrt())
+        residual = _slow_residual(problem, values, self.slow.frame)
+        (some,) = thinned(residual[:, None])
+        middle = median(some)
+        limit = OUTLIER * median((some - middle).abs())
+        self.count, self.strays = len(residual), strays
+        seen = self.slow.seen((residual - middle).clamp(-limit, limit))
+        known, chance = in_polynomials(problem, self.slow.frame), self._chance(variance)
+        each = [self._doubted(seen, known + share * chance) for share in SHARES]
+        self.slow, self.evidence, _ = min(each, key=lambda found: float(found[2]))
+
+    def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
+        """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
+        slow, free = self.slow.doubted(variance), len(self.slow.scene.white) + 1
+        levels = slow.levels()
+        normal = slow.normal(levels)
+        rhs = slow.score(seen, levels)
+        for each in self.strays:  # the residual is without what is known of them
+            terms = slow.of_terms(each)[0] @ each.coefficients.double()
+            rhs += normal[:, free - 1 : free + len(self.expected)] @ terms
+        evidence = Evidence(normal, rhs, free)
+        most = float(contrast(slow.problem))
+        nats = evidence.nats(self._prior(self.expected.new_tensor([[most, most]])))[0]
+        return slow, evidence, slow.unexplained(seen).cpu() + evidence.constant.cpu() + nats
+
+    def _chance(self, variance: dict[tuple[int, ...], float]) -> float:
+        """Variance of what the lines' pattern does to the frames by chance.
+
+        Of the lines at one edge of the view some leave as the camera moves, and as many others enter at the other.
+        """
+        height, width = self.slow.frame.shape[-2:]
+        moved = shifts(self.slow.problem).abs().mean(0)
+        columns = 2 * float(moved[0]) / width * variance[COLUMN] / width
+        return columns + 2 * float(moved[1]) / height * variance[ROW] / height
+
+    def most_likely(self, *, smooth: bool, drift: bool) -> tuple[float, float]:
+        """Strengths of shading and drift; zero for what makes the frames not by `CERTAIN` nats, or `RARE`, likelier."""
+        grid = float(contrast(self.slow.problem)) * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
+        # Levels that jump drift by as much, and what was known of the jumps already follows slopes.
+        levels = grid.new_tensor([self.jumps]) if self.jumps else grid
+        used = torch.cartesian_prod(
+            torch.arange(1 + smooth), torch.arange(int(drift and self.jumps > 0), 1 + drift)
+        )
+        best = []
+        for each in used:
+            some = (of if one else grid.new_zeros(1) for one, of in zip(each, (grid, levels), strict=True))
+            best.append(self._best(each, torch.cartesian_prod(*some)))
+        nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
+        shaded = nats.get((1, 0), math.inf) + CERTAIN < nats.get((0, 0), math.inf)
+        stretched = self.slow.problem.stretched and not self.slow.problem.even
+        rare = [FOLLOWS, CERTAIN] if stretched else [CERTAIN, RARE if shaded else CERTAIN]
+        asked = used @ torch.tensor(rare, dtype=torch.long)
+        found = best[int((torch.tensor(list(nats.values())) + asked).argmin())][1]
+        return float(found[0]), float(found[1])
+
+    def _best(self, used: Tensor, strengths: Tensor) -> tuple[Tensor, Tensor]:
+        """Nats and strengths (shading, drift) of the best of `strengths` (K, 2), and then of those about it."""
+        coarse = strengths[self.nats(strengths).argmin()]
+        near = 2 ** torch.linspace(-1, 1, 9, dtype=torch.float64)
+        finer = coarse * torch.cartesian_prod(*(near if one else near.new_ones(1) for one in used))
+        nats = self.nats(finer)
+        return nats.min(), finer[nats.argmin()]
+
+    def nats(self, strengths: Tensor) -> Tensor:
+        """Minus the evidence's logarithm, up to a constant, of strengths (K, 2) of shading and drift."""
+        return self.evidence.nats(self._prior(strengths.to(self.expected.device)))
+
+    def _prior(self, strengths: Tensor) -> Tensor:
+        """Variances of φ and of the levels, (K, terms + N)."""
+        smooth, drift = strengths[:, :1].square(), strengths[:, 1:].square()
+        return torch.cat((self.expected + smooth * self.shape, drift.expand(-1, self.count)), 1)
+
+    def _posterior(self, smooth: float, drift: float) -> tuple[Tensor, Tensor]:
+        """Means of (θ, level of the pattern) and of (φ, levels)."""
+        (prior,) = self._prior(self.expected.new_tensor([[smooth, drift]]))
+        return self.evidence.posterior(prior)
+
+    def levels(self, smooth: float, drift: float) -> Tensor:
+        """The levels of the frames, (N, 1, 1, 1)."""
+        found = self._posterior(smooth, drift)[1][-self.count :]
+        return (found - found.mean())[:, None, None, None]
+
+    def slow_pattern(self, smooth: float, drift: float) -> Tensor:
+        """What is slow of the pattern, (h, w)."""
+        return self.slow.frame.spread(self._posterior(smooth, drift)[1][: -self.count])
+
+    def slow_scene(self, smooth: float, drift: float) -> Tensor:
+        """What the scene lacks, on its grid."""
+        return self.slow.scene.spread(self._posterior(smooth, drift)[0][:-1])
+
+
+def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
+    """The frames, (N, h, w), less the scene and all of the pattern that is not slow."""
+    closed = problem.closed_form()
+    values, flux = dict(values), problem.flux(values)
+    problem.eliminate(values, closed, flux=flux)
+    quick = {}
+    for kind, neutral in (("gain", 1.0), ("offset", 0.0)):
+        name = problem.slots[f"{problem.operator.named()[-1][0]}.{kind}"]
+        quick[kind] = values[name]
+        if name in closed:
+            own = (values[name] - neutral)[0, 0].double()
+            quick[kind] = quick[kind] - frame.nearest(own).to(quick[kind])
+    return torch.addcmul(problem.data - quick["offset"] - jumps(problem), quick["gain"], flux, value=-1)[:, 0]
+
+
+def jumps(problem: Problem) -> Tensor:
+    """Known levels of the frames, (N, 1, 1, 1) or as one."""
+    found = [module.jumps for module in problem.modules() if isinstance(module, Drift)]
+    return sum(found, problem.data.new_zeros(1, 1, 1, 1))
+
+
+def shifts(problem: Problem) -> Tensor:
+    """Translation (x, y) of each frame, (N, 2) float64, less their mean; zero without motion."""
+    values = [field() for name in problem.slots.values() if (field := problem.fields[name]).model]
+    if not values:
+        return problem.data.new_zeros(len(problem.data), 2).double()
+    moved = displaced(values[0].detach().double(), problem.data.new_zeros(2).double())
+    return moved - moved.mean(0)

@@ -1,0 +1,130 @@
+"""The motion that a problem starts from: registered frames, and what to say of how they move."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.average import filled
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.errors import DataError
+from deepir.problems.definition import Definition
+from deepir.registration import register
+from deepir.registration.interlaced import are_interlaced
+from deepir.registration.shutter import one_pattern, shutter_message
+from deepir.registry import components
+
+#: Motion, in px at the frame's edge, below which a burst counts as still.
+STILL = 0.5
+#: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
+LITTLE = 3.0
+#: Share of the pixels that hold one value in all frames from which this is what the burst shows.
+MOST = 0.5
+
+
+def registered(
+    burst: Burst, config: Config, definition: Definition
+) -> tuple[Tensor | None, np.ndarray, list[str]]:
+    """Motion (N, 3, 3) of each frame, which frames are used, and messages; no motion if no slot wants it.
+
+    Raises:
+        DataError: Too few frames register, or the burst is still and the problem needs motion.
+    """
+    everything = np.ones(len(burst.frames), bool)
+    model = _motion_model(config)
+    if model is None or len(burst.frames) == 1:
+        return None, everything, []
+    ignore, valid = torch.from_numpy(burst.bad_pixels), torch.from_numpy(burst.valid | burst.bad_pixels)
+    frames = _whole(burst)
+    part = one_pattern(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
+    found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
+    drawn = (frames == frames[0]).all(0)
+    if _spans(found.motion[found.used], burst.size).max() < STILL and 0 < drawn.double().mean() < MOST:
+        # Before a plain scene what the camera draws over its pictures keeps all of them at rest.
+        bad = ignore | drawn
+        found = register(frames[part], model=model, ignore=bad, valid=valid[part], start=part.start)
+    if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < LITTLE:
+        part = slice(0, len(frames))  # a camera that rests here, and there: no shutter
+        found = register(frames, model=model, ignore=ignore, valid=valid)
+    used, motion = ~everything, torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    used[part], motion[part] = found.used.numpy(), found.motion
+    if used.sum() < max(definition.frames, 1):
+        raise DataError(
+            f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
+            f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
+        )
+    kept = torch.from_numpy(used)
+    messages = shutter_message(part, len(frames)) + found.messages
+    if are_interlaced(frames[kept], motion[kept], ignore):
+        messages += [
+            "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
+            "modelled. Record progressive frames, or keep every second row: frames[:, ::2]"
+        ]
+    if definition.motion:
+        messages += _demand_motion(motion[kept], burst)
+    return motion, used, messages
+
+
+def _whole(burst: Burst) -> Tensor:
+    """The frames (N, h, w), samples that are not valid like their nearest neighbour that is: zeros would stand out."""
+    frames, valid = torch.from_numpy(burst.frames), torch.from_numpy(burst.valid)
+    return frames if valid.all() else filled(frames[:, None], valid[:, None])[:, 0]
+
+
+def _motion_model(config: Config) -> str | None:
+    """The type of the first motion that starts where the frames are registered: each does, unless it says otherwise."""
+    for stage in config.physics.values():
+        slot = (stage or {}).get("motion")
+        settings = slot if isinstance(slot, dict) else {"type": slot}
+        kind = settings.get("type")
+        model = getattr(components("field").get(str(kind)), "model", None)
+        if settings.get("init", "register" if model else None) == "register":
+            return str(model or kind)
+    return None
+
+
+def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
+    """A message for each axis along which the burst moves little; `DataError` if it stands still."""
+    at = _places(motion, burst.size)
+    moved = (at - at[0]).abs().amax()
+    if moved < STILL:
+        raise DataError(
+            f"{burst.source}: the frames do not move as a whole, or show too little to tell, so that the scene and the "
+            "sensor's fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y, "
+            "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
+            "data.mask"
+        )
+    few = [
+        f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
+        "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
+        for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, burst.size), strict=True)
+        if span < LITTLE
+    ]
+    return few or _along_a_line(at)
+
+
+def _places(motion: Tensor, size: tuple[int, int]) -> Tensor:
+    """Where the last corner of frames (h, w) looks, (N, 2), in px (x, y) from the middle of frame 0."""
+    height, width = size
+    corner = torch.tensor([width / 2, height / 2, 1.0], dtype=motion.dtype)
+    return (motion @ corner)[:, :2]
+
+
+def _spans(motion: Tensor, size: tuple[int, int]) -> Tensor:
+    """Ranges of these places along x and y."""
+    at = _places(motion, size)
+    return at.amax(0) - at.amin(0)
+
+
+def _along_a_line(at: Tensor) -> list[str]:
+    """A message if the places (N, 2) where the frames look lie on a slanted line."""
+    _, _, axes = torch.linalg.svd(at - at.mean(0), full_matrices=False)
+    along, beside = (at @ axis for axis in (axes[0], axes[-1]))
+    if len(axes) > 1 and beside.max() - beside.min() >= LITTLE / 2:
+        return []
+    return [
+        f"the frames move along one line, by {float(along.max() - along.min()):.1f} px: what is constant along it is "
+        "hard to tell from the scene. Move the camera at right angles to it too, by 3 to 10 px"
+    ]

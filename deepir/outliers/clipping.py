@@ -1,0 +1,118 @@
+"""Samples at an end of the range: they do not say how much there is, but how much at least, or at most."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.evidence.strengths import left, pattern_left, spread
+from deepir.noise.typical import typical_noise
+from deepir.outliers.defects import OFF, OUTLIER
+from deepir.problem import Problem
+
+Array = np.ndarray[Any, Any]
+LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # of integers: more cannot be stored
+FEW = 20  # samples that may share an end of the range by chance
+PILE = 4.0  # times as many share it as share a value next to it
+NEXT = 5  # such values
+SHORT = 2.0  # standard deviations of the noise by which a prediction is short of a bound
+OTHERS = 0.5  # share of a place's samples that are cut off, if it is beyond the range
+SEEN = 0.3  # frames that must show a pixel of the scene at least
+
+
+def clipped(frames: Array) -> Array | None:
+    """Which samples of frames (N, h, w), NaN where unknown, are cut off: 1 at the top, -1 at the bottom, else 0; int8.
+
+    Integers cannot be above the largest that some bits hold; and where something has cut them off, many more samples
+    share an end of the range than share any value next to it. A pixel that is there in all frames does not
+    tell: it may be dead. None if nothing is cut off.
+    """
+    found = np.zeros(frames.shape, np.int8)
+    for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
+        there = frames == end
+        passing = int((there & ~(there | np.isnan(frames)).all(0)).sum())
+        limit = end in LIMITS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
+        if (passing and limit) or (passing >= FEW and _piled_up(sign * frames, passing)):
+            found[there] = sign
+    return found if found.any() else None
+
+
+def _piled_up(frames: Array, count: int) -> bool:
+    """Whether so many samples are more than there are of any value next to the largest."""
+    _, counts = np.unique(frames[np.isfinite(frames)], return_counts=True)
+    return len(counts) > 1 and count > PILE * counts[-NEXT - 1 : -1].max()
+
+
+@torch.no_grad()
+def let_go(problem: Problem) -> None:
+    """Let no sample count that is cut off: as long as strengths are estimated, which want to know."""
+    if problem.ends is not None:
+        problem.precision.masked_fill_(problem.ends != 0, 0)
+
+
+@torch.no_grad()
+def hold_bounds(problem: Problem) -> None:
+    """Let samples count that are cut off where the prediction is short of the bound, and so pull it there.
+
+    The others leave the scene as free as the range does. (The active set of a least-squares problem with bounds.)
+    """
+    if problem.ends is None:
+        return
+    let_go(problem)
+    noise = typical_noise(problem.precision)
+    short = problem.ends * (problem.data - problem.predict(problem.values())) / noise
+    doubt = 1 + (short / OUTLIER).square()
+    problem.precision.add_((short > SHORT) / (doubt * noise**2))
+
+
+@torch.no_grad()
+def give_up_stuck(problem: Problem) -> None:
+    """Give up pixels that are cut off in all frames, though most of what others see there is not, and far from it."""
+    if problem.ends is None:
+        return
+    cut, usable, values = problem.ends != 0, problem.precision > 0, problem.values()
+    those, all_of_them = (problem.backproject(values, each)[1] for each in (cut & usable, usable))
+    share = those / all_of_them.clamp(min=1e-6)
+    nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
+    lonely = problem.predict(values | {"scene": share}) - nothing < OTHERS
+    rest = left(problem)
+    far = problem.ends * rest > OFF * spread(pattern_left(rest, usable))
+    live = ~(cut & lonely & far).all(0)
+    problem.precision.mul_(live)
+    problem.ends.mul_(live)
+
+
+@torch.no_grad()
+def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
+    """The scene's image, at the bound or beyond where most samples that see it are cut off; and where, 1 or -1."""
+    where = torch.zeros_like(image, dtype=torch.int8)
+    if problem.ends is None:
+        return image, where
+    values = problem.values()
+    _, seen = problem.backproject(values, (problem.precision > 0) & (problem.ends == 0))
+    for sign in (1, -1):
+        if (cut := problem.ends == sign).any():
+            bound, share = problem.backproject(values, cut)
+            most = share > seen.clamp(min=SEEN)
+            image = torch.where(most, sign * torch.maximum(sign * image, sign * bound), image)
+            where[most] = sign
+    return image, where
+
+
+def clipping_message(problem: Problem, where: Array) -> list[str]:
+    """A line if samples are cut off: where the result, on its grid, is not a value but a bound."""
+    if problem.ends is None:
+        return []
+    said = []
+    for sign, name in ((1, "at least"), (-1, "at most")):
+        cut = problem.ends == sign
+        if cut.any():
+            end = float(problem.data[cut].median())
+            said.append(
+                f"{float(cut.double().mean()):.2%} of the samples are cut off at {end:g}: the scene is {name} as much "
+                f"at {int((where == sign).sum())} pixels"
+            )
+    return ["; ".join(said) + " ('clipped' in result.npz)"] if said else []

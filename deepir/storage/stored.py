@@ -1,0 +1,224 @@
+"""Runs that are stored: started in a folder, interrupted, resumed, finished."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import logging
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepir.burst import Burst
+from deepir.config import Config, Data, dump, read
+from deepir.errors import ConfigError, DataError, SolverError
+from deepir.paths import expanded
+from deepir.report.progress import Lines
+from deepir.result import Result
+from deepir.runner import Callbacks, execute, machine, prepare, versions
+from deepir.solve import Progress
+from deepir.storage import checkpoint
+from deepir.storage.folder import FILES, Folder
+
+log = logging.getLogger("deepir")
+
+
+def run_into(
+    config: Config,
+    path: Path,
+    frames: np.ndarray[Any, Any] | None = None,
+    *,
+    overwrite: bool = False,
+    plugins: Sequence[str] = (),
+    callbacks: Callbacks = (),
+) -> Result:
+    """Run a configuration into the folder `path`, which is made when all is checked.
+
+    Raises:
+        DeepIRError: Configuration, data or folder are wrong; nothing is written, a former run stays.
+        SolverError: The solve failed; its state is in the folder.
+    """
+    folder = Folder(expanded(path).absolute())
+    folder.check_free(overwrite=overwrite)
+    config = pinned(config, folder)
+    _check_inputs(config, folder)
+    data = prepare(config, frames)
+    inputs = hashes(config.data, data.sha256)
+    record = {"versions": versions(), "machine": machine(), "plugins": list(plugins), "inputs": inputs}
+    made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
+    work = _Work(folder, config, data, callbacks)
+    try:
+        with folder.logging():
+            return work.run()
+    except (ConfigError, DataError):
+        if not work.begun:
+            folder.discard(made)
+        raise
+
+
+def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()) -> Result | None:
+    """Finish an interrupted run; None if it has finished already.
+
+    Raises:
+        ConfigError: There is no run, it lacks a plugin, or its input has changed.
+    """
+    folder = Folder(expanded(path).absolute())
+    if not folder.path.is_dir() or folder.state() == "new":
+        raise ConfigError(f"{path}: no run in this folder{_known_runs(path.parent)}")
+    if folder.state() == "finished":
+        return None
+    config, record = read(folder.config), folder.record()
+    if missing := [each for each in record.get("plugins", []) if each not in plugins]:
+        again = " ".join(f"--plugin {each}" for each in record["plugins"])
+        raise ConfigError(f"{path}: the run uses the plugin {missing[0]}: deepir resume {path} {again}")
+    if config.data.path is None and config.data.simulate is None:
+        raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
+    data = prepare(config)
+    check_unchanged(record.get("inputs", {}), hashes(config.data, data.sha256), path)
+    before = _seconds(folder, record)
+    with folder.logging():
+        _check_state(folder)
+        if record.get("versions", versions()) != versions():
+            log.warning("started with %s, resumed with %s", record["versions"], versions())
+        fresh = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
+        begun = {"machine": machine(), "started": time.time(), "seconds": before}
+        folder.write_record(fresh | record | begun)
+        return _Work(folder, config, data, callbacks, before).run()
+
+
+@dataclasses.dataclass
+class _Work:
+    """Solve into a folder that is ready."""
+
+    folder: Folder
+    config: Config
+    data: Burst
+    callbacks: Callbacks
+    before: float = 0.0  # seconds of work that an interrupted process did
+    begun: bool = False
+
+    def run(self) -> Result:
+        folder, data = self.folder, self.data
+        log.info("deepir %(deepir)s, torch %(torch)s, python %(python)s", versions())
+        log.info("input %s, %s, sha256 %s", data.source, data.frames.shape, data.sha256)
+        try:
+            callbacks: Callbacks = [self._first, Lines(log.info), *self.callbacks]
+            result = execute(self.config, data, callbacks=callbacks, checkpoint=folder.checkpoint)
+            self._first()
+            for message in result.messages:
+                log.warning(message)
+            result.metrics["seconds"] = round(result.metrics["seconds"] + self.before, 3)
+            example = np.where(data.valid[0], data.frames[0], np.nan)
+            result.save(folder.path, example, self.config)
+        except (ConfigError, DataError, SolverError) as error:
+            log.error(str(error))
+            raise
+        except Exception as error:
+            log.exception("unexpected")
+            error.add_note(f"the traceback is in {folder.path / 'deepir.log'}")
+            raise
+        except BaseException as error:
+            log.info("interrupted: %s", error or type(error).__name__)
+            raise
+        folder.checkpoint.unlink(missing_ok=True)
+        log.info("finished: %s", result.metrics["stop_reason"])
+        return result
+
+    def _first(self, progress: Progress | None = None) -> None:
+        if not self.begun:
+            self.begun = True
+            self.folder.keep()
+
+
+def pinned(config: Config, folder: Folder) -> Config:
+    """The configuration with all that a later process might see differently: paths, threads."""
+
+    def absolute(path: str | None) -> str | None:
+        return None if path is None else os.path.abspath(expanded(path))  # noqa: PTH100 - keeps globs
+
+    def inside(value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            return value
+        return {
+            key: absolute(each)
+            if key in ("path", "init", "scene") and isinstance(each, str) and Path(each).exists()
+            else inside(each)
+            for key, each in value.items()
+        }
+
+    method = config.method
+    if isinstance(method, dict):
+        files = {
+            k: absolute(v)
+            for k, v in method.items()
+            if k != "type" and isinstance(v, str) and Path(v).exists()
+        }
+        method = method | files
+    data = config.data
+    paths = {key: absolute(getattr(data, key)) for key in ("path", "truth", "mask")}
+    paths["simulate"] = inside(data.simulate)
+    return config.model_copy(
+        update={
+            "data": data.model_copy(update=paths),
+            "method": method,
+            "physics": inside(config.physics),
+            "scene": inside(config.scene),
+            "output": config.output.model_copy(update={"dir": str(folder.path)}),
+            "threads": config.threads or torch.get_num_threads(),
+        }
+    )
+
+
+def _check_inputs(config: Config, folder: Folder) -> None:
+    for key in ("path", "truth", "mask"):
+        path = getattr(config.data, key)
+        if path is not None and Path(path).parent == folder.path and Path(path).name in FILES:
+            raise ConfigError(
+                f"data.{key}: {path} is a result that this run would replace; give another output.dir"
+            )
+
+
+def hashes(paths: Data, frames: str) -> dict[str, str]:
+    """The digest of each file of the input; `frames` is that of the burst."""
+    found = {} if paths.path is None else {paths.path: frames}
+    for path in (paths.mask, paths.truth):
+        if path is not None and Path(path).is_file():
+            found[path] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return found
+
+
+def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path) -> None:
+    """Raise `ConfigError` if a file of the input of the run at `path` is not what it was."""
+    for name, digest in then.items():
+        if now.get(name) != digest:
+            raise ConfigError(
+                f"{path}: {name} has changed since the run started; put the old file back, "
+                "or start again with `deepir run ... --overwrite`"
+            )
+
+
+def _check_state(folder: Folder) -> None:
+    """A checkpoint that cannot be read is left out: the run starts again."""
+    try:
+        if folder.checkpoint.exists():
+            checkpoint.load(folder.checkpoint)
+    except DataError as error:
+        log.warning("%s; starting again", error)
+        folder.checkpoint.unlink()
+
+
+def _seconds(folder: Folder, record: Mapping[str, Any]) -> float:
+    """Work that the checkpoint holds; what was done after it is done again."""
+    if not folder.checkpoint.exists() or "started" not in record:
+        return 0.0
+    return float(record["seconds"]) + max(0.0, folder.checkpoint.stat().st_mtime - float(record["started"]))
+
+
+def _known_runs(folder: Path) -> str:
+    found = sorted(str(each.parent) for each in folder.glob("*/config.yaml")) if folder.is_dir() else []
+    return f"; runs here: {', '.join(found[:5])}" if found else " (a run is a folder with config.yaml)"

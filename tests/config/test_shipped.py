@@ -1,0 +1,70 @@
+"""Everything that is shipped as YAML makes a problem."""
+
+import numpy as np
+import pytest
+import torch
+
+from deepir.burst import Burst
+from deepir.config import SHIPPED, headline, load, priors, shipped_names
+from deepir.joint.build import build
+from deepir.joint.planned import plan
+from deepir.registry import lookup
+from deepir.solve import solve
+
+
+@pytest.fixture
+def tiny():
+    """Three frames of 24 x 32 px, and their motion."""
+    rng = np.random.default_rng(0)
+    frames = (8000 + 100 * rng.random((3, 24, 32))).astype(np.float32)
+    motion = torch.eye(3, dtype=torch.float64).repeat(3, 1, 1)
+    motion[1:, :2, 2] = torch.tensor([[2.0, -1.0], [-1.5, 3.0]])
+    return Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool)), motion
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [(name, []) for name in shipped_names()]
+    + [(name, ["prior=tv"]) for name in shipped_names()]
+    + [("nuc", [f"prior={prior}"]) for prior in priors()],
+)
+def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name, more, tiny):
+    config = load(name, [*more, "solver.max_iterations=2"])
+    burst, motion = tiny
+    problem, _ = build(config, burst, motion)
+    definition = lookup("problem", config.problem)()
+    definition.initialise(problem, seed=0)
+    solution = solve(problem, plan(problem, definition, config))
+    assert all(value.isfinite().all() for value in solution.values.values())
+    stages = dict.fromkeys(row["stage"] for row in solution.history)
+    for stage in [
+        each for each in stages if "sensor" in each or each == "scene"
+    ]:  # Adam's first steps may rise
+        losses = [row["loss"] for row in solution.history if row["stage"] == stage]
+        assert losses[-1] <= losses[0]
+
+
+@pytest.mark.parametrize("name", [name for name in shipped_names() if name.startswith("paper/")])
+def test_the_2021_formulation_is_one_descent_that_draws_its_scene_once_an_iteration(name, tiny):
+    config = load(name, ["scene.width=4", "solver.max_iterations=3"])
+    problem, _ = build(config, *tiny)
+    definition = lookup("problem", config.problem)()
+    definition.initialise(problem, seed=0)
+    before = {unknown: value.detach() for unknown, value in problem.values().items()}
+    solution = solve(problem, plan(problem, definition, config))
+    assert solution.evaluations == solution.iterations == 3
+    moved = {unknown for unknown, value in solution.values.items() if not torch.equal(value, before[unknown])}
+    assert moved == {"scene", "gain", "motion"} | ({"offset"} if "offset" in problem.free() else set())
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.rglob("*.yaml")), ids=lambda path: path.stem)
+def test_a_shipped_file_says_in_its_first_line_what_it_is(path):
+    assert 10 < len(headline(path)) <= 120
+    assert headline(path).endswith(".")
+
+
+@pytest.mark.parametrize("path", sorted((SHIPPED / "prior").glob("*.yaml")), ids=lambda path: path.stem)
+def test_a_preset_of_a_prior_holds_a_scene_and_nothing_else(path):
+    from deepir.config.yaml import parse
+
+    assert list(parse(path.read_text())) == ["scene"]
