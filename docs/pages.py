@@ -13,10 +13,27 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parent.parent
 PROBLEMS = "Problems"
+#: Topics of how-it-estimates.md, in its order.
+ESTIMATES = [
+    "noise",
+    "start",
+    "motion",
+    "bend",
+    "walkers",
+    "strengths",
+    "shading",
+    "rows",
+    "defects",
+    "inputs",
+    "scene",
+    "solve",
+    "limits",
+]
 SECTIONS = {
     "Use": ["tutorial", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
     PROBLEMS: ["super-resolution"],
-    "Concepts": ["how-it-works", "how-it-estimates", "jitter", "sensor-physics", "conventions", "extending"],
+    "Concepts": ["how-it-works", "jitter", "sensor-physics", "conventions", "extending"],
+    "Estimation": ["how-it-estimates", *(f"estimates-{each}" for each in ESTIMATES)],
     "Figures": ["results", "benchmarks", "bench-*", "rivals", "performance", "reliability"],
     "Reference": ["components", "reference/*", "CHANGELOG"],
 }

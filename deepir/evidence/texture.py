@@ -13,7 +13,7 @@ from deepir.problem import Problem
 WINDOW = 7  # px: side of the windows whose gradients are one texture
 SURE = 5  # px: side of the windows whose samples are taken together
 #: Gradients of `r` standard deviations of the noise bear `2 ** ((PLAIN / r)² - RICH)` times the natural weight,
-#: `2 ** MOST` at most: the best on the truth of the bursts in docs/how-it-estimates.md.
+#: `2 ** MOST` at most: the best on the truth of the bursts in docs/estimates-scene.md.
 PLAIN, RICH, MOST = 2.75, 0.3, 1.5
 #: A scene whose mean gradient is `r` may be held `2 ** (PLAINER / r)²` times as strongly; noise alone has `NOISE`, √π.
 PLAINER, NOISE = 3.1, 1.77
