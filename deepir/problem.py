@@ -111,6 +111,10 @@ class Problem(nn.Module):
             x = stage(x, **own(slots, name))
         return x.expand(len(self.data), *x.shape[1:])
 
+    def middle(self) -> Tensor:
+        """The median of the samples that count: contrasts are about it."""
+        return self.data[self.precision > 0].median()
+
     def fitted(self) -> Tensor:
         """The precision, zero at held-out samples."""
         return torch.where(self.held_out, 0, self.precision)

@@ -13,10 +13,11 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.curvature.uncertainty import pattern_cost
 from deepir.errors import ConfigError
+from deepir.evidence.contrast import contrast_message
 from deepir.evidence.levels import drift_message
 from deepir.evidence.slow_strengths import shading_message
 from deepir.evidence.strengths import hold_out
-from deepir.evidence.stretched import contrast_message, equalised_message
+from deepir.evidence.stretched import equalised_message
 from deepir.joint.build import build
 from deepir.joint.order import bridge_message, bridged
 from deepir.joint.planned import plan

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.average import Average, filled
+from deepir.evidence.contrast import GROSS, even_contrast
 from deepir.evidence.levels import start_jumps
 from deepir.evidence.slow import polynomials
 from deepir.evidence.slow_strengths import estimate_slow
@@ -20,7 +21,6 @@ from deepir.evidence.strengths import (
     start_parts,
     weigh_scene,
 )
-from deepir.evidence.stretched import GROSS, even_contrast
 from deepir.noise.thin import counted, thinned
 from deepir.noise.typical import ROUNDED, sample_noise, step, typical_noise
 from deepir.outliers.clipping import give_up_stuck

@@ -12,6 +12,7 @@ import torch
 from deepir.curvature.uncertainty import pattern_cost
 from deepir.curvature.unseen import smooth_unseen
 from deepir.curvature.waves import modelled
+from deepir.evidence.contrast import even_contrast
 from deepir.evidence.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
 from deepir.evidence.slow_strengths import estimate_slow
 from deepir.evidence.strengths import (
@@ -20,7 +21,6 @@ from deepir.evidence.strengths import (
     update_strengths,
     weigh_scene,
 )
-from deepir.evidence.stretched import even_contrast
 from deepir.evidence.texture import follow_texture
 from deepir.joint.bends import bent
 from deepir.joint.half_size import halved, take_motion, take_moving

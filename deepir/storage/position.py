@@ -50,8 +50,9 @@ def restore(
         for stage in plan[: at.stage + 1]:
             if stage.change is not None:
                 stage.change(problem)
-        for name, value in _state(problem).items():
-            value.copy_(tensors[f"problem.{name}"])
+        for name, value in problem.state_dict().items():
+            if name != "data" or f"problem.{name}" in tensors:
+                value.copy_(tensors[f"problem.{name}"])
         if at.stage >= len(plan):
             return at, None
         optimisers = optimisers_of(problem, plan[at.stage])
@@ -66,6 +67,6 @@ def restore(
 
 
 def _state(problem: Problem) -> Mapping[str, Tensor]:
-    """Parameters and buffers; of the data, which a resumed run reads again, only those that change on the way."""
-    kept = problem.state_dict().items()
-    return {name: value.detach() for name, value in kept if name != "data" or problem.stretched}
+    """Parameters and buffers; the data, which a resumed run reads again, only if they have changed on the way."""
+    kept, changed = problem.state_dict().items(), bool((problem.contrast != 1).any())
+    return {name: value.detach() for name, value in kept if name != "data" or changed}

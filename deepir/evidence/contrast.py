@@ -1,0 +1,118 @@
+"""Contrasts of whole frames: of pictures, each stretched by its own, and of a camera whose response drifts.
+
+A frame that is a thousandth brighter throughout is brighter by more where the scene is bright: slow parts of scene and
+pattern that explain this, too, are larger than either.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.evidence.smooth import Smooth
+from deepir.evidence.strengths import left, pattern_left
+from deepir.problem import Problem
+
+DEGREE, SLOW = (
+    4,
+    2,
+)  # of what is slow over a frame, and over a part of it, in which shading looks like contrast
+LARGEST = 3.0  # contrast that is believed
+GROSS = 0.02  # contrasts that a start tells from the pattern
+ALIKE = 0.002  # contrasts that a round finds of pictures that are all of one range
+PARTS, ENOUGH = 3, 40_000  # of a frame, along each axis, and samples of it in all
+#: Standard errors by which contrasts differ that drift, as the parts tell them, and by how much at least. Those of a
+#: camera that does not drift differ by 3.5 at most.
+APART, LEAST = 5.0, 2e-4
+UNLIKE, DRIFTED = 0.02, 0.001  # contrasts of pictures, and of other frames, that are worth a message
+
+
+@torch.no_grad()
+def even_contrast(problem: Problem, least: float = 0.0) -> bool:
+    """Divide the frames by their contrasts, of mean one, as far as these are found by now.
+
+    About the middle of the samples, where a contrast that is not quite found changes the levels least: these are left
+    to the drift. At a start, contrasts that all differ by less than `least` are left as they are, and what stands still
+    is not in the prediction yet. Once a round has shown that pictures are all alike, nothing more is done; frames that
+    are no pictures have contrasts once these clearly differ. Whether any was divided.
+    """
+    if problem.even:
+        return False
+    expected = problem.predict(problem.values())
+    if least:
+        expected = expected + pattern_left(left(problem), problem.precision.sign())
+    if problem.stretched:
+        frames = zip(problem.data, expected, problem.precision, strict=True)
+        contrast = torch.cat([_slopes(*each, DEGREE)[0] for each in frames])
+        contrast = (contrast / contrast.mean()).clamp(1 / LARGEST, LARGEST)
+    else:
+        contrast = _drifting(problem, expected)
+    if not (contrast - 1).abs().max() > least:
+        return False
+    contrast = contrast.to(problem.data)[:, None, None, None]
+    whole = contrast * problem.contrast
+    if problem.stretched and not least and (whole / whole.mean() - 1).abs().max() < ALIKE:
+        contrast = 1 / problem.contrast
+        problem.even.fill_(True)
+    middle = problem.middle()
+    problem.data.sub_(middle).div_(contrast).add_(middle)
+    problem.contrast.mul_(contrast)
+    return True
+
+
+def contrast_message(problem: Problem) -> list[str]:
+    """Say so if contrasts differ."""
+    apart = float((problem.contrast / problem.contrast.mean() - 1).abs().max())
+    if problem.stretched and apart >= UNLIKE:
+        return [
+            f"the contrast of the frames differs by up to {apart:.0%}, as an automatic gain makes it: it is evened "
+            "out. Record with a fixed gain, 14 or 16 bits, to measure"
+        ]
+    if not problem.stretched and apart >= DRIFTED:
+        return [f"the camera's response drifts, by up to {apart:.1%} from frame to frame: it is evened out"]
+    return []
+
+
+def _drifting(problem: Problem, expected: Tensor) -> Tensor:
+    """Contrasts of frames whose response drifts, (N,), float64; one where the parts of the frames do not agree on it.
+
+    Somebody who walks by is in one part or two, and what noise makes of a contrast differs from part to part.
+    """
+    slopes, weights = _parts(problem, expected)
+    each = slopes / slopes.mean(0) - 1
+    found = (weights * each).sum(1) / weights.sum()
+    spread = (weights * (each - found[:, None]).square()).sum(1) / weights.sum()
+    free = weights.sum().square() / weights.square().sum() - 1  # of as many parts as count
+    apart = (found.square() * free / spread).mean().sqrt()
+    clear = free > 2 and apart > APART and found.abs().max() > LEAST
+    if clear or (problem.contrast != 1).any():
+        return Smooth(problem, contrasts=True).contrasts()
+    return torch.ones_like(found)
+
+
+def _parts(problem: Problem, expected: Tensor) -> tuple[Tensor, Tensor]:
+    """Slopes of the parts of frames on what is expected of them, (N, parts), and how much each part tells, (parts,)."""
+    h, w = problem.data.shape[-2:]
+    step = max(round((h * w / ENOUGH) ** 0.5), 1)
+    rows, columns = (
+        [slice(side * i // PARTS, side * (i + 1) // PARTS, step) for i in range(PARTS)] for side in (h, w)
+    )
+    given = problem.data, expected, problem.precision
+    parts = [[each[:, 0, y, x] for each in given] for y in rows for x in columns]
+    found = [_slopes(frames, shown, weight, SLOW) for frames, shown, weight in parts]
+    slopes, information = (torch.stack(each, 1) for each in zip(*found, strict=True))
+    return slopes, information.mean(0)
+
+
+def _slopes(frames: Tensor, expected: Tensor, weight: Tensor, degree: int) -> tuple[Tensor, Tensor]:
+    """Of frames on what is expected of them, (N, h, w), by least squares, less what is slow; and how sure, (N,)."""
+    y, x = (torch.linspace(-1, 1, side).to(frames).double() for side in frames.shape[1:])
+    slow = torch.stack([(y**i)[:, None] * x**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+    design = torch.cat((expected[:, None].double(), slow.expand(len(frames), -1, -1, -1)), 1).flatten(2)
+    weighted = design * weight.double().flatten(1)[:, None]
+    normal = weighted @ design.mT
+    normal.diagonal(dim1=1, dim2=2).mul_(1 + 1e-9)
+    inverse, failed = torch.linalg.inv_ex(normal)
+    told = (inverse @ (weighted @ frames.double().flatten(1)[..., None]))[:, 0, 0]
+    known = (failed == 0) & (inverse[:, 0, 0] > 0)
+    return told.where(known, 1.0), (1 / inverse[:, 0, 0]).where(known, 0.0)
