@@ -13,51 +13,71 @@ from deepir.evidence.smooth import Smooth
 from deepir.evidence.strengths import left, pattern_left
 from deepir.problem import Problem
 
-DEGREE, SLOW = (
-    4,
-    2,
-)  # of what is slow over a frame, and over a part of it, in which shading looks like contrast
+DEGREE, SLOW = 4, 2  # of what is slow over a frame, and over a part: shading looks like contrast there
 LARGEST = 3.0  # contrast that is believed
 GROSS = 0.02  # contrasts that a start tells from the pattern
 ALIKE = 0.002  # contrasts that a round finds of pictures that are all of one range
 PARTS, ENOUGH = 3, 40_000  # of a frame, along each axis, and samples of it in all
 #: Standard errors by which contrasts differ that drift, as the parts tell them, and by how much at least. Those of a
-#: camera that does not drift differ by 3.5 at most.
-APART, LEAST = 5.0, 2e-4
+#: camera that does not drift differ by 5.6 at most, mostly by 1 to 3.
+APART, LEAST = 6.0, 2e-4
+FEW = 2  # parts, beyond one, that must have something to say
 UNLIKE, DRIFTED = 0.02, 0.001  # contrasts of pictures, and of other frames, that are worth a message
 
 
 @torch.no_grad()
 def even_contrast(problem: Problem, least: float = 0.0) -> bool:
-    """Divide the frames by their contrasts, of mean one, as far as these are found by now.
+    """Divide the frames of stretched pictures by their contrasts, of mean one, as far as these are found by now.
 
-    About the middle of the samples, where a contrast that is not quite found changes the levels least: these are left
-    to the drift. At a start, contrasts that all differ by less than `least` are left as they are, and what stands still
-    is not in the prediction yet. Once a round has shown that pictures are all alike, nothing more is done; frames that
-    are no pictures have contrasts once these clearly differ. Whether any was divided.
+    At a start, contrasts that all differ by less than `least` are left as they are, and what stands still is not in the
+    prediction yet. Once a round has shown that all are alike, nothing more is done. Whether any was divided.
     """
-    if problem.even:
+    if not problem.stretched or problem.even:
         return False
     expected = problem.predict(problem.values())
     if least:
         expected = expected + pattern_left(left(problem), problem.precision.sign())
-    if problem.stretched:
-        frames = zip(problem.data, expected, problem.precision, strict=True)
-        contrast = torch.cat([_slopes(*each, DEGREE)[0] for each in frames])
-        contrast = (contrast / contrast.mean()).clamp(1 / LARGEST, LARGEST)
-    else:
-        contrast = _drifting(problem, expected)
+    frames = zip(problem.data, expected, problem.precision, strict=True)
+    contrast = torch.cat([_slopes(*each, DEGREE)[0] for each in frames])
+    contrast = (contrast / contrast.mean()).clamp(1 / LARGEST, LARGEST)
     if not (contrast - 1).abs().max() > least:
         return False
-    contrast = contrast.to(problem.data)[:, None, None, None]
-    whole = contrast * problem.contrast
-    if problem.stretched and not least and (whole / whole.mean() - 1).abs().max() < ALIKE:
-        contrast = 1 / problem.contrast
+    whole = contrast * problem.contrast.flatten()
+    if not least and (whole / whole.mean() - 1).abs().max() < ALIKE:
+        contrast = 1 / problem.contrast.flatten()
         problem.even.fill_(True)
-    middle = problem.middle()
+    _divide(problem, contrast)
+    return True
+
+
+@torch.no_grad()
+def response_drifts(problem: Problem) -> bool:
+    """Whether frames that are no pictures have contrasts, too: whether their parts agree on them.
+
+    It is right only where scene and pattern have settled. Somebody who walks by is in one part or two.
+    """
+    if problem.stretched:
+        return False
+    slopes, weights = _parts(problem, problem.predict(problem.values()))
+    each = slopes / slopes.mean(0) - 1
+    found = (weights * each).sum(1) / weights.sum()
+    spread = (weights * (each - found[:, None]).square()).sum(1) / weights.sum()
+    free = weights.sum().square() / weights.square().sum() - 1  # of as many parts as count
+    apart = (found.square() * free / spread).mean().sqrt()
+    return bool(free > FEW and apart > APART and found.abs().max() > LEAST)
+
+
+@torch.no_grad()
+def even_response(problem: Problem) -> None:
+    """Divide the frames by what their contrasts are by now."""
+    _divide(problem, Smooth(problem, contrasts=True).contrasts())
+
+
+def _divide(problem: Problem, contrast: Tensor) -> None:
+    """About the middle of the samples, where a contrast that is not quite found changes the levels least."""
+    contrast, middle = contrast.to(problem.data)[:, None, None, None], problem.middle()
     problem.data.sub_(middle).div_(contrast).add_(middle)
     problem.contrast.mul_(contrast)
-    return True
 
 
 def contrast_message(problem: Problem) -> list[str]:
@@ -71,23 +91,6 @@ def contrast_message(problem: Problem) -> list[str]:
     if not problem.stretched and apart >= DRIFTED:
         return [f"the camera's response drifts, by up to {apart:.1%} from frame to frame: it is evened out"]
     return []
-
-
-def _drifting(problem: Problem, expected: Tensor) -> Tensor:
-    """Contrasts of frames whose response drifts, (N,), float64; one where the parts of the frames do not agree on it.
-
-    Somebody who walks by is in one part or two, and what noise makes of a contrast differs from part to part.
-    """
-    slopes, weights = _parts(problem, expected)
-    each = slopes / slopes.mean(0) - 1
-    found = (weights * each).sum(1) / weights.sum()
-    spread = (weights * (each - found[:, None]).square()).sum(1) / weights.sum()
-    free = weights.sum().square() / weights.square().sum() - 1  # of as many parts as count
-    apart = (found.square() * free / spread).mean().sqrt()
-    clear = free > 2 and apart > APART and found.abs().max() > LEAST
-    if clear or (problem.contrast != 1).any():
-        return Smooth(problem, contrasts=True).contrasts()
-    return torch.ones_like(found)
 
 
 def _parts(problem: Problem, expected: Tensor) -> tuple[Tensor, Tensor]:

@@ -12,7 +12,7 @@ import torch
 from deepir.curvature.uncertainty import pattern_cost
 from deepir.curvature.unseen import smooth_unseen
 from deepir.curvature.waves import modelled
-from deepir.evidence.contrast import even_contrast
+from deepir.evidence.contrast import even_contrast, even_response, response_drifts
 from deepir.evidence.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
 from deepir.evidence.slow_strengths import estimate_slow
 from deepir.evidence.strengths import (
@@ -116,9 +116,18 @@ class NUC(Definition):
             first,
             dataclasses.replace(first, name="sensor 2", prepare=functools.partial(_update, settled=False)),
             third,
+            *_response(third),
             *([shaded] if unknown_shadings(problem) else []),
             *with_jumps(problem, scene),
         ]
+
+
+def _response(last: Stage) -> list[Stage]:
+    """More rounds where the last one shows that the camera's response drifts: once more from the start, and on."""
+    return [
+        dataclasses.replace(last, name=f"response {i}", needed=response_drifts, prepare=prepare)
+        for i, prepare in enumerate((_even_response, _go_on_even, _go_on_even), 1)
+    ]
 
 
 @torch.no_grad()
@@ -175,6 +184,16 @@ def _start_again(problem: Problem) -> None:
             if not part.given:
                 part.sigma.zero_()
     _start(problem)
+
+
+def _even_response(problem: Problem) -> None:
+    even_response(problem)
+    _start_again(problem)
+
+
+def _go_on_even(problem: Problem) -> None:
+    even_response(problem)
+    _update(problem)
 
 
 def _finish(problem: Problem) -> None:
