@@ -24,6 +24,8 @@ from deepir.problem import Problem, Values
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 ENOUGH = 3  # frames to tell shading and stray flux from the scene
 SHARES = (1.0, 1 / 4, 1 / 16)  # of what lines may do to the frames by chance
+#: Standard deviations, as shares of the contrast, of what else frames' slow parts may be wrong by: parallax, a lens.
+WRONG = (3e-4, 1e-3, 3e-3, 1e-2)
 CERTAIN = 3  # nats by which shading or drift have to make the frames likelier
 RARE = 5  # the same of a drift where it may be shading, which is far more common,
 FOLLOWS = 40  # and of shading in stretched pictures: their levels follow the motion, as if it were shading
@@ -140,8 +142,11 @@ class _Evidence:
         self.count, self.strays = len(residual), strays
         seen = self.slow.seen((residual - middle).clamp(-limit, limit))
         known, chance = in_polynomials(problem, self.slow.frame), self._chance(variance)
-        each = [self._doubted(seen, known + share * chance) for share in SHARES]
-        self.slow, self.evidence, _ = min(each, key=lambda found: float(found[2]))
+        doubts = [known + share * chance for share in SHARES]
+        doubts += [known + chance + (share * float(contrast(problem))) ** 2 for share in WRONG]
+        rare = [0] * len(SHARES) + [CERTAIN] * len(WRONG)
+        each = [(*self._doubted(seen, of), nats) for of, nats in zip(doubts, rare, strict=True)]
+        self.slow, self.evidence, *_ = min(each, key=lambda found: float(found[2]) + found[3])
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
         """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
