@@ -77,7 +77,7 @@ def _similarity(truth: Array, scene: Array, span: float) -> float:
 
 
 def align(scene: Array, truth: Array, known: Array) -> Array:
-    """`a * scene + b` nearest to the truth in the least squares sense."""
+    """`a * scene + b` nearest to the truth in the least squares sense; its mean for a negative, which no gain makes."""
     design = np.stack([scene[known], np.ones(int(known.sum()))], 1)
     (gain, level), *_ = np.linalg.lstsq(design, truth[known], rcond=None)
-    return gain * scene + level
+    return gain * scene + level if gain > 0 else np.full_like(scene, truth[known].mean())

@@ -14,6 +14,7 @@ from deepir.config import Config
 from deepir.curvature.uncertainty import pattern_cost
 from deepir.errors import ConfigError
 from deepir.evidence.contrast import contrast_message
+from deepir.evidence.ghost import ghost_message
 from deepir.evidence.levels import drift_message
 from deepir.evidence.slow_strengths import shading_message
 from deepir.evidence.strengths import hold_out
@@ -68,6 +69,7 @@ def joint(
         hold_out(problem, config.seed)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     messages += definition.remarks(problem) + line_noise_message(problem) + moving_message(problem)
+    messages += ghost_message(problem)
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
         messages += drift_message(problem) + shading_message(problem) + contrast_message(problem)
     found = given & ~problem.alive()

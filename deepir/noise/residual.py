@@ -100,4 +100,4 @@ def _bins(values: Tensor, counts: Tensor) -> Tensor:
     each = max(1, len(values) // 20_000)
     some = counted(values[::each], counts[::each]).cpu().numpy()
     edges = np.quantile(some, np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
-    return torch.bucketize(values, torch.from_numpy(edges).to(values))
+    return torch.bucketize(values.contiguous(), torch.from_numpy(edges).to(values))
