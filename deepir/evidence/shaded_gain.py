@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from deepir.evidence.slow_strengths import slow_unknowns
+from deepir.evidence.slow_strengths import doubt, slow_unknowns
 from deepir.evidence.smooth import Smooth, gain_and_offset
 from deepir.noise.lines import lines_jump
 from deepir.priors.shading import Shading
@@ -48,9 +48,16 @@ def estimate_shaded_gain(problem: Problem) -> None:
 
 @torch.no_grad()
 def _likeliest(problem: Problem) -> list[float] | None:
-    """The strengths of the offset's shading, a drift and the gain's shading; None if there is none of the gain."""
-    evidence, drift = Smooth(problem), bool(slow_unknowns(problem)[2]) and not lines_jump(problem)
-    even, _ = evidence.best(shaded=False, drift=drift)
-    nats, found = evidence.best(shaded=True, drift=drift)
-    certain = CERTAIN if found[-1] < STRONG else SURE
-    return found if nats + certain < even and found[-1] < MOST else None
+    """The strengths of the offset's shading, a drift and the gain's shading; None if there is none of the gain.
+
+    It has to be likelier where the frames' slow parts may be wrong, too: this is asked last, for it takes longer.
+    """
+    drift = bool(slow_unknowns(problem)[2]) and not lines_jump(problem)
+    for of in (None, doubt):
+        evidence = Smooth(problem, doubt=of and of(problem))
+        even, _ = evidence.best(shaded=False, drift=drift)
+        nats, found = evidence.best(shaded=True, drift=drift)
+        certain = CERTAIN if found[-1] < STRONG else SURE
+        if not (nats + certain < even and found[-1] < MOST):
+            return None
+    return found

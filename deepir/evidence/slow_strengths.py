@@ -100,6 +100,11 @@ def slow_unknowns(problem: Problem) -> tuple[list[Shading], list[Terms], list[Dr
     )
 
 
+def doubt(problem: Problem) -> Tensor:
+    """Variances by which the slow parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
+    return _Evidence(problem, problem.closed_form(), strays(problem)).doubt
+
+
 def contrast(problem: Problem) -> Tensor:
     """Standard deviation of the data."""
     data, precision = thinned(problem.data, problem.precision)
@@ -145,8 +150,8 @@ class _Evidence:
         doubts = [known + share * chance for share in SHARES]
         doubts += [known + chance + (share * float(contrast(problem))) ** 2 for share in WRONG]
         rare = [0] * len(SHARES) + [CERTAIN] * len(WRONG)
-        each = [(*self._doubted(seen, of), nats) for of, nats in zip(doubts, rare, strict=True)]
-        self.slow, self.evidence, *_ = min(each, key=lambda found: float(found[2]) + found[3])
+        each = [(*self._doubted(seen, of), nats, of) for of, nats in zip(doubts, rare, strict=True)]
+        self.slow, self.evidence, *_, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
         """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""

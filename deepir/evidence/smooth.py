@@ -30,21 +30,26 @@ from deepir.problem import Problem
 SAMPLES = 16_000  # pixels at most that are asked
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
 FEW = 1000  # of them at a time
+WRONG = 2  # degree up to which frames' slow parts may be wrong
 COARSE, FINE = 9, 7  # strengths on each axis of the search
 
 
 class Smooth:
     """How likely strengths of the offset's shading, a drift and the gain's shading are, (K, 3).
 
-    With `contrasts` frames may have these, too, whatever they are.
+    With `contrasts` frames may have these, too, whatever they are. `doubt`: variances, (terms + 1,), by which each
+    frame's slow parts may be wrong; those up to degree two count.
     """
 
-    def __init__(self, problem: Problem, *, contrasts: bool = False) -> None:
+    def __init__(self, problem: Problem, *, contrasts: bool = False, doubt: Tensor | None = None) -> None:
         values = dict(problem.values())
         flux = problem.flux(values)
         problem.eliminate(values, problem.closed_form(), flux=flux)
         self.slow = Slow(problem, tuple(values["scene"].shape))
         frame = self.slow.frame
+        low = frame.of_y + frame.of_x <= WRONG
+        self.doubted = low.nonzero()[:, 0]
+        self.doubt: list[float] = [] if doubt is None else doubt[1:][low].tolist()
         step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
         some = slice(1, -1, step), slice(1, -1, step)
         seen = flux, problem.data - jumps(problem), problem.fitted()
@@ -98,7 +103,9 @@ class Smooth:
             moved[k] = moves[k]
             scene = carried, one, carried * zk, zk[None], moved[1:].flatten(0, 1)
             own = [levels[k, 1:, None] * each for each in shown[k : k + 1]]
-            pattern = terms, levels[k][:, None] * one, terms * zk
+            wrong = terms.new_zeros(len(z), len(self.doubt), terms.shape[1])
+            wrong[k] = terms[self.doubted[: len(self.doubt)]]
+            pattern = terms, levels[k][:, None] * one, terms * zk, wrong.flatten(0, 1)
             columns = torch.cat((*scene, *own, *pattern, residual[k][None]))
             if jump:  # all of the frame is there
                 columns = less_lines(self.slow.problem, columns.unflatten(1, self.shape)).flatten(1)
@@ -136,7 +143,8 @@ class Smooth:
         shape = self.slow.frame.share.square().cpu()
         of_offset, of_gain = (each.cpu() for each in self.expected)
         smooth = of_offset + offset * shape, of_gain + self.level**2 * gain * shape
-        return torch.cat((smooth[0], drift.expand(-1, self.count), smooth[1]), 1)
+        wrong = drift.new_tensor(self.doubt * self.count).expand(len(drift), -1)
+        return torch.cat((smooth[0], drift.expand(-1, self.count), smooth[1], wrong), 1)
 
 
 def gain_and_offset(problem: Problem) -> list[Field]:
