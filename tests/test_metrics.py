@@ -13,6 +13,12 @@ def test_the_radiometric_error_forgives_a_level_and_not_a_gain():
     assert scores(1.1 * truth + 50, truth)["psnr_aligned"] > 150
 
 
+def test_a_negative_of_the_truth_is_no_better_than_its_mean():
+    truth = np.random.default_rng(0).normal(8000, 100, (40, 48))
+    found = scores(-truth, truth)["psnr_aligned"]
+    assert found == pytest.approx(20 * np.log10(np.ptp(truth) / truth.std()))
+
+
 def test_scenes_of_many_frames_have_one_gauge():
     truth = np.random.default_rng(0).normal(8000, 100, (3, 40, 48))
     assert scores(1.1 * truth + 50, truth)["psnr_aligned"] > 150

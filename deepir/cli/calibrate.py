@@ -13,6 +13,8 @@ from deepir.cli.arguments import Overwrite, parted, recording
 if TYPE_CHECKING:
     from deepir.calibration import Maps
 
+LOOKED_AT = 8  # frames of a flat recording in which it is looked for motion
+
 
 def calibrate(
     out: Annotated[Path, typer.Argument(metavar="OUT.npz", help="The maps.")],
@@ -56,13 +58,32 @@ def calibrate(
 
 
 def _from_flats(files: Sequence[str], settings: Sequence[str]) -> Maps:
-    from deepir import calibration
-    from deepir.io import stream_frames
+    import itertools
 
-    means = []
+    import numpy as np
+
+    from deepir import calibration
+    from deepir.errors import DataError
+    from deepir.io import stream_frames
+    from deepir.io.describe import moves
+
+    means: list[np.ndarray] = []
     for file in files:
         data = recording(file, settings, ("data.key", "data.raw")).data
-        means.append(calibration.mean(stream_frames(file, key=data.key, raw=data.raw), file))
+        frames = stream_frames(file, key=data.key, raw=data.raw)
+        first = list(itertools.islice(frames, LOOKED_AT))
+        means.append(calibration.mean(itertools.chain(first, frames), file))
+        if means[-1].shape != means[0].shape:
+            sizes = [" x ".join(map(str, each.shape)) for each in (means[-1], means[0])]
+            raise DataError(
+                f"{file}: its frames are {sizes[0]} px, those of {files[0]} {sizes[1]}: of another camera?"
+            )
+        if moves(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
+            typer.echo(
+                f"{file}: its frames change as where a camera moves, and a flat recording shows something uniform. Is "
+                "it a burst of a moving camera? Then give --burst",
+                err=True,
+            )
     return calibration.from_flats(means)
 
 

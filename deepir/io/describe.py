@@ -56,7 +56,8 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
     frames = burst.frames
     lines = []
     if missing := frames.size - finite.size:
-        lines.append(f"{missing} sample(s) are NaN or infinite ({missing / frames.size:.2%})")
+        why = "NaN or infinite" if burst.dtype.startswith("float") else "colours, and none of the scene's"
+        lines.append(f"{missing} sample(s) are {why} ({missing / frames.size:.2%})")
     if stuck := int((frames == 0).all(axis=0).sum()):
         lines.append(f"{stuck} pixel(s) are zero in every frame")
     top = finite.max()
@@ -79,6 +80,14 @@ def _noise_and_motion(frames: Array) -> list[str]:
         f"temporal noise about {noise})",
         "motion: none to be seen; without motion the fixed pattern cannot be told from the scene",
     ]
+
+
+def moves(frames: Array) -> bool:
+    """Whether frames `(N, h, w)` change as where a camera moves; not where they are too few or too small to say."""
+    if len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK or not np.isfinite(frames).any():
+        return False
+    shift, evidence = apparent_motion(frames)
+    return shift > STILL and evidence > SURE
 
 
 def temporal_noise(frames: Array) -> float:

@@ -60,7 +60,7 @@ def collect(
     if problem.moving.any():
         result.extra["moving"] = np.zeros((len(used), *burst.size), bool)
         result.extra["moving"][taken] = problem.moving[:, 0].cpu().numpy()
-    messages = messages + clipping_message(problem, where)
+    messages = messages + clipping_message(problem, where, burst.frames[taken])
     result.frames_used, result.history, result.messages = used, solution.history, messages
     gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
     known = not any(name in problem.free() for name in gains)

@@ -20,6 +20,7 @@ PILE = 4.0  # times as many share it as share a value next to it
 NEXT = 5  # such values
 SHORT = 2.0  # standard deviations of the noise by which a prediction is short of a bound
 OTHERS = 0.5  # share of a place's samples that are cut off, if it is beyond the range
+SAID = 0.001  # of the samples: fewer are worth a message only if the result is bounded by them
 SEEN = 0.3  # frames that must show a pixel of the scene at least
 
 
@@ -102,17 +103,16 @@ def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
     return image, where
 
 
-def clipping_message(problem: Problem, where: Array) -> list[str]:
-    """A line if samples are cut off: where the result, on its grid, is not a value but a bound."""
+def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]:
+    """A line if samples of frames (N, h, w) are cut off: where the result, on its grid, is not a value but a bound."""
     if problem.ends is None:
         return []
     said = []
     for sign, name in ((1, "at least"), (-1, "at most")):
-        cut = problem.ends == sign
-        if cut.any():
-            end = float(problem.data[cut].median())
+        cut, bounds = (problem.ends[:, 0] == sign).cpu().numpy(), int((where == sign).sum())
+        if bounds or cut.mean() > SAID:
             said.append(
-                f"{float(cut.double().mean()):.2%} of the samples are cut off at {end:g}: the scene is {name} as much "
-                f"at {int((where == sign).sum())} pixels"
+                f"{cut.mean():.2%} of the samples are cut off at {np.median(frames[cut]):g}: the scene is {name} as "
+                f"much at {bounds} pixels"
             )
     return ["; ".join(said) + " ('clipped' in result.npz)"] if said else []

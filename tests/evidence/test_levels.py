@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import deepir
+from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 
 CAMERA = Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0)
@@ -71,3 +72,15 @@ def test_a_slope_of_the_sensor_is_told_from_a_drift_and_from_the_scene(n_frames,
     error = result.scene - sim.truth.scene
     assert not result.level.any()
     assert (error - error.mean()).std() < 0.015
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("counts", [True, False])
+def test_frames_that_are_smoothly_wrong_each_by_itself_are_not_shaded(seed, counts):
+    """By one per cent of what they show, as parallax or a lens that breathes makes them."""
+    sim = simulate(None, dataclasses.replace(CAMERA, n_frames=6, shape=(96, 128), counts=counts), seed=seed)
+    rng, (y, x) = np.random.default_rng(seed), np.mgrid[-1:1:96j, -1:1:128j]
+    wrong = sum(rng.normal(size=(6, 1, 1)) * each for each in (x, y, x * y, x**2 - 1 / 3))
+    frames = sim.frames + 0.01 * sim.frames[0].std() * wrong
+    result = deepir.run("nuc", frames=frames, threads=1)
+    assert scores(result.scene, sim.truth.scene)["psnr_aligned"] > 42

@@ -1,0 +1,28 @@
+"""A pattern that looks like a picture was the scene."""
+
+import numpy as np
+import pytest
+from skimage.data import camera
+
+import deepir
+from deepir.simulate import Settings, simulate
+
+
+def said(result):
+    return any("looks like a picture" in message for message in result.messages)
+
+
+def test_a_camera_that_rests_before_somebody_who_walks_is_told():
+    rng = np.random.default_rng(3)
+    scene = 8000 + 1500 / 255 * camera()[100:340:2, 100:420:2].astype(float)
+    still = scene * (1 + rng.normal(0, 0.03, scene.shape)) + rng.normal(0, 60, scene.shape[1])
+    frames = still + rng.normal(0, 3, (8, *scene.shape))
+    for k, frame in enumerate(frames):
+        frame[20:100, 10 + 14 * k : 30 + 14 * k] += 500
+    assert said(deepir.run("nuc", frames=frames, threads=1))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_pattern_of_a_camera_that_moves_is_none(seed):
+    sim = simulate(None, Settings(n_frames=5, shape=(96, 128), counts=True), seed=seed)
+    assert not said(deepir.run("nuc", frames=sim.frames, threads=1))
