@@ -71,7 +71,7 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     if first.shape != maps.gain.shape:
         sizes = [" x ".join(map(str, shape)) for shape in (first.shape, maps.gain.shape)]
         raise DataError(
-            f"{data.path}: its frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
+            f"{data.path}: the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
         )
     dtype = output_type(first.dtype, rounded=rounded)
     begun, count = time.perf_counter(), 0

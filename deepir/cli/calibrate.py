@@ -76,7 +76,7 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> Maps:
         if means[-1].shape != means[0].shape:
             sizes = [" x ".join(map(str, each.shape)) for each in (means[-1], means[0])]
             raise DataError(
-                f"{file}: its frames are {sizes[0]} px, those of {files[0]} {sizes[1]}: of another camera?"
+                f"{file}: flat frames differ in size: {sizes[0]} px, and {sizes[1]} px in {files[0]}"
             )
         if moves(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
             typer.echo(

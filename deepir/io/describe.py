@@ -56,7 +56,7 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
     frames = burst.frames
     lines = []
     if missing := frames.size - finite.size:
-        why = "NaN or infinite" if burst.dtype.startswith("float") else "colours, and none of the scene's"
+        why = "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN or infinite"
         lines.append(f"{missing} sample(s) are {why} ({missing / frames.size:.2%})")
     if stuck := int((frames == 0).all(axis=0).sum()):
         lines.append(f"{stuck} pixel(s) are zero in every frame")
