@@ -26,6 +26,8 @@ ENOUGH = 3  # frames to tell shading and stray flux from the scene
 SHARES = (1.0, 1 / 4, 1 / 16)  # of what lines may do to the frames by chance
 #: Standard deviations, as shares of the contrast, of what else frames' slow parts may be wrong by: parallax, a lens.
 WRONG = (3e-4, 1e-3, 3e-3, 1e-2)
+CLEARLY = 100  # nats by which that has to make the frames likelier: a scene that has not settled is a little wrong, too
+SUSPECT = 200  # nats by which shading has to make frames likelier that are wrong by more than lines make them
 CERTAIN = 3  # nats by which shading or drift have to make the frames likelier
 RARE = 5  # the same of a drift where it may be shading, which is far more common,
 FOLLOWS = 40  # and of shading in stretched pictures: their levels follow the motion, as if it were shading
@@ -149,9 +151,10 @@ class _Evidence:
         known, chance = in_polynomials(problem, self.slow.frame), self._chance(variance)
         doubts = [known + share * chance for share in SHARES]
         doubts += [known + chance + (share * float(contrast(problem))) ** 2 for share in WRONG]
-        rare = [0] * len(SHARES) + [CERTAIN] * len(WRONG)
+        rare = [0] * len(SHARES) + [CLEARLY] * len(WRONG)
         each = [(*self._doubted(seen, of), nats, of) for of, nats in zip(doubts, rare, strict=True)]
-        self.slow, self.evidence, *_, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
+        self.slow, self.evidence, _, wrong, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
+        self.certain = SUSPECT if wrong else CERTAIN
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
         """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
@@ -190,9 +193,9 @@ class _Evidence:
             some = (of if one else grid.new_zeros(1) for one, of in zip(each, (grid, levels), strict=True))
             best.append(self._best(each, torch.cartesian_prod(*some)))
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
-        shaded = nats.get((1, 0), math.inf) + CERTAIN < nats.get((0, 0), math.inf)
+        shaded = nats.get((1, 0), math.inf) + self.certain < nats.get((0, 0), math.inf)
         stretched = self.slow.problem.stretched and not self.slow.problem.even
-        rare = [FOLLOWS, CERTAIN] if stretched else [CERTAIN, RARE if shaded else CERTAIN]
+        rare = [FOLLOWS, CERTAIN] if stretched else [self.certain, RARE if shaded else CERTAIN]
         asked = used @ torch.tensor(rare, dtype=torch.long)
         found = best[int((torch.tensor(list(nats.values())) + asked).argmin())][1]
         return float(found[0]), float(found[1])
