@@ -153,7 +153,9 @@ class _Evidence:
         doubts += [known + chance + (share * float(contrast(problem))) ** 2 for share in WRONG]
         rare = [0] * len(SHARES) + [CLEARLY] * len(WRONG)
         each = [(*self._doubted(seen, of), nats, of) for of, nats in zip(doubts, rare, strict=True)]
-        self.slow, self.evidence, _, wrong, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
+        self.slow, self.evidence, _, wrong, self.doubt = min(
+            each, key=lambda found: float(found[2]) + found[3]
+        )
         self.certain = SUSPECT if wrong else CERTAIN
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
