@@ -150,13 +150,12 @@ class _Evidence:
         seen = self.slow.seen((residual - middle).clamp(-limit, limit))
         known, chance = in_polynomials(problem, self.slow.frame), self._chance(variance)
         doubts = [known + share * chance for share in SHARES]
-        doubts += [known + chance + (share * float(contrast(problem))) ** 2 for share in WRONG]
-        rare = [0] * len(SHARES) + [CLEARLY] * len(WRONG)
+        wrong = () if strays else WRONG  # stray flux, before it is known, is as much
+        doubts += [known + chance + (share * float(contrast(problem))) ** 2 for share in wrong]
+        rare = [0] * len(SHARES) + [CLEARLY] * len(wrong)
         each = [(*self._doubted(seen, of), nats, of) for of, nats in zip(doubts, rare, strict=True)]
-        self.slow, self.evidence, _, wrong, self.doubt = min(
-            each, key=lambda found: float(found[2]) + found[3]
-        )
-        self.certain = SUSPECT if wrong else CERTAIN
+        self.slow, self.evidence, _, odd, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
+        self.certain = SUSPECT if odd else CERTAIN
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[Slow, Evidence, Tensor]:
         """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
