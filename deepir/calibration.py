@@ -45,11 +45,7 @@ class Maps:
 
         NaN stays NaN. Raises `DataError` for frames of another size.
         """
-        if frames.shape[-2:] != self.gain.shape:
-            sizes = [" x ".join(map(str, shape)) for shape in (frames.shape[-2:], self.gain.shape)]
-            raise DataError(
-                f"the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
-            )
+        self.check(frames)
         scale, shift = self._factors
         scene: Array = np.ma.filled(frames.astype(np.float32), np.nan)
         scene *= scale
@@ -58,6 +54,15 @@ class Maps:
         flat = scene.reshape(*scene.shape[:-2], -1)
         flat[..., bad] = (flat[..., sources] * weights).sum(-1)
         return scene
+
+    def check(self, frames: Array, source: str = "") -> None:
+        """Raise `DataError`, which says where they come from, for frames (..., h, w) of another size."""
+        if frames.shape[-2:] != self.gain.shape:
+            sizes = [" x ".join(map(str, shape)) for shape in (frames.shape[-2:], self.gain.shape)]
+            where = source and f"{source}: "
+            raise DataError(
+                f"{where}the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
+            )
 
     @functools.cached_property
     def _factors(self) -> tuple[Array, Array]:
@@ -122,21 +127,23 @@ def mean(frames: Iterable[Array], source: str) -> Array:
     return total / count
 
 
-def from_flats(flats: Sequence[Array]) -> Maps:
+def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
     """Maps from mean frames (h, w) of uniform surfaces, each of another temperature.
 
     One gives the offset alone, the gain is one; more give both, by least squares over the flats' mean values. Gain and
     offset are in the gauge of all of deepir: mean one and mean zero over good pixels. Raises `DataError` where
-    the flats differ in size, or not in temperature, or no pixel has a value in all.
+    the flats differ in size (by their `sources`), or not in temperature, or no pixel has a value in all.
     """
     import torch  # not above: `deepir --help` and `deepir apply` do without
 
     from deepir.outliers.defects import deviating
 
-    if len({flat.shape for flat in flats}) > 1:
-        raise DataError(
-            f"flat frames differ in size: {' and '.join(sorted({str(flat.shape) for flat in flats}))}"
-        )
+    for k, flat in enumerate(flats):
+        if flat.shape != flats[0].shape:
+            sizes = [" x ".join(map(str, each.shape)) for each in (flat, flats[0])]
+            raise DataError(
+                f"{sources[k] if sources else f'flat {k}'}: flat frames differ in size: {sizes[0]} px and {sizes[1]}"
+            )
     stack = np.stack(flats)
     known = np.isfinite(stack).all(axis=0)
     if not known.any():

@@ -60,7 +60,6 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     import itertools
     from concurrent.futures import Future, ThreadPoolExecutor
 
-    from deepir.errors import DataError
     from deepir.io import stream_frames
     from deepir.io.radiometry import unit
     from deepir.io.recording import output_type, writer
@@ -68,11 +67,7 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     data, shown = config.data, config.output
     frames = stream_frames(str(data.path), key=data.key, raw=data.raw)
     first = next(frames)
-    if first.shape != maps.gain.shape:
-        sizes = [" x ".join(map(str, shape)) for shape in (first.shape, maps.gain.shape)]
-        raise DataError(
-            f"{data.path}: the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
-        )
+    maps.check(first, str(data.path))
     dtype = output_type(first.dtype, rounded=rounded)
     begun, count = time.perf_counter(), 0
     written: Future[None] | None = None

@@ -63,28 +63,22 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> Maps:
     import numpy as np
 
     from deepir import calibration
-    from deepir.errors import DataError
     from deepir.io import stream_frames
-    from deepir.io.describe import moves
+    from deepir.io.describe import visible_motion
 
-    means: list[np.ndarray] = []
+    means = []
     for file in files:
         data = recording(file, settings, ("data.key", "data.raw")).data
         frames = stream_frames(file, key=data.key, raw=data.raw)
         first = list(itertools.islice(frames, LOOKED_AT))
         means.append(calibration.mean(itertools.chain(first, frames), file))
-        if means[-1].shape != means[0].shape:
-            sizes = [" x ".join(map(str, each.shape)) for each in (means[-1], means[0])]
-            raise DataError(
-                f"{file}: flat frames differ in size: {sizes[0]} px, and {sizes[1]} px in {files[0]}"
-            )
-        if moves(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
+        if visible_motion(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
             typer.echo(
                 f"{file}: its frames change as where a camera moves, and a flat recording shows something uniform. Is "
                 "it a burst of a moving camera? Then give --burst",
                 err=True,
             )
-    return calibration.from_flats(means)
+    return calibration.from_flats(means, files)
 
 
 def _from_burst(file: str, settings: Sequence[str]) -> Maps | int:

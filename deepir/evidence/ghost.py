@@ -10,13 +10,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.analysis.statistics import autocorrelation
+from deepir.evidence.slow import polynomials
 from deepir.noise.median import median
+from deepir.noise.typical import MAD
 from deepir.operators import Sensor
 from deepir.problem import Problem
 
-DEGREE = 4  # of what is smooth
 BESIDE = 2  # px: noise in the motion and the scene's interpolation reach one
-OUTLIER = 4.0  # medians of the magnitudes at which these are cut off
+OUTLIER = 4.0  # robust standard deviations at which values are cut off
 #: Correlation of pixels so far apart from which a pattern is a picture; those that were found right have 0.08 at most.
 ALIKE = 0.1
 FAINT = 0.2  # of the scene: what is less may be of a sensor that was corrected with a scene in view
@@ -31,11 +33,10 @@ def ghost_message(problem: Problem) -> list[str]:
     values = problem.values()
     flux = problem.flux(values)
     problem.eliminate(values, problem.closed_form(), flux=flux)
-    gain, offset = (
-        values[problem.slots[f"{stage}.{slot}"]].expand(1, 1, *flux.shape[-2:]) for slot in ("gain", "offset")
-    )
-    pattern, scene = (_rough(each[0, 0]) for each in (gain * flux.median() + offset, flux[:1]))
-    if pattern.std() < FAINT * scene.std() or _alike(pattern) < ALIKE:
+    gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    shown = (gain * flux.median() + offset).expand_as(flux[:1])
+    pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
+    if pattern.std() < FAINT * scene.std() or _alike(pattern, problem.alive()) < ALIKE:
         return []
     return [
         "the fixed pattern that was found looks like a picture, as where the camera stands still and something else "
@@ -44,26 +45,18 @@ def ghost_message(problem: Problem) -> list[str]:
     ]
 
 
-def _rough(image: Tensor) -> Tensor:
-    """An image (h, w) less its lines and all that is smooth, outliers cut off."""
+def _rough(image: Tensor, good: Tensor) -> Tensor:
+    """An image (h, w) less its lines and all that is smooth, outliers cut off; zero where it is not good."""
     image = image.double()
     image = image - image.median(1, keepdim=True).values
     image = image - image.median(0, keepdim=True).values
-    y, x = (torch.linspace(-1, 1, side).to(image) for side in image.shape)
-    smooth = [(y**i)[:, None] * x**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
-    terms = torch.stack(smooth, -1).flatten(0, 1)
-    image = image - (terms @ torch.linalg.solve(terms.T @ terms, terms.T @ image.flatten())).reshape(
-        image.shape
-    )
-    limit = OUTLIER * 1.5 * median(image.abs())
-    image = image.clamp(-limit, limit)
-    return image - image.mean()
+    image = image - polynomials(*image.shape, image.device).nearest(image)
+    limit = OUTLIER * MAD * median(image.abs())
+    return image.clamp(-limit, limit) * good
 
 
-def _alike(image: Tensor) -> Tensor:
+def _alike(image: Tensor, good: Tensor) -> float:
     """Correlation of pixels that are `BESIDE` px apart, along rows and columns."""
-    along = [
-        (image.narrow(axis, BESIDE, side - BESIDE) * image.narrow(axis, 0, side - BESIDE)).mean()
-        for axis, side in enumerate(image.shape)
-    ]
-    return (along[0] + along[1]) / 2 / image.square().mean().clamp(min=1e-300)
+    found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
+    middle = len(found) // 2
+    return float(found[middle, middle + BESIDE] + found[middle + BESIDE, middle]) / 2

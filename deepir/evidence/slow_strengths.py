@@ -148,10 +148,11 @@ class _Evidence:
         limit = OUTLIER * median((some - middle).abs())
         self.count, self.strays = len(residual), strays
         seen = self.slow.seen((residual - middle).clamp(-limit, limit))
+        self.contrast = float(contrast(problem))
         known, chance = in_polynomials(problem, self.slow.frame), self._chance(variance)
         doubts = [known + share * chance for share in SHARES]
         wrong = () if strays else WRONG  # stray flux, before it is known, is as much
-        doubts += [known + chance + (share * float(contrast(problem))) ** 2 for share in wrong]
+        doubts += [known + chance + (share * self.contrast) ** 2 for share in wrong]
         rare = [0] * len(SHARES) + [CLEARLY] * len(wrong)
         each = [(*self._doubted(seen, of), nats, of) for of, nats in zip(doubts, rare, strict=True)]
         self.slow, self.evidence, _, odd, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
@@ -167,8 +168,7 @@ class _Evidence:
             terms = slow.of_terms(each)[0] @ each.coefficients.double()
             rhs += normal[:, free - 1 : free + len(self.expected)] @ terms
         evidence = Evidence(normal, rhs, free)
-        most = float(contrast(slow.problem))
-        nats = evidence.nats(self._prior(self.expected.new_tensor([[most, most]])))[0]
+        nats = evidence.nats(self._prior(self.expected.new_tensor([2 * [self.contrast]])))[0]
         return slow, evidence, slow.unexplained(seen).cpu() + evidence.constant.cpu() + nats
 
     def _chance(self, variance: dict[tuple[int, ...], float]) -> float:
@@ -183,7 +183,7 @@ class _Evidence:
 
     def most_likely(self, *, smooth: bool, drift: bool) -> tuple[float, float]:
         """Strengths of shading and drift; zero for what makes the frames not by `CERTAIN` nats, or `RARE`, likelier."""
-        grid = float(contrast(self.slow.problem)) * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
+        grid = self.contrast * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
         # Levels that jump drift by as much, and what was known of the jumps already follows slopes.
         levels = grid.new_tensor([self.jumps]) if self.jumps else grid
         used = torch.cartesian_prod(

@@ -47,9 +47,8 @@ class Smooth:
         problem.eliminate(values, problem.closed_form(), flux=flux)
         self.slow = Slow(problem, tuple(values["scene"].shape))
         frame = self.slow.frame
-        low = frame.of_y + frame.of_x <= WRONG
-        self.doubted = low.nonzero()[:, 0]
-        self.doubt: list[float] = [] if doubt is None else doubt[1:][low].tolist()
+        self.low = (frame.of_y + frame.of_x <= WRONG) & (doubt is not None)
+        self.doubt = frame.share[self.low] if doubt is None else doubt[1:][self.low]  # none, or some
         step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
         some = slice(1, -1, step), slice(1, -1, step)
         seen = flux, problem.data - jumps(problem), problem.fitted()
@@ -76,8 +75,8 @@ class Smooth:
         terms = frame.sampled(*some)
         moves = _moves(flux[:, 0], step).double()
         moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
-        shown = (data - problem.middle()).double() / self.spread
-        maps = terms, z, moves, shown[: len(z) * contrasts], residual.double(), precision.double(), own
+        shown = (data - problem.middle()).double() / self.spread if contrasts else z[:0]
+        maps = terms, z, moves, shown, residual.double(), precision.double(), own
         normal = z.new_zeros(())
         jump = lines_jump(problem)
         count = self.shape.numel() if jump else FEW  # few are in the cache
@@ -104,7 +103,7 @@ class Smooth:
             scene = carried, one, carried * zk, zk[None], moved[1:].flatten(0, 1)
             own = [levels[k, 1:, None] * each for each in shown[k : k + 1]]
             wrong = terms.new_zeros(len(z), len(self.doubt), terms.shape[1])
-            wrong[k] = terms[self.doubted[: len(self.doubt)]]
+            wrong[k] = terms[self.low]
             pattern = terms, levels[k][:, None] * one, terms * zk, wrong.flatten(0, 1)
             columns = torch.cat((*scene, *own, *pattern, residual[k][None]))
             if jump:  # all of the frame is there
@@ -143,7 +142,7 @@ class Smooth:
         shape = self.slow.frame.share.square().cpu()
         of_offset, of_gain = (each.cpu() for each in self.expected)
         smooth = of_offset + offset * shape, of_gain + self.level**2 * gain * shape
-        wrong = drift.new_tensor(self.doubt * self.count).expand(len(drift), -1)
+        wrong = self.doubt.cpu().repeat(self.count).expand(len(drift), -1)
         return torch.cat((smooth[0], drift.expand(-1, self.count), smooth[1], wrong), 1)
 
 

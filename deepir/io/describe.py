@@ -67,11 +67,10 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
 
 
 def _noise_and_motion(frames: Array) -> list[str]:
-    if len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK:
+    if _is_little(frames):
         return ["too few or too small frames to see temporal noise and motion"]
     noise = f"{temporal_noise(frames):.3g} (standard deviation of a sample"
-    shift, evidence = apparent_motion(frames)
-    if shift > STILL and evidence > SURE:
+    if shift := visible_motion(frames):
         return [
             f"temporal noise at most {noise}; texture that moves counts in, a run tells them apart)",
             f"motion: yes, roughly {shift:.1f} px between frames, or more",
@@ -82,12 +81,17 @@ def _noise_and_motion(frames: Array) -> list[str]:
     ]
 
 
-def moves(frames: Array) -> bool:
-    """Whether frames `(N, h, w)` change as where a camera moves; not where they are too few or too small to say."""
-    if len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK or not np.isfinite(frames).any():
-        return False
+def visible_motion(frames: Array) -> float:
+    """Px between consecutive frames `(N, h, w)`, roughly; zero where none is to be seen."""
+    if _is_little(frames) or not np.isfinite(frames).any():
+        return 0.0
     shift, evidence = apparent_motion(frames)
-    return shift > STILL and evidence > SURE
+    return shift if shift > STILL and evidence > SURE else 0.0
+
+
+def _is_little(frames: Array) -> bool:
+    """Whether frames `(N, h, w)` are too few or too small to see noise and motion."""
+    return len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK
 
 
 def temporal_noise(frames: Array) -> float:
