@@ -20,6 +20,7 @@ from deepir.config.components import validate
 from deepir.config.schema import Fit
 from deepir.curvature.waves import modelled
 from deepir.evidence.strengths import weigh_scene
+from deepir.evidence.too_smooth import loosen, too_smooth
 from deepir.joint.build import build_scene
 from deepir.priors.pixels import Pixels
 from deepir.problem import Problem
@@ -68,6 +69,8 @@ class Contest:
             for name in rounds
         ]
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
+        if self.follows:
+            mine.append(dataclasses.replace(mine[-1], name="looser", change=None, prepare=loosen, needed=too_smooth))
         return [*before, *mine]
 
     @torch.no_grad()

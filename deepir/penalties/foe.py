@@ -27,6 +27,7 @@ DIFFERENCES = (
     ((1, -2, 1), (-2, 4, -2), (1, -2, 1)),
 )
 THIN = 3  # px from one place to the next where one in so many does
+FLAT = 0.3
 
 
 class Experts(nn.Module):
@@ -85,6 +86,10 @@ class FoE(Rounded):
         bent = (1 + long * (self.weight / self.tails)[:, None, None]).rsqrt() / (long + self.edge)
         stiff = middles(self.share, value.shape)[..., ::THIN, ::THIN] * (self.costs[:, None, None] * bent)
         return 0.0, float(self.weight * stiff.mean((-2, -1)).sum(-1).mean() / 2)  # |f_c|² is two
+
+    def flat(self, value: Tensor) -> float:
+        """The share of the filters' answers that are less than `FLAT` of the noise that the weight is for."""
+        return float((lengths(value, self.filters, self.edge, THIN) * self.weight < FLAT).float().mean())
 
 
 def counted(

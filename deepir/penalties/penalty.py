@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar
 
 import torch
@@ -51,6 +52,10 @@ class Penalty(nn.Module):
     def stiffness(self, value: Tensor) -> tuple[float, float]:
         """About how the penalty curves at `value`: per square of a change, and per squared gradient of one."""
         return 0.0, 0.0
+
+    def flat(self, value: Tensor) -> float:
+        """The share of a value that the penalty has made flat; NaN if it does not know."""
+        return math.nan
 
     @classmethod
     def example(cls, **options: Any) -> Penalty:

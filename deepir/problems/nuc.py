@@ -22,6 +22,7 @@ from deepir.evidence.strengths import (
     weigh_scene,
 )
 from deepir.evidence.texture import follow_texture
+from deepir.evidence.too_smooth import note_misfit
 from deepir.joint.bends import bent
 from deepir.joint.half_size import halved, take_motion, take_moving
 from deepir.joint.step_asked import step_asked
@@ -199,6 +200,7 @@ def _go_on_even(problem: Problem) -> None:
 def _finish(problem: Problem) -> None:
     finish(problem)
     doubt_moving(problem)
+    note_misfit(problem)
 
 
 def _shade(problem: Problem) -> None:

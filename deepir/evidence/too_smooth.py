@@ -1,0 +1,54 @@
+"""Whether the scene's prior is too strong: it has taken more than noise.
+
+Where a prior makes the scene flat it takes the noise that was left there, a square standard deviation for each pixel,
+and the frames are explained so much worse than by the scene before. What they are explained worse than that was scene.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from deepir.problem import Problem
+
+#: Square standard deviations of the noise for each pixel, by which more was taken than noise; and the share of its
+#: weight that is left to a penalty that did.
+MORE, LOOSER = 0.1, 2**-0.5
+
+
+@torch.no_grad()
+def note_misfit(problem: Problem) -> None:
+    """Keep how far the frames are from what the unknowns say now, under next to no prior."""
+    problem.rough.copy_(_misfit(problem))
+
+
+def too_smooth(problem: Problem) -> bool:
+    """Whether more than noise was taken from the scene; not, where that cannot be told."""
+    flat = _flat(problem)
+    if math.isnan(flat) or problem.rough.isnan():
+        return False
+    taken = float(_misfit(problem) - problem.rough) / int(problem.alive().sum())
+    return taken - flat > MORE
+
+
+def loosen(problem: Problem) -> None:
+    """Let the scene's penalties be weaker."""
+    for penalty in problem.penalties["scene"].values():
+        penalty.weight.mul_(LOOSER)
+
+
+@torch.no_grad()
+def _misfit(problem: Problem) -> torch.Tensor:
+    residual = problem.data - problem.predict(problem.values())
+    return (residual.square_() * problem.precision).sum(dtype=torch.float64)
+
+
+@torch.no_grad()
+def _flat(problem: Problem) -> float:
+    """The share of the scene that its penalty makes flat; NaN if there is not one that its noise gives its weight."""
+    penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
+    if len(penalties) != 1 or penalties[0].given is not None:
+        return math.nan
+    scene = problem.values()["scene"]
+    return penalties[0].flat(problem.shown("scene", scene, penalties[0]))
