@@ -12,9 +12,9 @@ import torch
 
 from deepir.problem import Problem
 
-#: Square standard deviations of the noise for each pixel, by which more was taken than noise; and the share of its
-#: weight that is left to a penalty that did.
-MORE, LOOSER = 0.1, 2**-0.5
+MORE = 0.1  # variances of the noise for each pixel, by which more was taken than noise
+PLAIN = 0.4  # share of a scene that is flat, from which that tells: beside much texture it comes and goes
+LOOSER = 2**-0.5  # share of its weight that is left to a penalty that took more
 
 
 @torch.no_grad()
@@ -26,7 +26,7 @@ def note_misfit(problem: Problem) -> None:
 def too_smooth(problem: Problem) -> bool:
     """Whether more than noise was taken from the scene; not, where that cannot be told."""
     flat = _flat(problem)
-    if math.isnan(flat) or problem.rough.isnan():
+    if not flat > PLAIN or problem.rough.isnan():
         return False
     taken = float(_misfit(problem) - problem.rough) / int(problem.alive().sum())
     return taken - flat > MORE

@@ -70,7 +70,9 @@ class Contest:
         ]
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
         if self.follows:
-            mine.append(dataclasses.replace(mine[-1], name="looser", change=None, prepare=loosen, needed=too_smooth))
+            mine.append(
+                dataclasses.replace(mine[-1], name="looser", change=None, prepare=loosen, needed=too_smooth)
+            )
         return [*before, *mine]
 
     @torch.no_grad()
