@@ -14,7 +14,9 @@ BOUND = (
     10.0  # and standard deviations, from which no more, and as which a sample counts that others do not see
 )
 SPARED = 2  # of the nine parts, at either end
-PASSES = 4  # over scene and pattern
+#: Passes over scene and pattern, and the share of the last one's change that each goes on by: where the camera moves
+#: little they settle slowly, and motions would be best that are too large.
+PASSES, HASTE = 10, 0.8
 
 
 def gain(level: Level, before: Tensor, after: Tensor) -> float:
@@ -70,12 +72,14 @@ def explained(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     used = motion.isfinite().all((1, 2))
     level, motion = level.of(used), motion[used]
     back, pattern = torch.linalg.inv(motion), torch.zeros_like(level.weight)
+    before = pattern
     seen = sample(level.frames, back, level)[1] > 0
     often = (sample(seen.sum(0)[None].float(), motion, level)[0] > SEEN) & (level.weight > 0)
     for _ in range(PASSES):
-        scene = _median(sample(level.frames - pattern, back, level)[0], seen)
+        ahead = pattern + HASTE * (pattern - before)
+        scene = _median(sample(level.frames - ahead, back, level)[0], seen)
         expected, known = sample(scene[None], motion, level)
-        pattern = _median(level.frames - expected, often & (known > 0))
+        before, pattern = pattern, _median(level.frames - expected, often & (known > 0))
     return scene, pattern, often
 
 
