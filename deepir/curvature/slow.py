@@ -37,8 +37,8 @@ def slow_system(
         unit[mine] = float(each.step)
         if isinstance(each, Terms):
             whole[mine, mine] += _rest(problem, slow, each, found)
-        else:  # what all levels have in common is nothing, and would be all that the inverse has digits for
-            whole[mine, mine] += whole[mine, mine].diagonal().mean() / made.shape[-1]
+        else:  # a steady change is steps, too
+            whole[mine, mine].diagonal().add_(1 / each.sigma.double().square())
     spread = expected(found, slow.frame) + found[SMOOTH] * slow.frame.share.square()
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _stiffness(problem, slow)

@@ -23,6 +23,7 @@ from torch import Tensor
 from deepir.closed_form.elimination import COLUMN, PIXEL, ROW
 from deepir.noise.thin import ENOUGH, thinned
 from deepir.operators import Lag
+from deepir.priors.drift import steps
 from deepir.priors.shading import Shading
 from deepir.priors.terms import Terms
 from deepir.problem import Problem
@@ -94,10 +95,10 @@ class Slow:
         return ((values * told).sum() - torch.linalg.slogdet(self.kept).logabsdet.sum()) / 2
 
     def levels(self) -> Tensor:
-        """What the frames' levels, less their mean, make of each frame's slow part, (N, terms + 1, N)."""
+        """What the unknowns of a drift make of each frame's slow part, (N, terms + 1, N)."""
         count, size, _ = self.carried.shape
-        each = torch.eye(count, dtype=self.carried.dtype, device=self.carried.device) - 1 / count
-        return torch.cat((each[:, None], each.new_zeros(count, size - 1, count)), 1)
+        made = steps(count, self.carried.device)
+        return torch.cat((made[:, None], made.new_zeros(count, size - 1, count)), 1)
 
     def of_terms(self, field: Terms) -> tuple[Tensor, Tensor]:
         """The slow part of each of the K terms of a map, (terms + 1, K), and what is not, (K, points y, points x)."""

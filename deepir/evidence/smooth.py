@@ -18,7 +18,7 @@ from torch import Tensor
 
 from deepir.closed_form.elimination import COLUMN, PIXEL, ROW
 from deepir.evidence.slow import Slow, Variances, expected
-from deepir.evidence.slow_strengths import RARE, jumps
+from deepir.evidence.slow_evidence import RARE, jumps
 from deepir.evidence.white import Evidence, normal_matrix
 from deepir.noise.lines import less_lines, lines_jump
 from deepir.noise.median import median

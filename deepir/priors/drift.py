@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor, nn
 
@@ -9,10 +11,29 @@ from deepir.priors.field import Shape
 from deepir.priors.strength import Held
 from deepir.registry import register
 
+#: Standard deviation of a step from one frame to the next, to that of what all steps have in common.
+WOBBLE = 1 / 8
+
+
+@functools.lru_cache(maxsize=8)
+def steps(count: int, device: torch.device) -> Tensor:
+    """What a steady change, and then each step of a random walk, make of the levels, (frames, unknowns), mean zero.
+
+    A camera warms up or cools down: its level goes one way for a while, and where it goes by chance it stays. Levels
+    that were independent would have to pay for each frame.
+    """
+    after = torch.ones(count, count, dtype=torch.float64, device=device).tril()
+    after[:, 1:] *= WOBBLE
+    after[:, 0] = torch.arange(count)
+    return after - after.mean(0)
+
 
 @register("field", "drift")
 class Drift(Held):
-    """One Gaussian value for each frame, of mean zero; `sigma`, in data units, is found from the burst if not given.
+    """One value for each frame, of mean zero: a steady change and a random walk, both Gaussian.
+
+    `sigma`, of the change from frame to frame in data units, is found from the burst if not given; a step of the walk
+    has `WOBBLE` of it.
 
     Without strength it is zero: over a burst that does not drift, a free level would take part of the scene's slope
     away, for a camera that moves over a slope sees its level change. `jumps` are levels that are known, to which it is
@@ -37,18 +58,19 @@ class Drift(Held):
     @property
     def levels(self) -> Tensor:
         """What is added to the known jumps, of mean zero."""
-        levels = self.step * (self.sigma > 0) * self.values
-        return levels - levels.mean()
+        made = steps(len(self.values), self.values.device).to(self.values)
+        return torch.tensordot(made, self.step * (self.sigma > 0) * self.values, 1)
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Take the levels over, less their mean."""
         value = value.to(self.values).expand(self.shape) - self.neutral - self.jumps
-        self.values.copy_((value - value.mean()) / self.step)
+        back = torch.linalg.pinv(steps(len(value), value.device)).to(value)
+        self.values.copy_(torch.tensordot(back, value - value.mean(), 1) / self.step)
 
     def penalty(self) -> Tensor | None:
-        """`½ Σ level² / sigma²`."""
-        return (self.levels / self.sigma).square().sum() / 2 if self.sigma > 0 else None
+        """`½ Σ step² / sigma²`."""
+        return (self.step * self.values / self.sigma).square().sum() / 2 if self.sigma > 0 else None
 
     @classmethod
     def example(cls) -> Drift:
