@@ -2,7 +2,9 @@
 
 A sensor has columns, rows, pixels and something smooth, and what one pixel has says nothing of the one next but one.
 Where the camera stands still while something moves, or moves by less than a pixel under a strong pattern, the motion
-that is found may be of something else: what stands still is then the scene, and what is left may be its negative.
+that is found may be of something else: what stands still is then the scene, and what is left may be its negative. Dust
+on a window, a bonnet, the corners that a lens leaves dark look like pictures, too, but there the motion explains the
+frames far better than rest does.
 """
 
 from __future__ import annotations
@@ -16,12 +18,17 @@ from deepir.noise.median import median
 from deepir.noise.typical import MAD
 from deepir.operators import Sensor
 from deepir.problem import Problem
+from deepir.registration.consensus import gain
+from deepir.registration.flatten import flatten
+from deepir.registration.motion import identity
+from deepir.registration.place import search_level
 
 BESIDE = 2  # px: noise in the motion and the scene's interpolation reach one
 OUTLIER = 4.0  # robust standard deviations at which values are cut off
 #: Correlation of pixels so far apart from which a pattern is a picture; those that were found right have 0.08 at most.
 ALIKE = 0.1
 FAINT = 0.2  # of the scene: what is less may be of a sensor that was corrected with a scene in view
+MOVES = 0.3  # nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong
 
 
 @torch.no_grad()
@@ -36,13 +43,24 @@ def ghost_message(problem: Problem) -> list[str]:
     gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
     shown = (gain * flux.median() + offset).expand_as(flux[:1])
     pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
-    if pattern.std() < FAINT * scene.std() or _alike(pattern, problem.alive()) < ALIKE:
+    if pattern.std() < FAINT * scene.std() or _alike(pattern, problem.alive()) < ALIKE or _moves(problem):
         return []
     return [
         "the fixed pattern that was found looks like a picture, as where the camera stands still and something else "
         "moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by 3 to "
         "10 px in x and in y"
     ]
+
+
+def _moves(problem: Problem) -> bool:
+    """Whether a motion that was found of whole frames makes them clearly likelier than rest."""
+    if "warp.motion" not in problem.slots:
+        return False
+    motion = problem.field_of("warp.motion")().double().cpu()
+    if motion.shape != (len(problem.data), 3, 3):
+        return False
+    flat, weight = flatten(problem.data[:, 0].cpu(), ~problem.alive().cpu())
+    return gain(search_level(flat, weight), identity(len(motion)), motion) > MOVES
 
 
 def _rough(image: Tensor, good: Tensor) -> Tensor:

@@ -26,3 +26,11 @@ def test_a_camera_that_rests_before_somebody_who_walks_is_told():
 def test_the_pattern_of_a_camera_that_moves_is_none(seed):
     sim = simulate(None, Settings(n_frames=5, shape=(96, 128), counts=True), seed=seed)
     assert not said(deepir.run("nuc", frames=sim.frames, threads=1))
+
+
+def test_dust_on_the_window_is_no_picture():
+    sim = simulate(None, Settings(n_frames=6, shape=(96, 128), counts=True), seed=1)
+    y, x = np.mgrid[:96, :128]
+    places = np.random.default_rng(0).uniform(0, [96, 128], (40, 2))
+    dust = sum(np.exp(-((y - row) ** 2 + (x - column) ** 2) / 8) for row, column in places)
+    assert not said(deepir.run("nuc", frames=sim.frames + 800 * dust, threads=1))
