@@ -18,6 +18,7 @@ from deepir.io.checks import empty, lost
 from deepir.io.frames import select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
+from deepir.io.telemetry import telemetry, telemetry_message
 from deepir.outliers.clipping import clipped
 
 Array = np.ndarray[Any, Any]
@@ -95,6 +96,9 @@ def load(
     if nothing and len(stack) - len(nothing) >= needs:
         stack, truth, messages = _without(nothing, stack, truth)
     valid = validate(stack, source, needs=needs)
+    if rows := telemetry(stack):
+        valid[:, rows] = False
+        messages = (*messages, telemetry_message(rows, mask.shape))
     stack = np.where(valid, stack, np.nan)
     stretched = is_stretched(stack)
     valid &= ~empty(stack)

@@ -10,6 +10,7 @@ import numpy as np
 from deepir.io.checks import lost
 from deepir.io.frames import Frames
 from deepir.io.radiometry import ZERO_CELSIUS
+from deepir.io.telemetry import telemetry, telemetry_message
 
 Array = np.ndarray[Any, np.dtype[np.float32]]
 
@@ -38,7 +39,11 @@ def describe(burst: Frames) -> list[str]:
     lines += _unusable(burst, finite)
     nothing = lost(frames)
     lines += [f"frame {k} shows nothing: it is {why}" for k, why in nothing.items()]
-    return lines + _noise_and_motion(np.delete(frames, [*nothing], axis=0))
+    frames = np.delete(frames, [*nothing], axis=0)
+    if len(frames) and (rows := telemetry(frames)):
+        lines.append(telemetry_message(rows, (height, width)))
+        frames = np.delete(frames, rows, axis=1)
+    return lines + _noise_and_motion(frames)
 
 
 def _temperatures(burst: Frames, finite: Array) -> list[str]:

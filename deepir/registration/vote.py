@@ -20,6 +20,7 @@ FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there woul
 APART = 0.2  # px at the frame's corners: what is closer is the same
 STRETCHED = ("affine", "homography")  # models of which only the shift is changed
 LEAST = 16  # px: of smaller frames a part says too little
+SIDE = 20  # px: so wide is what is looked at of a frame that is long, for a ninth part of less has no waves
 #: Of the frame: of places further apart the likelihood, for which what leaves a frame comes in again, knows nothing.
 SHARED = 0.5
 
@@ -48,7 +49,7 @@ def likelier(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tens
 
 def reduced(frames: Tensor, weight: Tensor, size: int = SIZE) -> tuple[Tensor, int]:
     """Frames `(N, h, w)` as the likelihood looks at frames `(N, H, W)`, and how much smaller they are."""
-    factor = max(1, -(-max(weight.shape) // size))
+    factor = max(1, min(-(-max(weight.shape) // size), min(weight.shape) // SIDE))
     return even(average(frames.float(), factor), average(weight[None], factor)[0]), factor
 
 

@@ -30,3 +30,11 @@ def test_the_likeliest_shifts_are_found_where_residuals_are_ruled_by_the_pattern
 def test_small_frames_that_do_not_move_are_refused(n_frames):
     with pytest.raises(DataError, match=r"do not move|is it one scene"):
         deepir.run("nuc", frames=small(1, n_frames, max_shift=0.0).frames, threads=1)
+
+
+@pytest.mark.parametrize("shape", [(20, 400), (400, 20)])
+def test_a_strip_is_registered_at_its_own_size(shape):
+    """Means over blocks, as of other large frames, would leave nothing across it."""
+    sim = small(1, 6, shape)
+    result = register(torch.from_numpy(sim.frames.astype(np.float32)))
+    assert result.used.sum() > 2

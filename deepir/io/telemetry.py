@@ -1,0 +1,50 @@
+"""Rows at the upper or lower edge of frames that are no picture: what a camera says of itself, as numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+MOST = 4  # rows at an edge
+BESIDE = 4  # rows next to them that they are compared with
+#: A row is as rough as its neighbours differ in their largest tenth; what is no picture is so many times as rough.
+SHARE, ROUGHER = 0.9, 8.0
+FRAMES, STEP = 8, 8  # so many frames, and every so manieth row of the middle, are looked at
+
+
+def telemetry(frames: np.ndarray[Any, Any]) -> list[int]:
+    """The numbers of such rows of frames `(N, h, w)`: a picture goes on from row to row, numbers do not."""
+    count, height, _ = frames.shape
+    edge = MOST + BESIDE
+    if height < 2 * edge:
+        return []
+    some = frames[:: max(1, count // FRAMES)]
+    inside = some[:, edge:-edge:STEP] if height >= 4 * edge else some
+    usual = float(np.median(_rough(inside)))
+    above, below = (_at_start(_rough(rows), usual) for rows in (some[:, :edge], some[:, : -edge - 1 : -1]))
+    return [*range(above), *range(height - below, height)]
+
+
+def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Of rows `(N, K, w)` how much pixels differ from the next, `(K,)`: nearly the most, in a usual frame."""
+    steps = np.nan_to_num(np.abs(np.diff(rows.astype(np.float32), axis=-1)))
+    found: np.ndarray[Any, Any] = np.median(np.quantile(steps, SHARE, axis=-1), axis=0)
+    return found
+
+
+def _at_start(rough: np.ndarray[Any, Any], usual: float) -> int:
+    for count in range(MOST, 0, -1):
+        beside = max(usual, float(rough[count : count + BESIDE].max()))
+        if rough[:count].min() > ROUGHER * beside > 0:
+            return count
+    return 0
+
+
+def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
+    """What to say of them, of frames of a shape (h, w)."""
+    height, width = shape
+    above = sum(row < height / 2 for row in rows)
+    box = [above, height - len(rows) + above, 0, width]
+    some = f"row {rows[0]} shows" if len(rows) == 1 else f"rows {', '.join(map(str, rows))} show"
+    return f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off"
