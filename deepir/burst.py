@@ -122,10 +122,12 @@ def _without(
         for name, array in truth.items()
         if len(array) == len(stack) and (name in BY_FRAME or (name == "scene" and array.ndim == 3))
     }
-    messages = (
+    messages = tuple(
         f"frame {k} is left out: it is {why}. Frames are counted without it" for k, why in nothing.items()
     )
-    return stack[rest], truth | by_frame, tuple(messages)
+    if rest[0]:
+        messages += (f"motions and results are relative to what was frame {rest[0]}, the first that is left",)
+    return stack[rest], truth | by_frame, messages
 
 
 def _array(frames: Any) -> Array:

@@ -44,6 +44,12 @@ def test_a_frame_that_shows_nothing_is_left_out_and_told_of(frames, value, why):
     assert np.array_equal(result.scene, deepir.run("nuc", frames=frames, **QUICK).scene)
 
 
+def test_that_results_are_relative_to_another_frame_is_told(frames):
+    damaged = np.insert(frames.astype(np.float32), 0, np.nan, axis=0)
+    messages = deepir.run("nuc", frames=damaged, **QUICK).messages
+    assert any("relative to what was frame 1" in message for message in messages)
+
+
 @pytest.mark.parametrize("scenes", [2, 4])
 def test_of_a_truth_for_each_frame_that_of_a_lost_one_goes_with_it(frames, tmp_path, scenes):
     damaged = np.insert(frames.astype(np.float32), 1, np.nan, axis=0)

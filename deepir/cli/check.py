@@ -14,6 +14,8 @@ from deepir.cli.arguments import Plugins, Settings, load_plugins
 if TYPE_CHECKING:
     from deepir.config import Config, Data
 
+REFUSED = "a run refuses it"
+
 
 def check(
     what: Annotated[
@@ -42,7 +44,7 @@ def check(
                 f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
                 f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
             )
-        else:
+        elif not lines[-1].startswith(REFUSED):
             command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
             still = any(line.startswith("  motion: none") for line in lines)
             typer.echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
@@ -51,13 +53,22 @@ def check(
 
 
 def _burst(data: Data) -> list[str]:
-    from deepir.io import describe, read_frames
+    import numpy as np
+
+    from deepir.errors import DataError
+    from deepir.io import describe, read_frames, validate
+    from deepir.io.checks import lost
     from deepir.io.radiometry import chosen
 
     frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
     kelvin = chosen(frames.radiometry, data.radiometry)
     lines = describe(replace(frames, radiometry=kelvin))
-    return [f"data: {frames.source}", *(f"  {line}" for line in lines)]
+    lines = [f"data: {frames.source}", *(f"  {line}" for line in lines)]
+    try:
+        validate(np.delete(frames.frames, [*lost(frames.frames)], axis=0), frames.source)
+    except DataError as error:
+        lines.append(f"{REFUSED}: {error}")
+    return lines
 
 
 def _configuration(name: str, settings: list[str]) -> None:

@@ -54,6 +54,15 @@ def test_list_has_a_line_for_each_component(deepir):
     assert all(len(line.split(maxsplit=1)) == 2 for line in out.splitlines() if line.startswith("  "))
 
 
+def test_check_says_what_a_run_refuses(deepir, tmp_path):
+    np.save(tmp_path / "last.npy", np.random.default_rng(0).normal(size=(96, 128, 6)))
+    status, said, _ = deepir("check", str(tmp_path / "last.npy"))
+    assert status == 0
+    assert "a run refuses it" in said
+    assert "(frames, height, width)" in said
+    assert "to correct it" not in said
+
+
 def test_check_describes_a_burst(deepir, folder):
     status, out, _ = deepir("check", "burst.npz")
     assert status == 0
