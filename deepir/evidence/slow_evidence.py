@@ -28,6 +28,9 @@ CLEARLY = 100  # nats by which that has to make the frames likelier: a scene tha
 SUSPECT = 200  # nats by which shading has to make frames likelier that are wrong by more than lines make them
 CERTAIN = 3  # nats by which shading or drift have to make the frames likelier
 RARE = 5  # the same of a drift where it may be shading, which is far more common,
+#: Share of the shading's strength that a drift may leave, and standard deviations of the data by which it unbends the
+#: scene, from which there is one.
+REPLACED, SLOPING = 0.8, 0.15
 FOLLOWS = 40  # and of shading in stretched pictures: their levels follow the motion, as if it were shading
 
 
@@ -101,9 +104,18 @@ class SlowEvidence:
         shaded = nats.get((1, 0), math.inf) + self.certain < nats.get((0, 0), math.inf)
         stretched = self.slow.problem.stretched and not self.slow.problem.even
         rare = [FOLLOWS, CERTAIN] if stretched else [self.certain, RARE if shaded else CERTAIN]
-        asked = used @ torch.tensor(rare, dtype=torch.long)
-        found = best[int((torch.tensor(list(nats.values())) + asked).argmin())][1]
-        return float(found[0]), float(found[1])
+        asked = torch.tensor(list(nats.values())) + used @ torch.tensor(rare, dtype=torch.long)
+        found = best[int(asked.argmin())][1].tolist()
+        if drift and not stretched and not found[1]:
+            drifting = best[int(asked.where(used[:, 1] > 0, math.inf).argmin())][1].tolist()
+            # A slope of the sensor, and one of the scene the other way, are there to explain the levels alone.
+            if drifting[0] < REPLACED * found[0] and self._apart(found, drifting) > SLOPING:
+                found = drifting
+        return found[0], found[1]
+
+    def _apart(self, one: Sequence[float], other: Sequence[float]) -> float:
+        """How far apart scenes are at two strengths (shading, drift), in standard deviations of the data."""
+        return float((self.slow_scene(*one) - self.slow_scene(*other)).std()) / self.contrast
 
     def _best(self, used: Tensor, strengths: Tensor) -> tuple[Tensor, Tensor]:
         """Nats and strengths (shading, drift) of the best of `strengths` (K, 2), and then of those about it."""
