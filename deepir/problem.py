@@ -49,7 +49,7 @@ class Problem(nn.Module):
     moving: Tensor  # samples that show something that moves by itself, (N, 1, h, w), bool
     #: The power of two by which a scene so plain bears stronger penalties; zero until it is known.
     plain: Tensor
-    #: Squared residuals, in variances of the noise, that the last round of the sensor left; NaN until they are known.
+    #: Squared residuals, in variances of the noise, that the sensor's last round left; infinite until they are known.
     rough: Tensor
 
     def __init__(
@@ -87,7 +87,7 @@ class Problem(nn.Module):
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
         self.register_buffer("even", torch.tensor(False))
         self.register_buffer("plain", torch.tensor(0.0))
-        self.register_buffer("rough", torch.tensor(torch.nan, dtype=torch.float64))
+        self.register_buffer("rough", torch.tensor(torch.inf, dtype=torch.float64))
 
     def field_of(self, slot: str) -> Field:
         """The field of the unknown that a slot takes."""

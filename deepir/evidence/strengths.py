@@ -67,6 +67,7 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
         natural = penalty.natural(noise)
         if isinstance(penalty, Local) and not penalty.follows:  # by places, as the others do
             natural *= 2 ** float(problem.plain)
+        natural *= 2 ** max(float(problem.plain) - penalty.clear, 0.0)
         penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)

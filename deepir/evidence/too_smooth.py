@@ -26,7 +26,7 @@ def note_misfit(problem: Problem) -> None:
 def too_smooth(problem: Problem) -> bool:
     """Whether more than noise was taken from the scene; not, where that cannot be told."""
     flat = _flat(problem)
-    if not flat > PLAIN or problem.rough.isnan():
+    if not flat > PLAIN:
         return False
     taken = float(_misfit(problem) - problem.rough) / int(problem.alive().sum())
     return taken - flat > MORE

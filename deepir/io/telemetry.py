@@ -28,7 +28,8 @@ def telemetry(frames: np.ndarray[Any, Any]) -> list[int]:
 
 def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Of rows `(N, K, w)` how much pixels differ from the next, `(K,)`: nearly the most, in a usual frame."""
-    steps = np.nan_to_num(np.abs(np.diff(rows.astype(np.float32), axis=-1)))
+    known = np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
+    steps = np.nan_to_num(np.abs(np.diff(known, axis=-1)))
     found: np.ndarray[Any, Any] = np.median(np.quantile(steps, SHARE, axis=-1), axis=0)
     return found
 

@@ -56,6 +56,7 @@ class FoE(Rounded):
     """
 
     scale = 1.0  # in whose units the experts are
+    clear = 2.0  # skies: it knows noise better than edges
     filters: Tensor
     costs: Tensor
     tails: Tensor

@@ -19,6 +19,8 @@ class Penalty(nn.Module):
     weight: Tensor
     #: Whether it is of the picture that the scene shows, not of the scene's array; see `Operator.image`.
     of_image: ClassVar[bool] = False
+    #: How plain a scene is, in powers of two, from which the penalty may be stronger by as much as it is plainer.
+    clear: ClassVar[float] = math.inf
 
     def __init__(self, *, weight: float | None = None) -> None:
         super().__init__()

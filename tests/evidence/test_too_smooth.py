@@ -43,7 +43,7 @@ def test_a_penalty_that_cannot_tell_or_is_given_its_weight_keeps_it(penalty, opt
 
 def test_before_the_misfit_is_known_nothing_is_let_go():
     problem = smoothed(0.7)
-    problem.rough.fill_(torch.nan)
+    problem.rough.fill_(torch.inf)
     assert not too_smooth(problem)
 
 
