@@ -40,8 +40,7 @@ def loosen(problem: Problem) -> None:
 
 @torch.no_grad()
 def _misfit(problem: Problem) -> torch.Tensor:
-    residual = problem.data - problem.predict(problem.values())
-    return (residual.square_() * problem.precision).sum(dtype=torch.float64)
+    return 2 * problem.misfit(problem.values(), (), problem.precision)
 
 
 @torch.no_grad()

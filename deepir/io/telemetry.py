@@ -8,7 +8,7 @@ import numpy as np
 
 MOST = 4  # rows at an edge
 BESIDE = 4  # rows next to them that they are compared with
-#: A row is as rough as its neighbours differ in their largest tenth; what is no picture is so many times as rough.
+#: A row is as rough as nine tenths of its pixels differ from the next at most; numbers are so many times as rough.
 SHARE, ROUGHER = 0.9, 8.0
 FRAMES, STEP = 8, 8  # so many frames, and every so manieth row of the middle, are looked at
 
@@ -35,6 +35,7 @@ def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def _at_start(rough: np.ndarray[Any, Any], usual: float) -> int:
+    """How many of the first rows are numbers, by how rough these and the next ones are, from the edge on."""
     for count in range(MOST, 0, -1):
         beside = max(usual, float(rough[count : count + BESIDE].max()))
         if rough[:count].min() > ROUGHER * beside > 0:
