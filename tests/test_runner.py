@@ -193,15 +193,6 @@ def test_a_burst_that_moves_along_one_axis_only_is_warned_of():
     assert re.match(r"the frames move by only 0\.\d px along y: ", messages[0])
 
 
-def test_a_burst_that_moves_along_a_slanted_line_is_warned_of():
-    from deepir.joint.registered import _along_a_line
-
-    line = torch.tensor([[0.0, 0.0], [-10.0, -7.2], [-7.8, -5.8]])
-    (message,) = _along_a_line(line)
-    assert message.startswith("the frames move along one line, by 12.3 px")
-    assert _along_a_line(torch.tensor([[0.0, 0.0], [5.0, 5.0], [5.0, -4.0]])) == []
-
-
 def test_a_drift_of_the_level_is_warned_of_and_found():
     sim = camera(level_drift=0.05)
     ignored = deepir.run("nuc", "physics.sensor.level=0", frames=sim.frames, threads=1)

@@ -106,25 +106,37 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
 
 
 def _places(motion: Tensor, size: tuple[int, int]) -> Tensor:
-    """Where the last corner of frames (h, w) looks, (N, 2), in px (x, y) from the middle of frame 0."""
+    """Where the corners of frames (h, w) look, (N, 4, 2), in px (x, y) from the middle of frame 0."""
     height, width = size
-    corner = torch.tensor([width / 2, height / 2, 1.0], dtype=motion.dtype)
-    return (motion @ corner)[:, :2]
+    corners = torch.tensor([(x * width / 2, y * height / 2, 1) for x in (-1, 1) for y in (-1, 1)])
+    at = corners.to(motion) @ motion.mT
+    return at[..., :2] / at[..., 2:]
 
 
 def _spans(motion: Tensor, size: tuple[int, int]) -> Tensor:
-    """Ranges of these places along x and y."""
+    """Ranges of these places along x and y, where they are largest."""
     at = _places(motion, size)
-    return at.amax(0) - at.amin(0)
+    return (at.amax(0) - at.amin(0)).amax(0)
 
 
 def _along_a_line(at: Tensor) -> list[str]:
-    """A message if the places (N, 2) where the frames look lie on a slanted line."""
-    _, _, axes = torch.linalg.svd(at - at.mean(0), full_matrices=False)
-    along, beside = (at @ axis for axis in (axes[0], axes[-1]))
-    if len(axes) > 1 and beside.max() - beside.min() >= LITTLE / 2:
+    """A message if one way, straight or about a point, leads through all places (N, 4, 2) of the frames' corners."""
+    apart = (at - at.mean(0)).flatten(1)
+    ways = torch.linalg.svd(apart, full_matrices=False)[2]
+    steps = ways.view(-1, 4, 2)
+    along, beside = (
+        float(np.ptp((apart @ way).numpy()) * step.norm(dim=1).max())
+        for way, step in zip(ways[:2], steps[:2], strict=True)
+    )
+    if beside >= LITTLE / 2:
         return []
+    shift = steps[0].mean(0)
+    if (steps[0] - shift).norm(dim=1).max() > shift.norm():  # some point of the frames rests
+        return [
+            f"the frames turn about one point, by {along:.1f} px at their corners, and do not move: what is constant "
+            "around it is hard to tell from the scene. Move the camera too, by 3 to 10 px in x and in y"
+        ]
     return [
-        f"the frames move along one line, by {float(along.max() - along.min()):.1f} px: what is constant along it is "
-        "hard to tell from the scene. Move the camera at right angles to it too, by 3 to 10 px"
+        f"the frames move along one line, by {along:.1f} px: what is constant along it is hard to tell from the scene. "
+        "Move the camera at right angles to it too, by 3 to 10 px"
     ]
