@@ -19,6 +19,7 @@ from deepir.evidence.levels import drift_message
 from deepir.evidence.slow_strengths import shading_message
 from deepir.evidence.strengths import hold_out
 from deepir.evidence.stretched import equalised_message
+from deepir.evidence.unexplained import unexplained_message
 from deepir.joint.build import build
 from deepir.joint.order import bridge_message, bridged
 from deepir.joint.planned import plan
@@ -71,7 +72,8 @@ def joint(
     messages += definition.remarks(problem) + line_noise_message(problem) + moving_message(problem)
     messages += ghost_message(problem)
     if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
-        messages += drift_message(problem) + shading_message(problem) + contrast_message(problem)
+        messages += drift_message(problem) + shading_message(problem)
+        messages += unexplained_message(problem) or contrast_message(problem)
     found = given & ~problem.alive()
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost(problem, definition.weak)

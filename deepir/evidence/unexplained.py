@@ -1,0 +1,72 @@
+"""Whether what the fit leaves of the frames is noise, or something that is neither scene nor pattern.
+
+Noise of one pixel says nothing of the next. What is left next to each other is alike or opposite by the freedom that
+the fit has; a few pixels on it is not, unless clouds, leaves or shadows changed, things are at many depths, the frames
+are blurred, each by its own motion, or the pixels are slow: then what is left is alike to how the frame before differs.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.operators import Lag, Sensor
+from deepir.problem import Problem
+
+APART = (3, 5)  # px, along rows and columns
+WILD = 3.0  # standard deviations at which what is left is cut off
+#: Correlation of what is left so far apart from which it is no noise: 0.08 at most where the model is right.
+ALIKE = 0.12
+TRAILS = 0.15  # correlation with what the frame before shows beside, from which pixels are slow: 0.05 at most else
+
+
+@torch.no_grad()
+def unexplained_message(problem: Problem) -> list[str]:
+    """Say so if the fit leaves more than noise of the frames, and why if that is thermal lag."""
+    stages = [stage for _, stage in problem.operator.named()]
+    if not isinstance(stages[-1], Sensor) or min(problem.data.shape[2:]) < 4 * max(APART):
+        return []
+    values = problem.values()
+    left = problem.data - problem.predict(values)
+    left.mul_(problem.precision.sqrt()).clamp_(-WILD, WILD)
+    if not any(isinstance(stage, Lag) for stage in stages) and len(left) > 2:
+        if trailing(left, problem.flux(values), problem.precision) > TRAILS:
+            return [
+                "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "
+                "camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run deblur_lag "
+                "data.fps=...` takes the tail away"
+            ]
+    if (alike := correlation(left, problem.precision)) < ALIKE:
+        return []
+    return [
+        f"the frames hold what is neither scene nor pattern (what is left of them is alike {APART[0]} to {APART[1]} px "
+        f"apart, by {alike:.2f}; noise is not): clouds, leaves or shadows that change, things at many depths, or motion "
+        "within a frame. The scene is less sure there than its deviation says. Take the frames faster, or of what rests"
+    ]
+
+
+def correlation(left: Tensor, precision: Tensor) -> float:
+    """Of what is left of frames (N, 1, h, w), `APART` px along rows and columns; the mean over frames and distances."""
+    counts = (precision > 0).to(left.dtype)
+    power = (left.square().sum((1, 2, 3)) / counts.sum((1, 2, 3)).clamp(min=1)).clamp(min=1e-30)
+    found = []
+    for along in (2, 3):
+        for apart in APART:
+            size = left.shape[along] - apart
+            here, there = (each.narrow(along, 0, size) for each in (left, counts))
+            beyond, too = (each.narrow(along, apart, size) for each in (left, counts))
+            pairs = (there * too).sum((1, 2, 3)).clamp(min=1)
+            found.append((here * beyond).sum((1, 2, 3)) / pairs / power)
+    return float(torch.stack(found).mean())
+
+
+def trailing(left: Tensor, flux: Tensor, precision: Tensor) -> float:
+    """How alike what is left of frames is to what the frame before shows beside; the median over frames.
+
+    `left` (N, 1, h, w) is in standard deviations, `flux` is what falls on the detector.
+    """
+    beside = (flux[:-1] - flux[1:]).mul_(precision[1:].sqrt())
+    beside = beside - beside.mean((1, 2, 3), keepdim=True)
+    product = (left[1:] * beside).sum((1, 2, 3))
+    power = beside.square().sum((1, 2, 3)) * left[1:].square().sum((1, 2, 3))
+    return float((product / power.sqrt().clamp(min=1e-30)).median())
