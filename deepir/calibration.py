@@ -109,6 +109,8 @@ def read(path: Path) -> Maps:
         raise DataError(
             f"{file}: gain {gain.shape}, offset {offset.shape} and bad pixels {bad.shape} differ in size"
         )
+    if "stray" in found:  # flux in front of the detector, which each pixel of it sees by its gain
+        offset = offset + gain * np.squeeze(found["stray"])
     bad |= ~np.isfinite(gain) | ~np.isfinite(offset) | (gain <= 0)
     if bad.all():
         raise DataError(f"{file}: not one pixel has a gain above zero")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from deepir.errors import ConfigError
+from deepir.evidence.contrast import even_contrast
 from deepir.evidence.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
 from deepir.evidence.slow_strengths import estimate_slow
 from deepir.evidence.spectrum import fit_psf, spectral_noise
@@ -172,12 +173,14 @@ def demand_room(problem: Problem) -> None:
 
 
 def _update(problem: Problem) -> None:
+    even_contrast(problem)
     update_strengths(problem)
     weigh_by_trials(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
     if len(problem.data) > 1:  # in one frame, edges that the prior rounds misfit as defects do
+        even_contrast(problem)
         update_noise(problem, settled=True)
     weigh_by_trials(problem)
     begin_smooth(problem)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from deepir.evidence.contrast import even_contrast
 from deepir.evidence.cross_validation import start_trials, trials, weigh_by_trials
 from deepir.evidence.strengths import hold_out, update_strengths, weigh_scene
 from deepir.noise.residual import update_noise
@@ -67,18 +68,21 @@ def few_frames(count: int, factor: int) -> list[str]:
     """A line if the frames have fewer samples than the scene has pixels."""
     if count >= factor**2:
         return []
+    less = math.isqrt(count)
     return [
         f"{count} frames for factor {factor}: the scene has {factor**2} px for each of the detector's, and each frame "
         "shows one sample of them; fine detail is in part the prior's. "
-        f"Take {factor**2} frames, or physics.downsample.factor={max(2, math.isqrt(count))}"
+        f"Take {factor**2} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}"
     ]
 
 
 def _update(problem: Problem) -> None:
+    even_contrast(problem)
     update_strengths(problem)
     weigh_by_trials(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
+    even_contrast(problem)
     update_noise(problem, settled=True)
     weigh_by_trials(problem)
