@@ -64,6 +64,14 @@ class Maps:
                 f"{where}the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
             )
 
+    def roughens(self, frame: Array) -> float:
+        """How many times as much a frame (h, w) differs from pixel to pixel without the pattern as with it."""
+        before, after = (
+            np.nanmedian(np.abs(np.diff(each, axis=1)))
+            for each in (np.ma.filled(frame.astype(np.float32), np.nan), self.correct(frame))
+        )
+        return float(after / before) if before > 0 else 1.0
+
     @functools.cached_property
     def _factors(self) -> tuple[Array, Array]:
         gain = np.where(self.bad_pixels, 1, self.gain)

@@ -149,3 +149,26 @@ def test_what_is_at_an_end_of_the_range_in_all_flats_is_bad(end):
     found = calibration.from_flats([calibration.mean(frames, "flat")]).bad_pixels
     assert found[5::9, 3::11].all()
     assert found.sum() <= found[5::9, 3::11].size + 1
+
+
+def test_maps_of_a_run_hold_its_stray_flux(tmp_path):
+    rng = np.random.default_rng(4)
+    gain, offset, stray = (
+        1 + 0.05 * rng.standard_normal(SHAPE),
+        rng.standard_normal(SHAPE),
+        90 * rng.random(SHAPE),
+    )
+    np.savez(tmp_path / "result.npz", gain=gain, offset=offset, stray=stray)
+    flux = 8000 + 300 * rng.random(SHAPE)
+    seen = gain * (flux + stray) + offset
+    np.testing.assert_allclose(calibration.read(tmp_path).correct(seen), flux, atol=0.01)
+
+
+def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene):
+    _, _, _, see = camera
+    found = calibration.from_flats([calibration.mean(see(level), "flat") for level in (7000, 9000)])
+    frame = see(scene, 1)[0]
+    assert found.roughens(frame) < 0.3
+    assert found.roughens(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3
+    assert found.roughens(frame / 50 + 200) > 5
+    assert found.roughens(np.full(SHAPE, 8000.0)) == 1.0

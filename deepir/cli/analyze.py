@@ -68,7 +68,7 @@ def _of_flat(path: Path, settings: list[str]) -> Statistics:
     return of_flat(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
 
 
-def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict, Array | None]:
+def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | None, Array | None]:
     import deepir
 
     result = deepir.run("nuc", *settings, f"data.path={path}", output={})
@@ -76,7 +76,7 @@ def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict, Arr
     return *_judged(result.gain, result.offset, result.scene, result.motion, result.bad_pixels), doubt
 
 
-def _of_run(path: Path) -> tuple[Statistics, Verdict, Array | None]:
+def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
     import numpy as np
 
     with np.load(path / "result.npz") as stored:
@@ -85,20 +85,25 @@ def _of_run(path: Path) -> tuple[Statistics, Verdict, Array | None]:
     if beside.exists():
         with np.load(beside) as stored:
             doubt = stored["scene"]
+            doubt = doubt if doubt.ndim == 2 else None  # of a scene for each frame there is no one map
     return *_judged(*found), doubt
 
 
 def _judged(
     gain: Array, offset: Array, scene: Array, motion: Array, bad: Array
-) -> tuple[Statistics, Verdict]:
-    """Of a result: the pattern that it would print on a scene as warm as the mean, and what the motion makes of it."""
+) -> tuple[Statistics, Verdict | None]:
+    """Of a result: the pattern that it would print on a scene as warm as the mean, and what motion makes of it."""
     import numpy as np
 
     from deepir.analysis import judge, of_map
 
     pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
     statistics = of_map(pattern, ~bad)
-    finer = len(scene) / len(gain)  # px of the scene in one of the detector
+    finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
     coarser = np.diag([1 / finer, 1 / finer, 1])
     seen = motion[np.isfinite(motion).all((1, 2))]
+    if (
+        len(seen) < 2 or scene.ndim > 2
+    ):  # one frame, or a scene for each: there is nothing that moves before the pattern
+        return statistics, None
     return statistics, judge(statistics, coarser @ seen @ np.linalg.inv(coarser))

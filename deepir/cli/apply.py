@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from deepir.config import Config, Data
     from deepir.io.radiometry import Radiometry
 
+ROUGHER = 1.3  # times as rough, from which maps are not the recording's
 SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")
 
 
@@ -68,6 +69,12 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     frames = stream_frames(str(data.path), key=data.key, raw=data.raw)
     first = next(frames)
     maps.check(first, str(data.path))
+    if (rougher := maps.roughens(first)) > ROUGHER:
+        typer.echo(
+            f"{data.path}: its first frame is {rougher:.1f} times as rough without these maps' pattern as with it. "
+            "Are they of another camera, in other units (counts, kelvin, 8 bits), or out of date?",
+            err=True,
+        )
     dtype = output_type(first.dtype, rounded=rounded)
     begun, count = time.perf_counter(), 0
     written: Future[None] | None = None

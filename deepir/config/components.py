@@ -90,15 +90,18 @@ def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any
     return {name: getattr(checked, name) for name in schema.model_fields}
 
 
-def explain(error: ValidationError, schema: type[BaseModel]) -> tuple[str, str]:
-    """The path of the key that is most likely wrong, and what is wrong with it, in one line."""
+def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) -> tuple[str, str]:
+    """The path of the key that is most likely wrong, and what is wrong with it, in one line.
+
+    `whole` is the configuration, in whose depth a key that is unknown here may be.
+    """
     # A misspelt key explains best; of a union's branches, the one that went deepest is what was meant.
     rank = {"extra_forbidden": 0, "missing": 1}
     worst = min(error.errors(), key=lambda e: (rank.get(e["type"], 2), -len(list(_steps(schema, e["loc"])))))
     steps = list(_steps(schema, worst["loc"]))
     path = ".".join(name for name, _ in steps)
     if worst["type"] == "extra_forbidden":
-        if inside := [key for key in _inner_keys(schema) if key.endswith(f".{path}")]:
+        if inside := [key for key in (*_inner_keys(schema), *_paths(whole)) if key.endswith(f".{path}")]:
             return path, f"no option '{path}'; did you mean '{inside[0]}'?"
         allowed = _keys(steps[-2][1] if steps[1:] else schema)
         return path, f"no option '{path}'; {nearest(steps[-1][0], allowed)}"
@@ -168,6 +171,13 @@ def _alternatives(annotation: Any) -> tuple[Any, ...]:
 
 def _inner_keys(schema: type[BaseModel]) -> list[str]:
     return [f"{name}.{key}" for name, each in schema.model_fields.items() for key in _keys(each.annotation)]
+
+
+def _paths(node: Any, above: str = "") -> Iterator[str]:
+    """All keys of nested mappings, with those above them."""
+    for key, value in node.items() if isinstance(node, Mapping) else ():
+        yield f"{above}{key}"
+        yield from _paths(value, f"{above}{key}.")
 
 
 def _keys(annotation: Any) -> list[str]:

@@ -140,7 +140,7 @@ def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) ->
     try:
         return Config.model_validate(whole)
     except ValidationError as error:
-        path, problem = explain(error, Config)
+        path, problem = explain(error, Config, whole)
         own = next(
             (f"'{each}'" for each in reversed(changes) if f"{path}.".startswith(f"{each.split('=')[0]}.")),
             label,

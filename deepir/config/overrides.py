@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
@@ -37,13 +37,16 @@ def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]
             raise ConfigError(f"'{pair}': a setting is key=value; {hint}")
         if not text:
             raise ConfigError(f"'{pair}': the value is missing ({key}=null takes the default)")
-        if annotation_of(schema, key) in (str, str | None):
+        kind = annotation_of(schema, key)
+        if kind in (str, str | None):
             found.append((key, None if text == "null" else text))
             continue
         try:
-            found.append((key, parse(text)))
+            value = parse(text)
         except ValueError as error:
             raise ConfigError(f"'{pair}': not a YAML value: {error}") from None
+        # A slice without an end, data.frames=2:, is a mapping of YAML.
+        found.append((key, text if text.endswith(":") and str in get_args(kind) else value))
     return found
 
 

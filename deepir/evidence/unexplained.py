@@ -17,7 +17,9 @@ APART = (3, 5)  # px, along rows and columns
 WILD = 3.0  # standard deviations at which what is left is cut off
 #: Correlation of what is left so far apart from which it is no noise: 0.08 at most where the model is right.
 ALIKE = 0.12
-TRAILS = 0.15  # correlation with what the frame before shows beside, from which pixels are slow: 0.05 at most else
+TRAILS = (
+    0.15  # correlation with what the frame before shows beside, from which pixels are slow: 0.05 at most else
+)
 
 
 @torch.no_grad()
@@ -29,19 +31,19 @@ def unexplained_message(problem: Problem) -> list[str]:
     values = problem.values()
     left = problem.data - problem.predict(values)
     left.mul_(problem.precision.sqrt()).clamp_(-WILD, WILD)
-    if not any(isinstance(stage, Lag) for stage in stages) and len(left) > 2:
-        if trailing(left, problem.flux(values), problem.precision) > TRAILS:
-            return [
-                "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "
-                "camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run deblur_lag "
-                "data.fps=...` takes the tail away"
-            ]
+    several = len(left) > 2 and not any(isinstance(stage, Lag) for stage in stages)
+    if several and trailing(left, problem.flux(values), problem.precision) > TRAILS:
+        return [
+            "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "
+            "camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run deblur_lag "
+            "data.fps=...` takes the tail away"
+        ]
     if (alike := correlation(left, problem.precision)) < ALIKE:
         return []
     return [
-        f"the frames hold what is neither scene nor pattern (what is left of them is alike {APART[0]} to {APART[1]} px "
-        f"apart, by {alike:.2f}; noise is not): clouds, leaves or shadows that change, things at many depths, or motion "
-        "within a frame. The scene is less sure there than its deviation says. Take the frames faster, or of what rests"
+        f"the frames hold what is neither scene nor pattern: what is left of them {APART[0]} to {APART[1]} px apart is "
+        f"alike by {alike:.2f}, and noise is not. Clouds, leaves or shadows change, things are at many depths, or the "
+        "camera moves within a frame: the scene is less sure than its deviation says. Take the frames faster"
     ]
 
 

@@ -12,6 +12,7 @@ from deepir.evidence.slow import late
 from deepir.joint.build import FREE, build_scene
 from deepir.operators import Lag
 from deepir.operators.path import Path
+from deepir.priors.uniform import Uniform
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.registry import register
@@ -133,8 +134,16 @@ def start_message(problem: Problem) -> list[str]:
     first, *others = misfit.flatten(1).nanmedian(1).values
     if not first > UNLIKE * torch.stack(others).nanmedian():
         return []
-    other = 0 if float(problem.values()[slot_of(problem, "moving")].mean()) > HALF else 1
+    moving, unlike = (
+        problem.fields[slot_of(problem, "moving")],
+        "the first frame does not fit the others: what did the",
+    )
+    if isinstance(moving, Uniform):  # both were tried
+        return [
+            f"{unlike} camera do before it? Neither rest nor moving as it goes on fits, and the next frames hold some "
+            "of it still: leave the first ones out (data.frames=2:)"
+        ]
+    other = int(float(moving().mean()) < HALF)
     return [
-        "the first frame does not fit the others: what did the camera do before it? "
-        f"Try physics.lag.moving={other}, or leave the first frames out (data.frames)"
+        f"{unlike} camera do before it? Try physics.lag.moving={other}, or leave the first frames out (data.frames=2:)"
     ]

@@ -79,3 +79,26 @@ def test_errors_say_what_to_do(deepir, bursts, arguments, message):
     status, _, err = deepir("analyze", *arguments)
     assert status == 2
     assert message in err
+
+
+def stored(name, *, scene, motion):
+    rng = np.random.default_rng(0)
+    maps = {
+        "gain": np.ones((64, 80)),
+        "offset": rng.standard_normal((64, 80)),
+        "bad_pixels": np.zeros((64, 80), bool),
+    }
+    Path(name).mkdir()
+    np.savez(Path(name, "result.npz"), scene=scene, motion=motion, **maps)
+    np.savez(Path(name, "uncertainty.npz"), scene=np.ones(scene.shape))
+
+
+def test_runs_in_which_nothing_moves_before_the_pattern_are_not_judged_by_their_motion(deepir, folder):
+    """One frame, or a scene for each."""
+    stored("one", scene=np.ones((64, 80)), motion=np.full((1, 3, 3), np.nan))
+    stored("many", scene=np.ones((4, 64, 80)), motion=np.tile(np.eye(3), (4, 1, 1)))
+    for name in ("one", "many"):
+        status, out, err = deepir("analyze", name)
+        assert status == 0, err
+        assert "pattern: standard deviation" in out
+        assert "this burst" not in out

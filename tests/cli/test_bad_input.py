@@ -104,6 +104,9 @@ def test_an_unreadable_file(nuc, folder):
 SETTINGS = {
     # keys and values
     "sede=3": ["'sede=3'", "no option 'sede'", "did you mean 'seed'", "threads"],
+    "mean=5": ["no option 'mean'; allowed: data"],
+    "motion=shift": ["no option 'motion'", "did you mean 'physics.warp.motion'"],
+    "sensor.gain=1": ["no option 'sensor'", "did you mean 'physics.sensor'"],
     "data.pth=x": ["no option 'data.pth'", "did you mean 'path'"],
     "solver.max_iterations=abc": ["solver.max_iterations = 'abc'", "a whole number is needed"],
     "solver.max_iterations=-1": ["greater than or equal to 0"],

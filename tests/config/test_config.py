@@ -45,6 +45,7 @@ def test_a_resolved_configuration_reads_back_the_same(tmp_path):
     ("pair", "value"),
     [
         ("data.frames=2:5", "2:5"),  # YAML 1.1 reads 125
+        ("data.frames=2:", "2:"),  # YAML reads a mapping
         ("data.frames=3", 3),
         ("data.frames=[0,2]", [0, 2]),
         ("data.path=007", "007"),

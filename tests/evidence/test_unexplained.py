@@ -12,7 +12,11 @@ CAMERA = {"n_frames": 6, "shape": (96, 128), "counts": True, "shading": 0.0, "de
 
 
 def said(frames):
-    return [m for m in deepir.run("nuc", frames=frames, threads=1).messages if "neither scene" in m or "trail" in m]
+    return [
+        m
+        for m in deepir.run("nuc", frames=frames, threads=1).messages
+        if "neither scene" in m or "trail" in m
+    ]
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -23,8 +27,8 @@ def test_noise_is_no_message(seed):
 def test_a_cloud_that_moves_by_itself_is_told():
     frames = simulate(None, Settings(**CAMERA), seed=3).frames.astype(float)
     y, x = np.mgrid[:96, :128]
-    for k, frame in enumerate(frames):
-        frame += 60 * np.exp(-((x - 20 - 12 * k) ** 2 + (y - 40) ** 2) / 800)
+    for k in range(len(frames)):
+        frames[k] += 60 * np.exp(-((x - 20 - 12 * k) ** 2 + (y - 40) ** 2) / 800)
     (message,) = said(frames)
     assert "neither scene nor pattern" in message
 

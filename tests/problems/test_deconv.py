@@ -77,6 +77,14 @@ def test_a_width_that_is_found_is_as_good_as_the_true_one(sim, known):
     assert np.array_equal(found.gain, np.ones((80, 96)))
 
 
+def test_a_frame_that_is_sharp_is_told_so():
+    picture = data.camera()[:430, :500] / 255
+    found = deepir.run(
+        "deconv", "solver.max_iterations=1", frames=camera(picture, psf_sigma=0.0).frames, threads=1
+    )
+    assert any("hardly any blur is found" in message for message in found.messages)
+
+
 def test_a_burst_gives_a_sharp_scene_and_the_pattern():
     pattern = {"gain_pixel": 0.03, "offset_pixel": 0.03, "offset_column": 0.04}
     sim = camera(n_frames=4, shape=(64, 80), max_shift=6.0, motion="shift", **pattern)

@@ -149,6 +149,17 @@ def test_interpolated_pictures_of_a_ramp_are_the_ramp():
     np.testing.assert_allclose(found[8:-8, 8:-8], (fine_x + 2 * fine_y)[8:-8, 8:-8], atol=1e-2)
 
 
+def test_frames_of_eight_bits_are_as_good_as_their_rounding(sim):
+    """Their contrasts, which might be an automatic gain's, are found to be all alike."""
+    low, high = sim.frames.min(), sim.frames.max()
+    bytes8 = np.round(30 + 190 * (sim.frames - low) / (high - low)).astype(np.uint8)
+    factor = "physics.downsample.factor=2"
+    found = [deepir.run("sr", factor, frames=each, threads=1) for each in (bytes8, bytes8.astype(np.uint16))]
+    eight, sixteen = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in found)
+    assert eight > sixteen - 1.5
+    assert not any("automatic gain" in message for message in found[0].messages)
+
+
 # ---- what it says ----
 
 
@@ -158,6 +169,7 @@ def test_fewer_frames_than_the_factor_can_use_are_warned_of(sim):
     assert message.startswith("6 frames for factor 4: the scene has 16 px for each of the detector's")
     assert message.endswith("Take 16 frames, or physics.downsample.factor=2")
     assert few_frames(16, 4) == []
+    assert few_frames(3, 2)[0].endswith("Take 4 frames")  # no factor below 2 is one
 
 
 @pytest.mark.parametrize("factor", [0, 9])
