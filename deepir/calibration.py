@@ -19,6 +19,9 @@ from deepir.io.readers import npz
 RESPONSE = 0.5
 """A pixel whose gain is farther from the median pixel's than this share of it is no sensor."""
 
+MOST_BAD = 0.5
+"""Share of the pixels that answer unlike the others, from which these are no flats."""
+
 FEW = 0.25
 """Share of pixels at an end of the range from which it is the surface that is too cold or too hot."""
 
@@ -175,6 +178,11 @@ def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
     for each in (gain, offset):
         pattern, good = (torch.from_numpy(array)[None, None] for array in (each, ~bad))
         bad = bad | deviating(pattern, good).numpy()[0, 0]
+    if bad.mean() > MOST_BAD:
+        raise DataError(
+            f"{100 * bad.mean():.0f}% of the pixels answer unlike the others: flat recordings show something uniform, such "
+            "as a shutter or a wall; of a scene that moves, give one burst with --burst"
+        )
     scale = gain[~bad].mean()
     gain, shift = gain / scale, offset[~bad].mean()
     return Maps(gain.astype(np.float32), (offset - shift * gain).astype(np.float32), bad)

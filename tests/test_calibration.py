@@ -172,3 +172,10 @@ def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene)
     assert found.roughens(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3
     assert found.roughens(frame / 50 + 200) > 5
     assert found.roughens(np.full(SHAPE, 8000.0)) == 1.0
+
+
+def test_frames_of_a_scene_are_no_flats():
+    rng = np.random.default_rng(8)
+    scenes = [8000 + 300 * rng.standard_normal(SHAPE) for _ in range(2)]
+    with pytest.raises(DataError, match=r"\d+% of the pixels answer unlike the others.*--burst"):
+        calibration.from_flats([scenes[0], scenes[1] + 100])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,7 +30,8 @@ def one_pattern(frames: Tensor, usable: Tensor) -> slice:
     if not some.numel():
         return whole
     bulk = max(1, int(BULK * some.shape[1]))
-    apart = torch.stack([(some - one).abs().sort(1).values[:, :bulk].mean(1) for one in some])
+    values = some.numpy()
+    apart = np.stack([np.partition(np.abs(values - one), bulk - 1)[:, :bulk].mean(1) for one in values])
 
     def stands_out(at: int) -> float:
         within = max(float(apart[:at, :at].max()), float(apart[at:, at:].max()))
