@@ -145,7 +145,8 @@ def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
 
     One gives the offset alone, the gain is one; more give both, by least squares over the flats' mean values. Gain and
     offset are in the gauge of all of deepir: mean one and mean zero over good pixels. Raises `DataError` where
-    the flats differ in size (by their `sources`), or not in temperature, or no pixel has a value in all.
+    the flats differ in size (by their `sources`), or not in temperature, or are none: no pixel has a value in all, or
+    most answer unlike the others.
     """
     import torch  # not above: `deepir --help` and `deepir apply` do without
 
@@ -180,8 +181,8 @@ def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
         bad = bad | deviating(pattern, good).numpy()[0, 0]
     if bad.mean() > MOST_BAD:
         raise DataError(
-            f"{100 * bad.mean():.0f}% of the pixels answer unlike the others: flat recordings show something uniform, such "
-            "as a shutter or a wall; of a scene that moves, give one burst with --burst"
+            f"{100 * bad.mean():.0f}% of the pixels answer unlike the others: flat recordings show something uniform, "
+            "such as a shutter or a wall; of a scene that moves, give one burst with --burst"
         )
     scale = gain[~bad].mean()
     gain, shift = gain / scale, offset[~bad].mean()
