@@ -42,9 +42,9 @@ def unexplained_message(problem: Problem) -> list[str]:
         return []
     return [
         f"the frames hold what is neither scene nor pattern: what is left of them is alike by {alike:.2f} "
-        f"{APART[0]} and {APART[1]} px apart, and noise is not. Clouds, leaves, shadows or the shading change, things "
-        "are at many depths, or the camera moves within a frame: the scene is less sure than its deviation says. Take "
-        "the frames faster"
+        f"{APART[0]} and {APART[1]} px apart, and noise is not. Things are at many depths (then `deepir run flow` "
+        "follows them), clouds, leaves, shadows or the shading change, or the camera moves within a frame: the scene "
+        "is less sure than its deviation says"
     ]
 
 
