@@ -69,11 +69,11 @@ class Maps:
 
     def roughens(self, frame: Array) -> float:
         """How many times as much a frame (h, w) differs from pixel to pixel without the pattern as with it."""
-        before, after = (
-            np.nanmedian(np.abs(np.diff(each, axis=1)))
-            for each in (np.ma.filled(frame.astype(np.float32), np.nan), self.correct(frame))
-        )
-        return float(after / before) if before > 0 else 1.0
+        known = np.ma.filled(frame.astype(np.float32), np.nan)
+        before, after = (np.abs(np.diff(each, axis=1)) for each in (known, self.correct(frame)))
+        told = np.isfinite(before) & np.isfinite(after)
+        rough = np.median(before[told]) if told.any() else 0.0
+        return float(np.median(after[told]) / rough) if rough > 0 else 1.0
 
     @functools.cached_property
     def _factors(self) -> tuple[Array, Array]:

@@ -102,8 +102,6 @@ def _judged(
     finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
     coarser = np.diag([1 / finer, 1 / finer, 1])
     seen = motion[np.isfinite(motion).all((1, 2))]
-    if (
-        len(seen) < 2 or scene.ndim > 2
-    ):  # one frame, or a scene for each: there is nothing that moves before the pattern
+    if len(seen) < 2 or scene.ndim > 2:  # one frame, or a scene for each: nothing moves before the pattern
         return statistics, None
     return statistics, judge(statistics, coarser @ seen @ np.linalg.inv(coarser))

@@ -17,9 +17,8 @@ APART = (3, 5)  # px, along rows and columns
 WILD = 3.0  # standard deviations at which what is left is cut off
 #: Correlation of what is left so far apart from which it is no noise: 0.08 at most where the model is right.
 ALIKE = 0.12
-TRAILS = (
-    0.15  # correlation with what the frame before shows beside, from which pixels are slow: 0.05 at most else
-)
+#: Correlation with what the frame before shows beside from which pixels are slow: 0.05 at most where they are not.
+TRAILS = 0.15
 
 
 @torch.no_grad()
