@@ -12,6 +12,7 @@ the more it counts there. The weights add up over the frames, so that what is to
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import torch
@@ -21,6 +22,10 @@ from torch import Tensor
 SHARE = 0.25  # what a gradient counts: its neighbours say much the same
 LEAST = 1e-6  # of a frame's squared scale, in that of the typical frame
 AXES = (-1, -2)
+#: Degrees of freedom that are tried for a frame's gradients: Cauchy's, and two with lighter tails.
+FREEDOMS = (1.0, 2.0, 4.0)
+SAMPLES = 20_000  # gradients of a frame by which its distribution is chosen
+SCALE_STEPS = 10
 
 
 class Edges:
@@ -33,29 +38,41 @@ class Edges:
     def __init__(self, frames: Tensor, usable: Tensor) -> None:
         self.frames, self.usable = frames, usable
         self.level = float(frames[usable].mean(dtype=torch.float64))
-        nothing = torch.zeros(2, *frames.shape[1:], dtype=torch.float64, device=frames.device)
         #: Variance of the pattern's gradients as it is found: where it follows a frame, the frame leaves no residual.
-        self.doubt = [nothing[0].diff(dim=axis) for axis in AXES]
+        self.doubt = [frames.new_zeros(frames.shape[1:], dtype=torch.float64).diff(dim=axis) for axis in AXES]
+        # The likelihood has many optima. From a pattern of zero a pixel far off its neighbours would stay there, for
+        # all its gradients would count for little.
+        start = [torch.stack((torch.zeros_like(each), each)) for each in median_gradients(frames, usable)]
+        #: Root mean square of the pattern's gradients at the start.
+        self.typical = float(torch.cat([each[1].flatten() for each in start]).square().mean().sqrt())
         #: Squared scale of each frame's gradients.
         self.scales = torch.stack([
-            torch.cat([squares[counts] for *_, squares, counts in self._seen(k, nothing)]).median()
+            torch.cat([squares[counts] for *_, squares, counts in self._seen(k, start)]).median()
             for k in range(len(frames))
         ])  # fmt: skip
-        self.weigh(nothing)
+        #: Degrees of freedom of each frame's Student distribution.
+        self.freedom = [FREEDOMS[0]] * len(frames)
+        self._weigh(start)
 
     def weigh(self, pattern: Tensor) -> None:
         """Weigh each gradient by what the pattern leaves of it."""
+        self._weigh([pattern.diff(dim=axis) for axis in AXES])
+
+    def _weigh(self, gradients: list[Tensor]) -> None:
         self.scales.clamp_(min=max(LEAST * float(self.scales.median()), 1e-30))
         #: For each axis the normal matrix (aa, ab, bb) of the gradients of gain (a) and level's pattern (b), and the
         #: right-hand side (a, b).
-        self.sums = [pattern.new_zeros(5, *pattern[0].diff(dim=axis).shape) for axis in AXES]
+        self.sums = [each.new_zeros(5, *each.shape[1:]) for each in gradients]
+        #: The same of the first half of the frames.
+        self.half = [torch.zeros_like(sums) for sums in self.sums]
         for k in range(len(self.frames)):
-            seen = list(self._seen(k, pattern))
+            if k == len(self.frames) // 2:
+                self.half = [sums.clone() for sums in self.sums]
+            seen = list(self._seen(k, gradients))
             squares = torch.cat([each[counts] for *_, each, counts in seen])
-            # A step of expectation-maximisation to the likeliest scale.
-            self.scales[k] *= (2 * squares / (self.scales[k] + squares)).mean()
+            self.freedom[k], self.scales[k] = likeliest_tail(squares, float(self.scales[k]))
             for sums, (step, level, square, counts) in zip(self.sums, seen, strict=True):
-                weight = 2 * SHARE * counts / (self.scales[k] + square)
+                weight = (self.freedom[k] + 1) * SHARE * counts / (self.freedom[k] * self.scales[k] + square)
                 of_gain = weight * level
                 terms = of_gain * level, of_gain, weight, of_gain * step, weight * step
                 for i, term in enumerate(terms):
@@ -79,6 +96,22 @@ class Edges:
             [_adjoint(sums[3:], axis) for axis, sums in zip(AXES, self.sums, strict=True)]
         ).sum(0)
 
+    def half_difference(self, pattern: Tensor) -> Tensor:
+        """Half the difference of what both halves of the frames add to the pattern's level, as its score (h, w).
+
+        It holds no pattern, only what the scenes and the noise leave in an estimate from all frames.
+        """
+        total = torch.zeros_like(pattern[1])
+        for axis, whole, first in zip(AXES, self.sums, self.half, strict=True):
+            gain, level = pattern.diff(dim=axis)
+            rest, early = (b - ab * gain - bb * level for _, ab, bb, _, b in (whole, first))
+            weight = whole[2].mean()
+            shares = [
+                (each / sums[2].mean()) for each, sums in ((early, first), (rest - early, whole - first))
+            ]
+            total += _adjoint(weight * (shares[0] - shares[1]) / 2, axis)
+        return total
+
     def information(self, along: tuple[int, ...]) -> Tensor:
         """Diagonal blocks (aa, ab, bb) of the normal matrix, of values constant `along` axes, (3, h or 1, w or 1)."""
         total = torch.zeros(())
@@ -95,9 +128,12 @@ class Edges:
         bad.
         """
         sums = [torch.zeros_like(each) for each in self.doubt]
+        gradients = [pattern.diff(dim=axis) for axis in AXES]
         for k in range(len(self.frames)):
-            for i, (_, _, square, counts) in enumerate(self._seen(k, pattern)):
-                sums[i] += counts * (square / self.scales[k]).log1p()
+            for i, (_, _, square, counts) in enumerate(self._seen(k, gradients)):
+                freedom = self.freedom[k]
+                nats = (freedom + 1) / 2 * (square / (freedom * self.scales[k])).log1p()
+                sums[i] += counts * nats
         each = []
         for axis, total in zip(AXES, sums, strict=True):
             side, outermost = total.shape[axis], [total.narrow(axis, i, 1) for i in (0, -1)]
@@ -105,14 +141,43 @@ class Edges:
             each += [padded.narrow(axis, i, side + 1) for i in (0, 1)]
         return torch.stack(each).sort(0).values[1] / len(self.frames)
 
-    def _seen(self, k: int, pattern: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
+    def _seen(self, k: int, gradients: list[Tensor]) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
         """Along each axis frame k's gradients, levels, squares of what the pattern leaves of them, and which count."""
         frame = self.frames[k].double()
-        for axis, doubt in zip(AXES, self.doubt, strict=True):
+        for axis, doubt, (gain, pattern) in zip(AXES, self.doubt, gradients, strict=True):
             step, level = frame.diff(dim=axis), _ends(frame, axis) / 2 - self.level
             counts = _ends(self.usable[k].to(torch.uint8), axis) == 2
-            gain, pattern_ = pattern.diff(dim=axis)
-            yield step, level, (step - pattern_ - level * gain).square_().add_(doubt), counts
+            yield step, level, (step - pattern - level * gain).square_().add_(doubt), counts
+
+
+def median_gradients(frames: Tensor, usable: Tensor) -> list[Tensor]:
+    """The median over frames (N, h, w) of the usable gradients along x and along y, float64; 0 where there are none."""
+    found = []
+    for axis in AXES:
+        counts = _ends(usable.to(torch.uint8), axis) == 2
+        ordered = torch.where(counts, frames.diff(dim=axis), torch.inf).sort(0).values
+        number = counts.sum(0, keepdim=True)
+        middle = [ordered.gather(0, index.clamp(min=0)) for index in ((number - 1) // 2, number // 2)]
+        found.append(torch.where(number > 0, middle[0] / 2 + middle[1] / 2, 0)[0].double())
+    return found
+
+
+def likeliest_tail(squares: Tensor, scale: float) -> tuple[float, float]:
+    """Degrees of freedom and squared scale of the Student distribution that makes gradients likeliest.
+
+    `squares` are squared gradients, `scale` a squared scale to begin with.
+    """
+    some = squares[:: max(len(squares) // SAMPLES, 1)]
+    best = (-math.inf, FREEDOMS[0], scale)
+    for freedom in FREEDOMS:
+        own = scale
+        for _ in range(SCALE_STEPS):  # of expectation-maximisation
+            own *= float(((freedom + 1) * some / (freedom * own + some)).mean())
+            own = max(own, 1e-30)
+        tail = torch.log1p(some / (freedom * own)).mean()
+        constant = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2) - math.log(freedom * own) / 2
+        best = max(best, (constant - (freedom + 1) / 2 * float(tail), freedom, own))
+    return best[1], best[2]
 
 
 def _ends(pixels: Tensor, axis: int) -> Tensor:

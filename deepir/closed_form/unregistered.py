@@ -11,10 +11,12 @@ import math
 from collections.abc import Sequence
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
+from deepir.closed_form.coloured_pixels import ColouredPixels
 from deepir.closed_form.conjugate_gradients import conjugate_gradients
-from deepir.closed_form.edges import Edges
+from deepir.closed_form.edges import AXES, Edges, median_gradients
 from deepir.closed_form.elimination import COLUMN, PIXEL, ROW
 from deepir.closed_form.white_parts import WhiteParts
 from deepir.priors.parts import Part
@@ -23,13 +25,16 @@ from deepir.priors.shading import Shading
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
 DEGREE = 8  # of the polynomial that scenes share
 GAIN = 0.02  # what parts of the gain start with
+#: Variance of the scenes' mean slopes, in that between the scenes: 0 if they point anywhere, 1 and more under one sky.
+MEAN_SHARE = 0.5
+ISOLATED = 10.0  # median gradients by which a pixel differs from all four neighbours
 PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for those before
 
 
 @torch.no_grad()
 def find_pattern(
     frames: Tensor, usable: Tensor, gain: Sequence[Part], offset: Sequence[Part]
-) -> tuple[Edges, Tensor]:
+) -> tuple[Edges, Tensor, Shading]:
     """Set the parts of gain and offset, with their strengths where those are not given.
 
     Args:
@@ -39,9 +44,11 @@ def find_pattern(
         offset: parts of the offset, and perhaps a shading.
 
     Returns:
-        The edges, and all that the frames were found to share, of gain and level, (2, h, w).
+        The edges; all that the frames were found to share, of gain and level, (2, h, w); and what is slow of the
+        level, which is in no part unless a shading's strength is given.
     """
-    edges = Edges(frames, usable)
+    isolated = isolated_pixels(frames, usable)
+    edges = Edges(frames - isolated, usable)
     unknowns = _Unknowns(edges, gain, offset)
     for i in range(ROUNDS):
         unknowns.solve(edges)
@@ -53,7 +60,54 @@ def find_pattern(
             unknowns.update_strengths(edges)
         edges.weigh(pattern)
     unknowns.solve(edges)
-    return edges, unknowns.finish()
+    pattern = unknowns.finish()
+    pattern[1] += isolated
+    for part in offset:
+        if part.along == PIXEL and not isinstance(part, Shading):
+            part.assign(part.values + isolated)
+    return edges, pattern, unknowns.slow
+
+
+def isolated_pixels(frames: Tensor, usable: Tensor) -> Tensor:
+    """Offsets (h, w) of single pixels far off all four neighbours in most frames; zero elsewhere.
+
+    A Gaussian prior, whatever its spectrum, would take most of them away. What is given is the least of the four
+    median differences to the neighbours, where these have one sign.
+    """
+    offsets = frames.new_zeros(frames.shape[1:], dtype=torch.float64)
+    each = []
+    for axis, gradient in zip(AXES, median_gradients(frames, usable), strict=True):
+        ahead = F.pad(-gradient, (0, 1) if axis == -1 else (0, 0, 0, 1))
+        behind = F.pad(gradient, (1, 0) if axis == -1 else (0, 0, 1, 0))
+        each += [ahead, behind]
+    sides = torch.stack(each)
+    for sign in (1, -1):
+        least = (sign * sides).amin(0)
+        typical = sides.abs().median()
+        offsets += sign * torch.where(least > ISOLATED * typical, least, 0)
+    return offsets.to(frames.dtype)
+
+
+@torch.no_grad()
+def shrink_shading(shading: Shading, corrected: Tensor) -> float:
+    """Leave of a shading that all frames share what is likelier the sensor's than the scenes'; the share of it.
+
+    Scenes differ from each other about as much as their mean differs from a plain one. So the polynomials' terms of
+    each degree are the sum of a Gaussian share of the scenes, of `MEAN_SHARE` times the variance between them, and one
+    of the sensor, of the variance that is then left (empirical Bayes).
+
+    `corrected` are the frames (N, h, w) without the pattern.
+    """
+    terms = shading.scales * shading.white
+    area = corrected.shape[-2] * corrected.shape[-1]
+    between = (shading.sums(corrected.to(terms)) / area).var(0) * MEAN_SHARE
+    degree, kept = shading.of_y + shading.of_x, torch.zeros_like(terms)
+    for each in degree.unique():
+        some = degree == each
+        whole, scenes = terms[some].square().mean(), between[some].mean()
+        kept[some] = ((whole - scenes) / whole.clamp(min=1e-300)).clamp(min=0)
+    shading.assign(shading.spread(kept * terms)[None, None])
+    return float((kept * terms).norm() / terms.norm().clamp(min=1e-300))
 
 
 class _Unknowns:
@@ -61,7 +115,7 @@ class _Unknowns:
 
     def __init__(self, edges: Edges, gain: Sequence[Part], offset: Sequence[Part]) -> None:
         self.level, (height, width) = edges.level, edges.frames.shape[1:]
-        typical = float(edges.scales.median().sqrt())
+        typical = edges.typical
         self.parts = []
         for along in (PIXEL, COLUMN, ROW):
             pair = [next((part for part in parts if part.along == along and not isinstance(part, Shading)), None)
@@ -70,13 +124,16 @@ class _Unknowns:
                 if part and not part.given:
                     part.sigma.fill_(start)
             if any(pair):
-                self.parts.append(WhiteParts(along, pair, edges.level, (height, width)))
+                kind = WhiteParts if along else ColouredPixels
+                self.parts.append(kind(along, pair, edges.level, (height, width)))
         self.shading = next((part for part in offset if isinstance(part, Shading)), None)
-        self.slow = self.shading or Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
-        deviation = float(edges.frames.std())
+        given = self.shading is not None and self.shading.given
+        free = Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
+        self.slow = self.shading if self.shading is not None and given else free
+        deviation = float(edges.frames.flatten(1).std(1).median())
         self.unit = math.hypot(edges.level, deviation)  # counts that a gain of one is about
-        free = edges.scales.new_tensor([[1.0], [deviation]])  # of gain and level
-        self.steep = free / (self.slow.of_y + self.slow.of_x).square()
+        free_by = edges.scales.new_tensor([[1.0 if gain else 0.0], [deviation]])  # of gain and level
+        self.steep = free_by / (self.slow.of_y + self.slow.of_x).square()
         self.sizes = [math.prod(parts.shape) for parts in self.parts]
         self.white = edges.scales.new_zeros(sum(self.sizes) + self.steep.numel())
 
@@ -130,9 +187,10 @@ class _Unknowns:
     def update_strengths(self, edges: Edges) -> None:
         """Strengths that are not given anew; the values stay."""
         values, _ = self.split(self.white)
+        pattern = self.pattern(self.white)
         each = self.white.split([*self.sizes, self.steep.numel()])
         for parts, mine, white in zip(self.parts, values, each, strict=False):
-            parts.update_strengths(edges.information(parts.along), mine)
+            parts.update_strengths(edges, pattern, mine)
             white.copy_(parts.whiten(mine))
 
     def finish(self) -> Tensor:
@@ -142,8 +200,7 @@ class _Unknowns:
             for part, value in zip(parts.pair, parts.split(mine), strict=True):
                 if part:
                     part.assign(value.reshape(part.white.shape))
-        if self.shading is not None:
-            if not self.shading.given:
-                self.shading.sigma.copy_(terms[1].square().mean().sqrt())
-            self.shading.assign(self.shading.spread(terms[1])[None, None])
+        if not self.slow.given:
+            self.slow.sigma.copy_(terms[1].square().mean().sqrt())
+        self.slow.assign(self.slow.spread(terms[1])[None, None])
         return self.pattern(self.white)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from deepir.closed_form.edges import Edges
 from deepir.evidence.parts import likeliest
 from deepir.evidence.strengths import MOST, share, spread
 from deepir.priors.parts import Part
@@ -67,9 +68,9 @@ class WhiteParts:
             if part:
                 part.most.fill_(MOST * spread(share(level, part)) / max(size, 1e-30))
 
-    def update_strengths(self, information: Tensor, values: Tensor) -> None:
-        """The likeliest, all other parts held."""
-        aa, ab, bb = information.flatten(1)
+    def update_strengths(self, edges: Edges, pattern: Tensor, values: Tensor) -> None:
+        """The likeliest, all other parts held; `pattern` (2, h, w) is that of all of them."""
+        aa, ab, bb = edges.information(self.along).flatten(1)
         level = self.level
         information = torch.stack((aa + 2 * level * ab + level**2 * bb, ab + level * bb, bb))
         free = [i for i, part in enumerate(self.pair) if part and not part.given]

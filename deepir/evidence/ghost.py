@@ -35,7 +35,7 @@ MOVES = 0.3  # nats by which the motion makes each sample likelier than rest; 0.
 def ghost_message(problem: Problem) -> list[str]:
     """Say so if the pattern that was found is a picture."""
     stage, last = problem.operator.named()[-1]
-    if not isinstance(last, Sensor) or not problem.closed_form():
+    if not isinstance(last, Sensor) or not problem.closed_form() or "warp.motion" not in problem.slots:
         return []
     values = problem.values()
     flux = problem.flux(values)
@@ -54,8 +54,6 @@ def ghost_message(problem: Problem) -> list[str]:
 
 def _moves(problem: Problem) -> bool:
     """Whether a motion that was found of whole frames makes them clearly likelier than rest."""
-    if "warp.motion" not in problem.slots:
-        return False
     motion = problem.field_of("warp.motion")().double().cpu()
     if motion.shape != (len(problem.data), 3, 3):
         return False

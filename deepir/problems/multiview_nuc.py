@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.closed_form.unregistered import find_pattern
+from deepir.closed_form.elimination import PIXEL
+from deepir.closed_form.slow_pattern import slow_pattern
+from deepir.closed_form.unregistered import find_pattern, shrink_shading
 from deepir.errors import ConfigError, DataError
 from deepir.evidence.strengths import weigh_scene
 from deepir.noise.typical import flat_noise
@@ -21,7 +24,10 @@ from deepir.stage import Stage, Step
 
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared
-SAME, ALIKE = 0.003, 0.3  # mean squared differences of frames, to those of unrelated ones
+SAME = 2.0  # variance of the blocks' means in a difference of frames, to that of white noise
+ALIKE = 0.3  # mean squared differences of frames, to those of unrelated ones
+#: Share of the slow part, from none and from all, within which its division is no guess.
+GUESS = 0.1
 DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
 
 
@@ -45,9 +51,10 @@ class MultiviewNUC(Definition):
         frames, usable = problem.data[:, 0], problem.precision[:, 0] > 0
         self.messages = _demand_different(frames)
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
-        edges, pattern = find_pattern(frames, usable, gain, offset)
+        edges, pattern, slow = find_pattern(frames, usable, gain, offset)
         misfit = edges.misfit(pattern)
         usable = usable & ~((misfit > DEFECTIVE) & lonely(misfit))
+        self.messages += _divide_slow_part(problem, slow, offset, usable)
         if problem.noise is not None:
             problem.precision.mul_(usable[:, None])
         else:
@@ -75,16 +82,19 @@ class MultiviewNUC(Definition):
 
 def _demand_different(frames: Tensor) -> list[str]:
     """Messages for frames (N, h, w) that are few, or much alike; `DataError` if they show all the same."""
+    change = frames - frames.roll(len(frames) // 2, 0)
+    means = F.avg_pool2d(change[:, None], BLOCK)[:, 0]
+    slow, whole, contrast = (each.flatten(1).var(1).median() for each in (means, change, frames))
+    if BLOCK**2 * slow <= SAME * whole <= SAME * contrast:
+        raise DataError(
+            "the frames all show the same: what stands still in all of them is taken for the sensor's pattern. "
+            "Take frames of different scenes, or move the camera and take problem 'nuc'"
+        )
     means = F.avg_pool2d(frames[:, None], BLOCK)[:, 0]
     means = means - means.mean((1, 2), keepdim=True)
     others = means.roll(len(means) // 2, 0)
     unrelated = means.square().mean((1, 2)) + others.square().mean((1, 2))
     apart = float(((means - others).square().mean((1, 2)) / unrelated.clamp(min=1e-30)).median())
-    if apart < SAME:
-        raise DataError(
-            "the frames all show the same: what stands still in all of them is taken for the sensor's pattern. "
-            "Take frames of different scenes, or move the camera and take problem 'nuc'"
-        )
     messages = []
     if apart < ALIKE:
         messages.append(
@@ -111,6 +121,38 @@ def _parts(problem: Problem, slot: str) -> Sequence[Part]:
             f"physics.{name}: 'multiview_nuc' finds sums of column, row, pixel and, in the offset, shading"
         )
     return parts
+
+
+@torch.no_grad()
+def _divide_slow_part(problem: Problem, slow: Shading, offset: Sequence[Part], usable: Tensor) -> list[str]:
+    """Divide what is slow of all frames between the offset's shading and the scenes; a message where that is a guess.
+
+    Where neighbouring frames show the same things displaced, these tell; else how much the scenes differ.
+    """
+    shading = next((part for part in offset if isinstance(part, Shading)), None)
+    if shading is None or shading.given:
+        return []
+    scenes = _corrected(problem)
+    rest = slow.values[0, 0]
+    moved = slow_pattern((scenes - rest).double().cpu().numpy(), usable.cpu().numpy())
+    messages = []
+    if moved.related:
+        rest = rest + torch.from_numpy(moved.offset).to(rest)
+    else:
+        share = shrink_shading(slow, scenes - rest)
+        rest = slow.values[0, 0]
+        if GUESS < share < 1 - GUESS:
+            messages.append(
+                "no two frames show the same things, so the sensor's shading is separated from slopes of the scenes "
+                f"only by how much these differ: {share:.0%} of what all frames share is taken for the sensor's. "
+                "Take neighbouring frames of a moving camera"
+            )
+    shading.sigma.copy_(rest.std())
+    for part in (shading, *(part for part in offset if part.along == PIXEL and part is not shading)):
+        before = part.values[0, 0]
+        part.assign(part.values + rest)
+        rest = rest - (part.values[0, 0] - before)
+    return messages
 
 
 def _corrected(problem: Problem) -> Tensor:

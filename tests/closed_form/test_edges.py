@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from deepir.closed_form.conjugate_gradients import conjugate_gradients
-from deepir.closed_form.edges import SHARE, Edges
+from deepir.closed_form.edges import SHARE, Edges, likeliest_tail
 from deepir.closed_form.elimination import COLUMN, PIXEL, ROW
 from deepir.closed_form.unregistered import find_pattern
 from deepir.priors.parts import Column, Pixel, Row
@@ -47,9 +47,9 @@ def test_the_normal_equations_are_those_of_weighted_least_squares(edges):
             ) ** 2 + doubt
             parts.append((axis, ahead - here, level, square, counts))
         squares = torch.cat([square[counts] for *_, square, counts in parts])
-        scale = scales[k] * (2 * squares / (scales[k] + squares)).mean()
+        freedom, scale = likeliest_tail(squares, float(scales[k]))
         for axis, step, level, square, counts in parts:
-            weight = 2 * SHARE * counts / (scale + square)
+            weight = (freedom + 1) * SHARE * counts / (freedom * scale + square)
             of_other = other[1].diff(dim=axis) + level * other[0].diff(dim=axis)
             nats += (weight * of_other**2).sum()
             slope += (weight * of_other * step).sum()

@@ -106,15 +106,15 @@ def test_gain_is_told_from_offset_by_scenes_of_different_levels():
     assert likeness(result.gain, sim.truth.gain) > 0.9
 
 
-def test_a_shading_is_the_sensors_only_where_it_is_asked_for():
-    sim = views(shading=0.2)
+def test_a_shading_that_is_stronger_than_the_slopes_of_the_scenes_is_the_sensors():
+    sim = views(shading=0.4)
     plain, shaded = (
         deepir.run("multiview_nuc", f"physics.sensor.offset={kind}", frames=sim.frames, **QUICK)
         for kind in ("column+row+pixel", "column+row+shading+pixel")
     )
     first, second = (likeness(each.offset, sim.truth.offset) for each in (plain, shaded))
-    assert second > 0.95
-    assert second > first + 0.02
+    assert second > 0.9
+    assert second > first + 0.3
 
 
 def test_pixels_that_are_no_sensors_are_found():

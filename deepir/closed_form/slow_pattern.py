@@ -1,0 +1,163 @@
+"""The slow part of an additive pattern, from what a moving scene's brightness changes along its way.
+
+A point of the scene that is seen at p in one frame and at p + v in another differs in brightness by L(p) - L(p + v),
+where L is the pattern. The differences along the displacements of many pairs of frames give L by robust least squares,
+as a polynomial and a bilinear grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+from deepir.registration.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
+
+#: Frames between which displacements are sought, apart in the order of the frames.
+GAPS = (1, 2)
+#: Times that displacements are sought, each after what was found before is taken off.
+ROUNDS = 2
+#: px of the averaged frames between nodes of the grid, and between the samples that are used.
+CELL, STEP = 8, 2
+#: Samples that say the same, for the displacement of all in a window is one.
+CORRELATED = ((2 * RADIUS + 1) / STEP) ** 2
+DEGREE = 2  # of the polynomial
+#: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
+LEAST_KNOWN, CHANCE_FACTOR = 0.02, 3.0
+CHANCE_PAIRS = 5
+REWEIGHTINGS = 10
+#: Samples of a pair below which it is left out.
+FEWEST = 50
+
+
+@dataclass(frozen=True)
+class SlowPattern:
+    """A slow additive pattern (h, w), mean zero; `related`: whether neighbouring frames show the same things."""
+
+    offset: Array
+    related: bool
+
+
+def slow_pattern(frames: Array, usable: Array) -> SlowPattern:
+    """The slow additive pattern that frames still hold.
+
+    Args:
+        frames: (N, h, w), in any order in which neighbours may show the same scene; fine pattern taken off.
+        usable: (N, h, w) bool, which samples count.
+
+    Returns:
+        The pattern in the frames' units; zero where the frames are not related.
+    """
+    factor = max(1, min(frames.shape[1:]) // SHORT_SIDE)
+    coarse = np.stack([averaged(frame, good, factor) for frame, good in zip(frames, usable, strict=True)])
+    contrast = max(float(np.median(coarse.std((1, 2)))), np.finfo(float).tiny)
+    coarse /= contrast
+    pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
+    grid = _Grid(coarse.shape[1:])
+    total = np.zeros(coarse.shape[1:])
+    for round_ in range(ROUNDS):
+        found = list(displacements(coarse - total, pairs))
+        if round_ == 0 and not _related(coarse, found):
+            return SlowPattern(np.zeros(frames.shape[1:]), related=False)
+        total += grid.fitted(coarse - total, found)
+    offset = contrast * _enlarged(total, frames.shape[1:], factor)
+    return SlowPattern(offset - offset.mean(), related=True)
+
+
+def _related(frames: Array, found: Sequence[Displacement]) -> bool:
+    """Whether the displacements are known in far more places than those to mirrored frames, which are chance."""
+    if not found:
+        return False
+    count = min(len(frames) - 1, CHANCE_PAIRS)
+    ends = [(k * (len(frames) - 1) // count, k * (len(frames) - 1) // count + 1) for k in range(count)]
+    mirrored = np.concatenate([[frames[i], frames[j][:, ::-1]] for i, j in ends])
+    chance = [
+        each.known.mean() for each in displacements(mirrored, [(2 * k, 2 * k + 1) for k in range(count)])
+    ]
+    known = float(np.median([each.known.mean() for each in found if each.second - each.first == GAPS[0]]))
+    return known >= max(LEAST_KNOWN, CHANCE_FACTOR * float(np.median(chance)))
+
+
+def averaged(frame: Array, usable: Array, factor: int) -> Array:
+    """Means of the usable of `factor` x `factor` px, from the first on; the frame's median where none is usable."""
+    height, width = (side // factor for side in frame.shape)
+    blocks = (height, factor, width, factor)
+    cut = np.s_[: height * factor, : width * factor]
+    count = usable[cut].reshape(blocks).sum((1, 3))
+    total = np.where(usable, frame, 0.0)[cut].reshape(blocks).sum((1, 3))
+    return np.where(
+        count > 0, total / np.maximum(count, 1), np.median(frame[usable]) if usable.any() else 0.0
+    )
+
+
+class _Grid:
+    """Maps (h, w) that are a polynomial and a bilinear interpolation of nodes, both of prior deviation one."""
+
+    def __init__(self, size: tuple[int, ...]) -> None:
+        self.size = size
+        self.nodes = tuple(max(2, side // CELL) for side in size)
+        orders = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i) if i + j]
+        along = [np.polynomial.legendre.legvander(np.linspace(-1, 1, count), DEGREE) for count in self.nodes]
+        self.polynomials = np.stack([np.outer(along[0][:, i], along[1][:, j]).ravel() for i, j in orders], 1)
+        steps = [sp.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count)) for count in self.nodes]
+        down, across = (
+            sp.kron(steps[0], sp.eye(self.nodes[1])),
+            sp.kron(sp.eye(self.nodes[0]), steps[1]),
+        )
+        smooth = down.T @ down + across.T @ across + 1e-6 * sp.eye(len(self.polynomials))
+        self.prior = sp.block_diag([smooth, sp.eye(len(orders))]).tocsr()
+
+    def fitted(self, frames: Array, found: Sequence[Displacement]) -> Array:
+        """The map that explains best how brightness changes along the displacements; Cauchy weights."""
+        equations = [each for each in (self._equations(frames, one) for one in found) if each is not None]
+        unknowns = np.zeros(self.prior.shape[0])
+        for _ in range(REWEIGHTINGS):
+            normal, score = self.prior, np.zeros_like(unknowns)
+            for design, change in equations:
+                rest = change - design @ unknowns
+                level = np.median(rest)
+                scale = max(1.4826 * float(np.median(np.abs(rest - level))), 1e-6)
+                weight = 1 / (scale**2 + (rest - level) ** 2) / CORRELATED
+                normal = normal + design.T @ sp.diags(weight) @ design
+                score += design.T @ (weight * (change - level))
+            unknowns = spsolve(normal.tocsc(), score)
+        nodes = unknowns[: len(self.polynomials)] + self.polynomials @ unknowns[len(self.polynomials) :]
+        return np.asarray(
+            self._weights(*np.mgrid[: self.size[0], : self.size[1]].astype(float)) @ nodes
+        ).reshape(self.size)
+
+    def _equations(self, frames: Array, found: Displacement) -> tuple[sp.csr_matrix, Array] | None:
+        """L(p) - L(p + v) of the unknowns, and the change of brightness, at some of the known samples."""
+        some = np.zeros(self.size, bool)
+        some[::STEP, ::STEP] = True
+        some &= found.known
+        if some.sum() < FEWEST:
+            return None
+        rows, columns = np.nonzero(some)
+        y, x = found.y[some], found.x[some]
+        change = frames[found.first][some] - sampled(frames[found.second], y, x)
+        nodes = self._weights(rows.astype(float), columns.astype(float)) - self._weights(y, x)
+        return sp.hstack([nodes, nodes @ self.polynomials]).tocsr(), change
+
+    def _weights(self, y: Array, x: Array) -> sp.csr_matrix:
+        """Bilinear weights of the nodes at points, (points, nodes)."""
+        low, part = [], []
+        for at, side, count in zip((y.ravel(), x.ravel()), self.size, self.nodes, strict=True):
+            place = np.clip((at + 0.5) * count / side - 0.5, 0, count - 1)
+            low.append(np.minimum(place.astype(int), count - 2))
+            part.append(place - low[-1])
+        corners = [(i, j) for i in (0, 1) for j in (0, 1)]
+        weights = [np.abs(1 - i - part[0]) * np.abs(1 - j - part[1]) for i, j in corners]
+        indices = [(low[0] + i) * self.nodes[1] + low[1] + j for i, j in corners]
+        points = np.tile(np.arange(len(low[0])), 4)
+        shape = (len(low[0]), len(self.polynomials))
+        return sp.csr_matrix((np.concatenate(weights), (points, np.concatenate(indices))), shape=shape)
+
+
+def _enlarged(coarse: Array, size: Sequence[int], factor: int) -> Array:
+    """A map of block means at each px of `size`, bilinear about the blocks' centres."""
+    y, x = ((np.arange(side) + 0.5) / factor - 0.5 for side in size)
+    return sampled(coarse, *np.meshgrid(y, x, indexing="ij"))
