@@ -33,9 +33,7 @@ class ColouredPixels(WhiteParts):
         super().__init__(along, pair, level, size)
         #: Of each axis the octave of each coefficient's frequency, from the lowest.
         self.octaves = [
-            torch.from_numpy(
-                np.log2((np.arange(side) / (2 * side)).clip(LOWEST_FREQUENCY) / LOWEST_FREQUENCY)
-            )
+            torch.from_numpy(np.log2(np.maximum(np.arange(side) / max(2 * side * LOWEST_FREQUENCY, 1), 1)))
             for side in size
         ]
         y, x = (torch.from_numpy(2 - 2 * np.cos(np.pi * np.arange(side) / side)) for side in size)
