@@ -15,7 +15,7 @@ from deepir.errors import ConfigError, DataError
 from deepir.evidence.stretched import cut_off, is_stretched
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
 from deepir.io.checks import empty, lost
-from deepir.io.frames import select_frames, to_float32
+from deepir.io.frames import frames_beside, select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
 from deepir.io.telemetry import telemetry, telemetry_message
@@ -33,7 +33,8 @@ class Burst:
     `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
     masked ones among them. `truth` holds what is known of the scene (h, w), or (N, h, w) if each frame has its own, of
     gain, offset, motion ... by name, and `radiometry` makes kelvin of counts. `clipped` (N, h, w) is 1 or -1 for
-    samples that are cut off at an end of the range, else 0; None if none is. `messages` say what was left out.
+    samples that are cut off at an end of the range, else 0; None if none is. `beside` are pairs of frames (2 M, h, w)
+    of the same recording that are not in the burst, to judge its correction by. `messages` say what was left out.
     """
 
     frames: Array
@@ -45,6 +46,7 @@ class Burst:
     radiometry: Radiometry | None = None
     stretched: bool = False
     clipped: Array | None = None
+    beside: Array | None = None
     messages: tuple[str, ...] = ()
 
     @property
@@ -65,15 +67,20 @@ def load(
         ConfigError: There are two sources, or `data.simulate` or `data.radiometry` is wrong.
     """
     truth: dict[str, Array] = {}
-    found = None
+    found = beside = None
     if data.path is not None and data.simulate is not None:
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
     if frames is not None:
         source, digest = "frames", ""
-        stack = to_float32(select_frames(stacked(_array(frames), source), data.frames, source))
+        whole = stacked(_array(frames), source)
+        stack, beside = (
+            to_float32(select_frames(whole, data.frames, source)),
+            frames_beside(whole, data.frames),
+        )
     elif data.path is not None:
         read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
         stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
+        beside = read.beside
     elif data.simulate is not None:
         stack, source, digest, truth = _simulated(data, seed)
     else:
@@ -89,6 +96,7 @@ def load(
     if data.crop is not None:
         size = mask.shape
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
+        beside = None if beside is None else crop(beside, data.crop)
         # Motion is about another centre then.
         truth = {k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"}
     nothing = {} if ordered else lost(stack)
@@ -109,7 +117,7 @@ def load(
         raise DataError(f"{source}: the mask leaves no pixel")
     ends = None if stretched else clipped(np.where(valid, stack, np.nan))
     stack = np.where(valid, stack, 0)
-    return Burst(stack, valid, bad | mask, source, digest, truth, kelvin, stretched, ends, messages)
+    return Burst(stack, valid, bad | mask, source, digest, truth, kelvin, stretched, ends, beside, messages)
 
 
 def _without(

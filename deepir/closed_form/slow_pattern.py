@@ -51,7 +51,7 @@ def slow_pattern(frames: Array, usable: Array) -> SlowPattern:
     Returns:
         The pattern in the frames' units; zero where the frames are not related.
     """
-    factor = max(1, min(frames.shape[1:]) // SHORT_SIDE)
+    factor = coarsening(frames.shape[1:])
     coarse = np.stack([averaged(frame, good, factor) for frame, good in zip(frames, usable, strict=True)])
     contrast = max(float(np.median(coarse.std((1, 2)))), np.finfo(float).tiny)
     coarse /= contrast
@@ -72,13 +72,17 @@ def _related(frames: Array, found: Sequence[Displacement]) -> bool:
     if not found:
         return False
     count = min(len(frames) - 1, CHANCE_PAIRS)
-    ends = [(k * (len(frames) - 1) // count, k * (len(frames) - 1) // count + 1) for k in range(count)]
-    mirrored = np.concatenate([[frames[i], frames[j][:, ::-1]] for i, j in ends])
-    chance = [
-        each.known.mean() for each in displacements(mirrored, [(2 * k, 2 * k + 1) for k in range(count)])
-    ]
-    known = float(np.median([each.known.mean() for each in found if each.second - each.first == GAPS[0]]))
-    return known >= max(LEAST_KNOWN, CHANCE_FACTOR * float(np.median(chance)))
+    first = np.arange(count) * (len(frames) - 1) // count
+    mirrored = np.concatenate([[frames[k], frames[k + 1][:, ::-1]] for k in first])
+    by_chance = displacements(mirrored, [(2 * k, 2 * k + 1) for k in range(count)])
+    chance = float(np.median([each.share_moved for each in by_chance]))
+    known = float(np.median([each.share_moved for each in found if each.second - each.first == GAPS[0]]))
+    return known >= max(LEAST_KNOWN, CHANCE_FACTOR * chance)
+
+
+def coarsening(size: Sequence[int]) -> int:
+    """Side of the blocks, px, over which frames of a size are averaged before displacements are sought."""
+    return max(1, min(size) // SHORT_SIDE)
 
 
 def averaged(frame: Array, usable: Array, factor: int) -> Array:

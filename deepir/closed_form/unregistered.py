@@ -10,16 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.fft import dctn, idctn
 from torch import Tensor
 
 from deepir.closed_form.coloured_pixels import ColouredPixels
 from deepir.closed_form.conjugate_gradients import conjugate_gradients
 from deepir.closed_form.edges import AXES, Edges, median_gradients
 from deepir.closed_form.elimination import COLUMN, PIXEL, ROW
+from deepir.closed_form.slow_pattern import slow_pattern
 from deepir.closed_form.white_parts import WhiteParts
-from deepir.priors.parts import Part
+from deepir.priors.parts import Column, Part, Pixel, Row
 from deepir.priors.shading import Shading
 
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
@@ -68,6 +71,25 @@ def find_pattern(
     return edges, pattern, unknowns.slow
 
 
+def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The offset (h, w), mean zero, of frames (N, h, w) of which none is registered; no gain.
+
+    Also, whether neighbouring frames show the same things displaced; these then tell what is slow of the offset.
+    """
+    maps = (1, 1, *frames.shape[1:])
+    data, good = torch.from_numpy(frames), torch.from_numpy(usable)
+    _, pattern, slow = find_pattern(data, good, (), (Column(maps), Row(maps), Pixel(maps)))
+    offset = pattern[1].numpy()
+    moved = slow_pattern(frames - offset, usable)
+    if moved.related:
+        offset = offset + moved.offset
+    else:
+        shared = slow.values[0, 0].detach().numpy()
+        shrink_shading(slow, data - pattern[1])
+        offset = offset - shared + slow.values[0, 0].detach().numpy()
+    return offset - offset[usable.any(0)].mean(), moved.related
+
+
 def isolated_pixels(frames: Tensor, usable: Tensor) -> Tensor:
     """Offsets (h, w) of single pixels far off all four neighbours in most frames; zero elsewhere.
 
@@ -86,6 +108,22 @@ def isolated_pixels(frames: Tensor, usable: Tensor) -> Tensor:
         typical = sides.abs().median()
         offsets += sign * torch.where(least > ISOLATED * typical, least, 0)
     return offsets.to(frames.dtype)
+
+
+def median_pattern(frames: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """The offset (h, w), mean zero, whose gradients are the medians of those of frames (N, h, w).
+
+    Weiss 2001, "Deriving intrinsic images from image sequences". Poisson's equation with free edges, by cosines.
+    """
+    gradients = median_gradients(torch.from_numpy(frames), torch.from_numpy(usable))
+    score = sum(
+        -np.diff(each.numpy(), axis=axis, prepend=0, append=0)
+        for axis, each in zip(AXES, gradients, strict=True)
+    )
+    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in frames.shape[1:])
+    curvature = y[:, None] + x
+    curvature[0, 0] = np.inf  # the level stays zero
+    return np.asarray(idctn(dctn(score, norm="ortho") / curvature, norm="ortho"))
 
 
 @torch.no_grad()

@@ -19,6 +19,9 @@ from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array, folder
 from deepir.paths import expanded
 
+#: Pairs of frames beside a burst that are kept to judge its correction, and how many frames they are apart at most.
+PAIRS_BESIDE, FARTHEST_PAIR = 6, 8
+
 Select = str | int | Sequence[int] | None
 
 
@@ -28,7 +31,8 @@ class Frames:
 
     `frames` is `(N, h, w)` float32 in the data's units, `source` says where it is from, `dtype` is the type
     it was stored in, `sha256` is that of the file (where there are several, of their digests in order), and
-    `radiometry` makes kelvin of the units, if the file says how.
+    `radiometry` makes kelvin of the units, if the file says how. `beside` are pairs of frames that were not selected
+    (2 M, h, w).
     """
 
     frames: np.ndarray[Any, np.dtype[np.float32]]
@@ -36,6 +40,7 @@ class Frames:
     dtype: str
     sha256: str
     radiometry: Radiometry | None = None
+    beside: np.ndarray[Any, np.dtype[np.float32]] | None = None
 
 
 def read_frames(
@@ -52,7 +57,7 @@ def read_frames(
     source = f"{file}[{key}]" if key else str(file)
     frames = to_float32(select_frames(stored, select, source))
     kelvin = readers.radiometry(file) if raw is None else None
-    return Frames(frames, source, stored.dtype.name, digest(file), kelvin)
+    return Frames(frames, source, stored.dtype.name, digest(file), kelvin, frames_beside(stored, select))
 
 
 def stream_frames(
@@ -121,6 +126,29 @@ def select_frames(frames: Array, select: Select, source: str) -> Array:
     if any(i is not None and not -count <= i < limit for i in named) or not len(np.arange(count)[picked]):
         raise wrong
     return frames[picked]
+
+
+def frames_beside(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
+    """Pairs of frames (2 M, h, w) that `select` leaves out, from about those that it takes; None where there are none.
+
+    Those of a pair are as far apart as half the burst reaches, and `FARTHEST_PAIR` frames at most.
+    """
+    if select is None:
+        return None
+    numbers = np.arange(len(frames))
+    taken = numbers[_indices(select)]
+    reach = int(np.ptp(taken))
+    gap = int(np.clip(reach // 2, 1, FARTHEST_PAIR))
+    free = (
+        ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
+    )
+    starts = numbers[:-gap][free[:-gap] & free[gap:]]
+    if not len(starts):
+        return None
+    some = starts[
+        np.unique(np.linspace(0, len(starts) - 1, min(len(starts), PAIRS_BESIDE)).round().astype(int))
+    ]
+    return to_float32(frames[np.stack((some, some + gap), 1).ravel()])
 
 
 def _indices(select: str | int | Sequence[int]) -> slice | list[int]:

@@ -12,7 +12,7 @@ import torch
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.curvature.uncertainty import pattern_cost
-from deepir.errors import ConfigError
+from deepir.errors import ConfigError, DataError
 from deepir.evidence.contrast import contrast_message
 from deepir.evidence.ghost import ghost_message
 from deepir.evidence.levels import drift_message
@@ -24,6 +24,7 @@ from deepir.joint.build import build
 from deepir.joint.order import bridge_message, bridged
 from deepir.joint.planned import plan
 from deepir.joint.registered import registered
+from deepir.joint.safeguard import safeguarded, unregistered
 from deepir.joint.solved import collect
 from deepir.noise.given import given_noise
 from deepir.noise.lines import line_noise_message
@@ -46,7 +47,12 @@ def joint(
 ) -> Result:
     """Fields for all unknowns, fitted together (the default)."""
     definition: Definition = lookup("problem", config.problem, "problem")()
-    motion, used, messages = registered(burst, config, definition)
+    try:
+        motion, used, messages = registered(burst, config, definition)
+    except DataError as refusal:
+        if not definition.judged:
+            raise
+        return unregistered(burst, refusal)
     taken = used
     if definition.ordered and motion is not None:
         motion, taken = bridged(motion, used)
@@ -79,7 +85,7 @@ def joint(
     cost = pattern_cost(problem, definition.weak)
     result = collect(problem, geometry, solution, burst, used, taken, messages, cost)
     result.metrics |= definition.figures(problem)
-    return result
+    return safeguarded(result, burst) if definition.judged else result
 
 
 def _demand_scene(problem: Problem) -> None:

@@ -36,6 +36,8 @@ class DeblurLag(NUC):
     frame is tried both ways.
     """
 
+    judged = False
+
     frames = 3
     ordered = True
     operators: ClassVar[tuple[str, ...]] = ("warp", "lag", "sensor")

@@ -44,6 +44,8 @@ class Definition:
     motion: ClassVar[bool] = False
     #: Whether frames follow each other in time, so that none may be missing in between.
     ordered: ClassVar[bool] = False
+    #: Whether gain and offset correct the frames as they are, so that frames beside the burst can judge them.
+    judged: ClassVar[bool] = False
     #: Weight of the scene's penalties while the sensor's pattern is found, to that of the scene's own stage.
     weak: ClassVar[float] = 1.0
     #: Operators that the physics must have.

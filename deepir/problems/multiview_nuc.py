@@ -40,6 +40,7 @@ class MultiviewNUC(Definition):
     """
 
     frames = 2
+    judged = True
     operators = ("sensor",)
 
     def initialise(self, problem: Problem, seed: int) -> None:

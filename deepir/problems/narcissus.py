@@ -44,6 +44,8 @@ class Narcissus(NUC):
     sensor that sees no scene. Then as in `nuc`. From one frame, only its smoothness tells stray flux from the scene.
     """
 
+    judged = False
+
     frames = 1
     operators = ("add", "sensor")
 

@@ -62,6 +62,7 @@ class NUC(Definition):
     """
 
     frames = 2
+    judged = True
     motion = True
     weak = WEAK
     operators: ClassVar[tuple[str, ...]] = ("warp", "sensor")

@@ -27,6 +27,8 @@ RADIUS, WARPS = 7, 10
 LOOP_ERROR = 1.0
 #: Least normalised correlation of texture within `CORRELATION_SIGMA` px, where a displacement is trusted.
 CORRELATION, CORRELATION_SIGMA = 0.7, 5.0
+#: px of the frames in which displacements are sought, from which they are a motion.
+LEAST_MOVED = 0.5
 #: px from the border within which nothing is trusted.
 BORDER = 2
 
@@ -40,6 +42,13 @@ class Displacement:
     y: Array
     x: Array
     known: Array
+
+    @property
+    def share_moved(self) -> float:
+        """Share of the frame that is known to have moved, by `LEAST_MOVED` px and more."""
+        rows, columns = np.mgrid[: self.y.shape[0], : self.y.shape[1]]
+        moved = np.hypot(self.y - rows, self.x - columns) >= LEAST_MOVED
+        return float((moved & self.known).mean())
 
 
 def displacements(frames: Array, pairs: Iterable[tuple[int, int]]) -> Iterator[Displacement]:

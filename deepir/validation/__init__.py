@@ -1,0 +1,1 @@
+"""Judging corrections by frames of a moving scene, without a truth."""
