@@ -11,7 +11,7 @@ from deepir.average import Average
 from deepir.closed_form.elimination import Eliminated, eliminate
 from deepir.closed_form.half_squares import of_sensor
 from deepir.fidelity import Fidelity, Gaussian
-from deepir.operators import Chain, Sensor
+from deepir.operators import Chain, Operator, Sensor
 from deepir.operators.base import own
 from deepir.penalties.local import Local
 from deepir.penalties.penalty import Penalty
@@ -88,6 +88,12 @@ class Problem(nn.Module):
         self.register_buffer("even", torch.tensor(False))
         self.register_buffer("plain", torch.tensor(0.0))
         self.register_buffer("rough", torch.tensor(torch.inf, dtype=torch.float64))
+
+    def slot(self, kind: type[Operator], own: str) -> str:
+        """The name of a slot of the first stage of a kind, whatever the stage is called; "" if there is none."""
+        stages = [name for name, stage in self.operator.named() if isinstance(stage, kind)]
+        name = f"{stages[0]}.{own}" if stages else ""
+        return name if name in self.slots else ""
 
     def field_of(self, slot: str) -> Field:
         """The field of the unknown that a slot takes."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.fft import dctn, idctn
 
 from deepir.baselines.average import average
 from deepir.burst import Burst
+from deepir.closed_form.unregistered import poisson
 from deepir.config import Config
 from deepir.registry import register
 from deepir.result import Result
@@ -39,13 +39,7 @@ def multiview_tv_recursive(burst: Burst, config: Config) -> Result:
 
 def median_offset(frames: np.ndarray) -> np.ndarray:
     """The offset (h, w), mean zero, whose gradients are nearest to the medians of those of frames (N, h, w)."""
-    score = sum(_adjoint(np.median(np.diff(frames, axis=axis), axis=0), axis) for axis in (-1, -2))
-    # Poisson's equation with free edges, by cosines.
-    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in frames.shape[1:])
-    curvature = y[:, None] + x
-    curvature[0, 0] = np.inf  # the level stays zero
-    offset: np.ndarray = idctn(dctn(score, norm="ortho") / curvature, norm="ortho")
-    return offset
+    return poisson([np.median(np.diff(frames, axis=axis), axis=0) for axis in (-1, -2)])
 
 
 def recursive_offset(frames: np.ndarray) -> np.ndarray:

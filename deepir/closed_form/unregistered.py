@@ -113,14 +113,21 @@ def isolated_pixels(frames: Tensor, usable: Tensor) -> Tensor:
 def median_pattern(frames: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """The offset (h, w), mean zero, whose gradients are the medians of those of frames (N, h, w).
 
-    Weiss 2001, "Deriving intrinsic images from image sequences". Poisson's equation with free edges, by cosines.
+    Weiss 2001, "Deriving intrinsic images from image sequences".
     """
     gradients = median_gradients(torch.from_numpy(frames), torch.from_numpy(usable))
+    return poisson([each.numpy() for each in gradients])
+
+
+def poisson(gradients: Sequence[np.ndarray]) -> np.ndarray:
+    """The map (h, w), mean zero, whose differences are nearest to `gradients` along x and along y.
+
+    Poisson's equation with free edges, by the cosine transform.
+    """
     score = sum(
-        -np.diff(each.numpy(), axis=axis, prepend=0, append=0)
-        for axis, each in zip(AXES, gradients, strict=True)
+        -np.diff(each, axis=axis, prepend=0, append=0) for axis, each in zip(AXES, gradients, strict=True)
     )
-    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in frames.shape[1:])
+    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in np.shape(score))
     curvature = y[:, None] + x
     curvature[0, 0] = np.inf  # the level stays zero
     return np.asarray(idctn(dctn(score, norm="ortho") / curvature, norm="ortho"))

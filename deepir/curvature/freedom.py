@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from deepir.curvature.waves import modelled
-from deepir.operators import Lag
+from deepir.operators import Lag, Warp
 from deepir.priors.motion import Motion
 from deepir.problem import Problem
 
@@ -33,7 +33,7 @@ def moves_with_scene(problem: Problem, group: Collection[str]) -> bool:
     """Whether the scene is free together with a motion of few parameters, and all of a frame is seen at once."""
     if not modelled(problem) or any(isinstance(stage, Lag) for _, stage in problem.operator.named()):
         return False
-    motion = problem.slots["warp.motion"]
+    motion = problem.slots[problem.slot(Warp, "motion")]
     return {"scene", motion} <= set(group) and isinstance(problem.fields[motion], Motion)
 
 

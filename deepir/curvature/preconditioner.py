@@ -27,7 +27,7 @@ from deepir.curvature.unseen import SEEN
 from deepir.curvature.waves import PLACES, additive, along_waves, common, frequencies, modelled
 from deepir.evidence.slow import Slow, Variances, variances
 from deepir.noise.typical import typical_noise
-from deepir.operators import Lag
+from deepir.operators import Lag, Sensor
 from deepir.penalties.penalty import squared_gradient
 from deepir.priors.drift import Drift
 from deepir.priors.field import Field
@@ -198,7 +198,7 @@ def _even(problem: Problem, precision: float) -> Tensor:
 def _information(problem: Problem, precision: float) -> Tensor:
     """What all samples say of each pixel of the scene, in what usual ones of this precision would, (H, W)."""
     slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
-    weighed = problem.precision * slots["sensor.gain"]  # once more by the adjoint
+    weighed = problem.precision * slots.get(problem.slot(Sensor, "gain"), 1.0)  # once more by the adjoint
     canvas = (1, 1, *problem.fields["scene"].shape[-2:])
     told: Tensor = problem.operator.adjoint(weighed, canvas, **slots)[0, 0]
     return told.div_(precision * len(weighed))

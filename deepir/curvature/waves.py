@@ -105,7 +105,7 @@ def _shared(
 def common(problem: Problem) -> Iterator[Tensor]:
     """`|Σ_j exp(i k d_j)|²` of each wave at places of the frame: where the camera turns, d differs among them."""
     y, x = frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
-    motion = problem.field_of("warp.motion")().double()
+    motion = problem.field_of(problem.slot(Warp, "motion"))().double()
     height, width = problem.data.shape[-2:]
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
     places = torch.cartesian_prod(parts * width, parts * height)

@@ -16,7 +16,7 @@ from deepir.analysis.statistics import autocorrelation
 from deepir.evidence.slow import polynomials
 from deepir.noise.median import median
 from deepir.noise.typical import MAD
-from deepir.operators import Sensor
+from deepir.operators import Sensor, Warp
 from deepir.problem import Problem
 from deepir.registration.consensus import gain
 from deepir.registration.flatten import flatten
@@ -35,7 +35,7 @@ MOVES = 0.3  # nats by which the motion makes each sample likelier than rest; 0.
 def ghost_message(problem: Problem) -> list[str]:
     """Say so if the pattern that was found is a picture."""
     stage, last = problem.operator.named()[-1]
-    if not isinstance(last, Sensor) or not problem.closed_form() or "warp.motion" not in problem.slots:
+    if not isinstance(last, Sensor) or not problem.closed_form() or not problem.slot(Warp, "motion"):
         return []
     values = problem.values()
     flux = problem.flux(values)
@@ -54,7 +54,7 @@ def ghost_message(problem: Problem) -> list[str]:
 
 def _moves(problem: Problem) -> bool:
     """Whether a motion that was found of whole frames makes them clearly likelier than rest."""
-    motion = problem.field_of("warp.motion")().double().cpu()
+    motion = problem.field_of(problem.slot(Warp, "motion"))().double().cpu()
     if motion.shape != (len(problem.data), 3, 3):
         return False
     flat, weight = flatten(problem.data[:, 0].cpu(), ~problem.alive().cpu())

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from deepir.closed_form.elimination import COLUMN, PIXEL, ROW
 from deepir.noise.thin import ENOUGH, thinned
-from deepir.operators import Lag
+from deepir.operators import Lag, Warp
 from deepir.priors.drift import steps
 from deepir.priors.shading import Shading
 from deepir.priors.terms import Terms
@@ -50,7 +50,7 @@ class Slow:
         self.problem = problem
         self.scene, self.frame = (polynomials(*size, device) for size in (canvas[-2:], (height, width)))
         step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
-        motion = problem.field_of("warp.motion")().double()
+        motion = problem.field_of(problem.slot(Warp, "motion"))().double()
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
         some = slice(y0, y0 + height, step_y), slice(x0, x0 + width, step_x)
         points = warp.points(warp.instants.through(motion), *some).flatten(1, 2)

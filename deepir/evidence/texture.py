@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.operators import Sensor
 from deepir.outliers.defects import around
 from deepir.penalties.local import Local
 from deepir.penalties.penalty import squared_gradient
@@ -64,7 +65,7 @@ def _information(problem: Problem) -> tuple[Tensor, float]:
     slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
     summed = problem.precision.sum(0)
     usual = float(summed[summed > 0].median())
-    weighed = problem.precision * slots.get("sensor.gain", 1.0)  # once more by the adjoint
+    weighed = problem.precision * slots.get(problem.slot(Sensor, "gain"), 1.0)  # once more by the adjoint
     told = problem.operator.adjoint(weighed, (1, 1, *problem.fields["scene"].shape[-2:]), **slots)
     low, high = UNEVEN
     return _mean(told, SURE).clamp_(low * usual, high * usual), usual

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from deepir.curvature.freedom import freedom, moves_with_scene
 from deepir.curvature.preconditioner import curvature
+from deepir.operators import Warp
 from deepir.optimisers import OPTIMISERS, Optimiser, free_parameters
 from deepir.problem import Problem, Values
 from deepir.stage import Stage, Step
@@ -31,7 +32,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
         terms = [still, problem.misfit(values, eliminated, precision)]
         terms += problem.priors({name: values[name] for name in awake}, eliminated).values()
         if moving:
-            terms.append(freedom(values[problem.slots["warp.motion"]], size))
+            terms.append(freedom(values[problem.slots[problem.slot(Warp, "motion")]], size))
         return torch.stack([term.double() for term in terms]).sum(), values
 
     return evaluate

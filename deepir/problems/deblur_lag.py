@@ -10,7 +10,7 @@ import torch
 
 from deepir.evidence.slow import late
 from deepir.joint.build import FREE, build_scene
-from deepir.operators import Lag
+from deepir.operators import Lag, Warp
 from deepir.operators.path import Path
 from deepir.priors.uniform import Uniform
 from deepir.problem import Problem
@@ -100,7 +100,7 @@ def hold(problem: Problem, share: float) -> None:
 @torch.no_grad()
 def start_motion(problem: Problem) -> None:
     """Start the motion where the camera was as each frame was read: what is registered lags behind as the pixels do."""
-    field = problem.fields["motion"]
+    field = problem.field_of(problem.slot(Warp, "motion"))
     seen = field().double()
     frames = torch.eye(len(seen), dtype=seen.dtype, device=seen.device)
     field.init_from(
@@ -110,14 +110,14 @@ def start_motion(problem: Problem) -> None:
 
 def path_of(problem: Problem) -> Path:
     """The instants at which the warp shows the scene."""
-    path: Path = problem.operator.stages["warp"].instants  # type: ignore[assignment]
+    path: Path = next(stage for _, stage in problem.operator.named() if isinstance(stage, Warp)).instants
     return path
 
 
 @torch.no_grad()
 def speed_message(problem: Problem) -> list[str]:
     """A line if the camera moves by more than a pixel from instant to instant."""
-    fastest = float(problem.fields["motion"]()[:, :2, 2].diff(dim=0).norm(dim=1).max())
+    fastest = float(problem.field_of(problem.slot(Warp, "motion"))()[:, :2, 2].diff(dim=0).norm(dim=1).max())
     if fastest < FAST * path_of(problem).steps:
         return []
     enough = int(fastest / FAST) + 1

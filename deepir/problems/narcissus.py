@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -68,15 +69,21 @@ class Narcissus(NUC):
         """Scene and stray flux; then as in `nuc`."""
         if len(problem.data) == 1:
             return [Stage("scene", (Step(("scene",)),), 60, prepare=weigh_scene, use_held_out=True)]
-        *rounds, scene = super().plan(problem)
+        plan = super().plan(problem)
+        rounds = [stage for stage in plan if not stage.name.startswith("scene")]
+        scenes = [stage for stage in plan if stage.name.startswith("scene")]
         closed = problem.closed_form()
         still = tuple(name for name in problem.free() if name not in closed and name != "motion")
         offset = [Step((name,), "eliminate") for name in closed if name == "offset"]
         stages = [
             Stage("stray 1", (Step(still), *offset), 20),
             Stage("stray 2", (Step(still), *offset), 20, prepare=_register),
-            *(replace(each, prepare=_update if i else _sensor) for i, each in enumerate(rounds)),
-            *(replace(scene, name=f"scene {i + 1}", prepare=None if i else finish) for i in range(TURNS)),
+            *(replace(each, prepare=_prepared(each)) for each in rounds),
+            *(
+                replace(scene, name=f"scene {i + 1}", prepare=None if i else finish)
+                for i in range(TURNS)
+                for scene in scenes
+            ),
         ]
         return [replace(each, iterations=each.iterations * (1 if closed else PATIENCE)) for each in stages]
 
@@ -97,6 +104,21 @@ def _register(problem: Problem) -> None:
         apart = (found.motion - before)[:, :2, 2].abs().amax()
         if found.used.all() and first.size == frames.shape[1:] and apart < MARGIN:
             field.init_from(found.motion.to(problem.data.device))
+
+
+def _prepared(stage: Stage) -> Callable[[Problem], None]:
+    """What comes before a round of the sensor's: the frames are registered, then as in `nuc`."""
+    usual = {"sensor 1": _sensor, "sensor 2": _update, "sensor 3": _update}.get(stage.name)
+    if usual is not None:
+        return usual
+    own = stage.prepare
+
+    def prepare(problem: Problem) -> None:
+        _register(problem)
+        if own is not None:
+            own(problem)
+
+    return prepare
 
 
 def _sensor(problem: Problem) -> None:

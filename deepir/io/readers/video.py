@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from deepir.errors import DataError
 from deepir.io.extras import needed
 from deepir.io.guards import check_size, collect, grey
 from deepir.io.readers import Array
 
 GENERIC = True
+#: Difference of the channels, as a share of the range, up to which a lossy codec may have tinted a grey film.
+NEUTRAL = 0.02
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
 
 
@@ -39,4 +43,8 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             if len(frame.format.components) == 1 and not frame.format.has_palette:
                 yield frame.to_ndarray(format="gray16le" if deep else "gray")
             else:
-                yield grey(frame.to_ndarray(format="rgb48le" if deep else "rgb24"), path)
+                pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
+                if np.ptp(pixels, axis=2).max() <= NEUTRAL * np.iinfo(pixels.dtype).max:
+                    yield frame.to_ndarray(format="gray16le" if deep else "gray")
+                else:
+                    yield grey(pixels, path)
