@@ -72,10 +72,10 @@ def drive() -> Iterator[str]:
     yield "|---|---|---|" + "---|" * len(METHODS)
     rows: list[str] = []
     for name, places in {
-        "16 over the clip": OVER_THE_CLIP,
-        "40 over the clip": MANY,
         "10 to 20 near": NEAR,
         "5 near": FEW,
+        "16 over the clip": OVER_THE_CLIP,
+        "40 over the clip": MANY,
     }.items():
         found: dict[str, list[tuple[float, float]]] = {method: [] for method in METHODS}
         for start, step, count in places:

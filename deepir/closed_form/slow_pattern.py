@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import spsolve
 
 from deepir.registration.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
 
@@ -22,13 +21,15 @@ GAPS = (1, 2)
 ROUNDS = 2
 #: px of the averaged frames between nodes of the grid, and between the samples that are used.
 CELL, STEP = 8, 2
-#: Samples that say the same, for the displacement of all in a window is one.
-CORRELATED = ((2 * RADIUS + 1) / STEP) ** 2
+#: Samples that say the same: the displacement of all in a window is one, and each frame is in pairs of all gaps.
+CORRELATED = len(GAPS) * ((2 * RADIUS + 1) / STEP) ** 2
 DEGREE = 2  # of the polynomial
 #: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
 LEAST_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
 REWEIGHTINGS = 10
+#: Robust deviation of a pair's changes at least, relative to the frames' contrast.
+LEAST_SCALE = 0.003
 #: Samples of a pair below which it is left out.
 FEWEST = 50
 
@@ -119,15 +120,18 @@ class _Grid:
         equations = [each for each in (self._equations(frames, one) for one in found) if each is not None]
         unknowns = np.zeros(self.prior.shape[0])
         for _ in range(REWEIGHTINGS):
-            normal, score = self.prior, np.zeros_like(unknowns)
+            normal, score = self.prior.toarray(), np.zeros_like(unknowns)
             for design, change in equations:
                 rest = change - design @ unknowns
-                level = np.median(rest)
-                scale = max(1.4826 * float(np.median(np.abs(rest - level))), 1e-6)
-                weight = 1 / (scale**2 + (rest - level) ** 2) / CORRELATED
-                normal = normal + design.T @ sp.diags(weight) @ design
-                score += design.T @ (weight * (change - level))
-            unknowns = spsolve(normal.tocsc(), score)
+                rest -= np.median(rest)
+                scale = max(1.4826 * float(np.median(np.abs(rest))), LEAST_SCALE)
+                weight = 1 / (scale**2 + rest**2) / CORRELATED
+                weighted = design.T.multiply(weight).tocsr()
+                # Each pair has a level of its own: it is eliminated.
+                sums, total = np.asarray(weighted.sum(1)).ravel(), weight.sum()
+                normal += (weighted @ design).toarray() - np.outer(sums, sums) / total
+                score += weighted @ change - sums * (weight @ change) / total
+            unknowns = np.linalg.solve(normal, score)
         nodes = unknowns[: len(self.polynomials)] + self.polynomials @ unknowns[len(self.polynomials) :]
         return np.asarray(
             self._weights(*np.mgrid[: self.size[0], : self.size[1]].astype(float)) @ nodes

@@ -85,9 +85,11 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
     gain = np.ones(burst.size)
     judge = _judge(burst, [(gain, offset)])
     left, raw = judge.left(gain, offset), judge.left(gain, np.zeros(burst.size))
-    if left is None or raw is None or left.nats > raw.nats:
+    if left is None or raw is None:
         raise refusal
     name = "an offset that is estimated without registration, and no gain"
+    if left.nats > raw.nats:
+        name, offset, left = "no correction", np.zeros(burst.size), raw
     result = neutral(burst.frames[0], len(burst.frames), burst.size, burst.bad_pixels)
     result.metrics = {
         "iterations": 0,
