@@ -71,6 +71,7 @@ bench-problems: setup  ## every problem with several priors: one table
 
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
+	$(BIN)/python benchmarks/recordings.py --output docs/bench-real.md
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache

@@ -33,7 +33,7 @@ SECTIONS = {
     "Use": ["tutorial", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
     PROBLEMS: ["super-resolution"],
     "Concepts": ["how-it-works", "jitter", "sensor-physics", "conventions", "extending"],
-    "Estimation": ["how-it-estimates", *(f"estimates-{each}" for each in ESTIMATES)],
+    "Estimation": ["how-it-estimates", *(f"estimates-{each}" for each in ESTIMATES), "judging"],
     "Figures": ["results", "benchmarks", "bench-*", "rivals", "performance", "reliability"],
     "Reference": ["components", "reference/*", "CHANGELOG"],
 }
@@ -41,7 +41,7 @@ SECTIONS = {
 REFERENCE = {
     "Running": ["runner", "config", "burst", "result", "storage", "errors"],
     "Solving": ["problem", "solve", "stage", "optimisers", "joint", "closed_form", "curvature"],
-    "Estimating": ["evidence", "noise", "outliers"],
+    "Estimating": ["evidence", "noise", "outliers", "validation"],
     "Operators": ["operators"],
     "Fields": ["priors"],
     "Penalties": ["penalties", "denoisers", "fidelity"],
