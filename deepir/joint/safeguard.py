@@ -44,7 +44,7 @@ class Correction:
 
 def safeguarded(result: Result, burst: Burst) -> Result:
     """The result, or one with a simpler correction that leaves clearly less pattern; a message says so."""
-    judge = _judge(burst, [(result.gain, result.offset)])
+    judge = _judge(burst, [(result.gain, result.offset)], result.level)
 
     def judged(name: str, gain: Array, offset: Array) -> Correction | None:
         left = judge.left(gain, offset)
@@ -83,7 +83,7 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
     if not related:
         raise refusal
     gain = np.ones(burst.size)
-    judge = _judge(burst, [(gain, offset)])
+    judge = _judge(burst, [(gain, offset)], np.zeros(len(burst.frames)))
     left, raw = judge.left(gain, offset), judge.left(gain, np.zeros(burst.size))
     if left is None or raw is None:
         raise refusal
@@ -108,8 +108,8 @@ def _nats(correction: Correction) -> float:
     return correction.left.nats
 
 
-def _judge(burst: Burst, corrections: list[tuple[Array, Array]]) -> Judge:
-    """Compares corrections by the frames beside the burst, or else by its own."""
+def _judge(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) -> Judge:
+    """Compares corrections by the frames beside the burst, or else by its own less their `level`, (N,)."""
     if burst.beside is not None:
         finite = np.isfinite(burst.beside)
         pairs = [(k, k + 1) for k in range(0, len(burst.beside), 2)]
@@ -117,7 +117,8 @@ def _judge(burst: Burst, corrections: list[tuple[Array, Array]]) -> Judge:
     count = len(burst.frames)
     pairs = [(k, k + gap) for gap in GAPS for k in range(count - gap)]
     pairs = pairs[:: max(1, -(-len(pairs) // OWN_PAIRS))]
-    return Judge(burst.frames, burst.valid & ~burst.bad_pixels, pairs, corrections)
+    frames = burst.frames - np.nan_to_num(level).astype(np.float32)[:, None, None]
+    return Judge(frames, burst.valid & ~burst.bad_pixels, pairs, corrections)
 
 
 def _without_slow_part(result: Result, burst: Burst) -> Array:

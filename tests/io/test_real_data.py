@@ -8,6 +8,7 @@ from deepir.io import read_frames
 
 FILES = {
     "a65/a65_frames_000-009.npz": ((10, 512, 640), "uint16"),
+    "a65/a65_frames_010-069.npz": ((60, 512, 640), "uint16"),
     "deepir_test/test1.png": ((1, 512, 640), "uint8"),
     "deepir_test/test2.png": ((1, 512, 640), "uint8"),
     "dji_h30t/H30T_DJI_0001_R_1280x1024_u16.npz": ((1, 1024, 1280), "uint16"),
@@ -15,6 +16,8 @@ FILES = {
     "dji_h30t/H30T_DJI_0003_R_1280x1024_u16.npz": ((1, 1024, 1280), "uint16"),
     "lepton/lepton_tlinear_82x120x160.npz": ((82, 120, 160), "uint16"),
     "lepton/v2.cptv": ((100, 120, 160), "uint16"),
+    "lynred_car/calibrated.avi": ((600, 480, 640), "uint8"),
+    "lynred_car/raw.avi": ((600, 480, 640), "uint8"),
     "radiometric_jpg/duo_pro_r_radiometric.tiff": ((1, 512, 640), "uint16"),
     "radiometric_jpg/flir_aqua_tower_cc0.jpg": ((1, 180, 180), "uint16"),
     "radiometric_jpg/flir_example_cc0.jpg": ((1, 320, 240), "uint16"),
