@@ -25,13 +25,9 @@ from deepir.validation.held_out_pattern import Judge
 DATA = Path(os.environ.get("DEEPIR_DATA", "../shared/data"))
 #: (first frame, frames apart, frames) of the drive: nothing was chosen by these.
 OVER_THE_CLIP = [(3, 37, 16), (7, 36, 16), (13, 38, 16), (25, 36, 16), (32, 35, 16), (40, 36, 16)]
-NEAR = [(s, 6, 10) for s in (30, 90, 150, 210, 270, 330, 390, 450, 510)] + [
-    (33, 4, 20),
-    (190, 8, 20),
-    (350, 8, 20),
-]
-FEW = [(s, 6, 5) for s in (20, 100, 160, 220, 280, 340, 400, 460, 520)]
-MANY = [(9, 14, 40), (2, 14, 40)]
+NEAR = [(s, 6, 10) for s in (30, 150, 270, 390, 510)] + [(190, 8, 20)]
+FEW = [(s, 6, 5) for s in (20, 100, 220, 340, 460)]
+MANY = [(9, 14, 40)]
 METHODS: dict[str, tuple[str, ...]] = {
     "nuc": ("nuc",),
     "flow": ("flow",),

@@ -20,8 +20,8 @@ TRIM = 0.25  # share of the frames that is left out at either end
 def gradient_consensus(burst: Burst, config: Config) -> Result:
     """The offset whose gradients are the interquartile means of those of the frames; then as `average`.
 
-    After Weiss (2001), "Deriving intrinsic images from image sequences", whose median of derivatives is here the mean of
-    their middle half, which is less noisy. No gain.
+    After Weiss (2001), "Deriving intrinsic images from image sequences". The mean of the middle half of the derivatives
+    stands for their median: it is less noisy. No gain.
     """
     offset = poisson([middle_mean(np.diff(burst.frames, axis=axis)) for axis in (-1, -2)])
     offset = offset - offset[~burst.bad_pixels].mean()
