@@ -13,7 +13,10 @@ from deepir.evidence.texture import follow_texture
 from deepir.joint.build import build
 from deepir.metrics import scores
 from deepir.priors.terms import DCT, Radial
+from deepir.problems import narcissus as module
+from deepir.problems import nuc
 from deepir.problems.definition import start_scene
+from deepir.problems.narcissus import Narcissus
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural
 
@@ -162,3 +165,29 @@ def test_frames_that_stand_still_are_refused():
 def test_stray_flux_that_is_free_at_each_pixel_is_refused():
     with pytest.raises(ConfigError, match=r"^physics.stray.value: stray flux that is free at each pixel is"):
         deepir.run("narcissus", "physics.stray.value=pixels", frames=record("smooth").frames)
+
+
+# ---- its stages, edited by name from those of nuc ----
+
+
+def stages(*settings):
+    sim = record("smooth", n_frames=5)
+    burst = Burst(sim.frames.astype(np.float32), np.ones(sim.frames.shape, bool), np.zeros((64, 80), bool))
+    motion = torch.eye(3, dtype=torch.float64).repeat(5, 1, 1)
+    problem, _ = build(load("narcissus", settings), burst, motion)
+    return {stage.name: stage for stage in Narcissus().plan(problem)}
+
+
+def test_a_response_that_drifts_is_corrected_before_its_rounds(monkeypatch):
+    called = []
+    monkeypatch.setattr(module, "_register", lambda problem: called.append("register"))
+    monkeypatch.setattr(nuc, "even_response", lambda problem: called.append("even"))
+    monkeypatch.setattr(nuc, "_update", lambda problem: None)
+    stages()["response 2"].prepare(None)
+    assert called == ["register", "even"]
+
+
+def test_where_lines_may_jump_the_scene_is_fitted_at_its_full_weight_too():
+    plan = stages("physics.sensor.level.type=drift+row_noise")
+    assert plan["scene 1"].prepare is nuc.finish
+    assert "scene 3" in plan
