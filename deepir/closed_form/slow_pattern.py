@@ -31,7 +31,7 @@ REWEIGHTINGS = 10
 #: Robust deviation of a pair's changes at least, relative to the frames' contrast.
 LEAST_SCALE = 0.003
 #: Samples of a pair below which it is left out.
-FEWEST = 50
+MINIMUM_SAMPLES = 50
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class _Grid:
         some = np.zeros(self.size, bool)
         some[::STEP, ::STEP] = True
         some &= found.known
-        if some.sum() < FEWEST:
+        if some.sum() < MINIMUM_SAMPLES:
             return None
         rows, columns = np.nonzero(some)
         y, x = found.y[some], found.x[some]

@@ -72,7 +72,7 @@ def find_pattern(
 
 
 def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, bool]:
-    """The offset (h, w), mean zero, of frames (N, h, w) of which none is registered; no gain.
+    """The offset (h, w), mean zero, that frames (N, h, w) share, found without registration; no gain.
 
     Also, whether neighbouring frames show the same things displaced; these then tell what is slow of the offset.
     """

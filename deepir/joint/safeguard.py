@@ -29,7 +29,7 @@ MARGIN = 10.0
 #: Pairs of the burst's own frames that are compared, and frames apart.
 OWN_PAIRS, GAPS = 4, (1, 2)
 #: Frames below which no pattern is estimated without registration.
-FEWEST = 4
+MINIMUM_FRAMES = 4
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def safeguarded(result: Result, burst: Burst) -> Result:
     flat = judged("gain and offset without their slow parts", result.gain, _without_slow_part(result, burst))
     best = min(found, flat or raw, raw, key=_nats)
     quick = judged("", raw.gain, judge.shared)
-    if len(burst.frames) >= FEWEST and quick and quick.left.nats < best.left.nats:
+    if len(burst.frames) >= MINIMUM_FRAMES and quick and quick.left.nats < best.left.nats:
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
         free = judged("an offset that is estimated without registration, and no gain", raw.gain, offset)
         best = min(best, free or best, key=_nats)
@@ -77,7 +77,7 @@ def safeguarded(result: Result, burst: Burst) -> Result:
 def unregistered(burst: Burst, refusal: DataError) -> Result:
     """A result for frames that do not register, but show the same things displaced; else `refusal` is raised again."""
     usable = burst.valid & ~burst.bad_pixels
-    if len(burst.frames) < FEWEST or not usable.any():
+    if len(burst.frames) < MINIMUM_FRAMES or not usable.any():
         raise refusal
     offset, related = estimate_offset(burst.frames, usable)
     if not related:

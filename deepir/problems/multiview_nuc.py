@@ -25,7 +25,7 @@ from deepir.stage import Stage, Step
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared
 SAME = 2.0  # variance of the blocks' means in a difference of frames, to that of white noise
-ALIKE = 0.3  # mean squared differences of frames, to those of unrelated ones
+SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated ones
 #: Share of the slow part, from none and from all, within which its division is no guess.
 GUESS = 0.1
 DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
@@ -97,7 +97,7 @@ def _demand_different(frames: Tensor) -> list[str]:
     unrelated = means.square().mean((1, 2)) + others.square().mean((1, 2))
     apart = float(((means - others).square().mean((1, 2)) / unrelated.clamp(min=1e-30)).median())
     messages = []
-    if apart < ALIKE:
+    if apart < SIMILARITY:
         messages.append(
             f"the frames are much alike (they differ by {apart:.0%} of what unrelated ones do): what they all show at "
             "one place is taken for the pattern. Take frames further apart, data.frames=::10, or problem 'nuc'"
