@@ -43,6 +43,8 @@ class Problem(nn.Module):
     held_out: Tensor
     #: What the data have been divided by, (N, 1, 1, 1), about their middle.
     contrast: Tensor
+    #: The level that the data are measured from, (), float64; so is the scene.
+    reference: Tensor
     even: Tensor  # whether that was found to be the same for all
     #: 1 or -1 where a sample is cut off, and the data a bound, (N, C, h, w) int8; None: nowhere.
     ends: Tensor | None
@@ -85,6 +87,7 @@ class Problem(nn.Module):
         self.register_buffer("ends", None)
         self.register_buffer("moving", torch.zeros_like(data[:, :1], dtype=torch.bool))
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
+        self.register_buffer("reference", torch.tensor(0.0, dtype=torch.float64))
         self.register_buffer("even", torch.tensor(False))
         self.register_buffer("plain", torch.tensor(0.0))
         self.register_buffer("rough", torch.tensor(torch.inf, dtype=torch.float64))
@@ -119,6 +122,14 @@ class Problem(nn.Module):
         for name, stage in self.operator.named()[:-1]:
             x = stage(x, **own(slots, name))
         return x.expand(len(self.data), *x.shape[1:])
+
+    def measure_from(self, level: float) -> None:
+        """Measure the data from another level, in the units and from the zero that they came with.
+
+        The equation of the sensor is the same; its offset is that of the new level. The scene is to be started anew.
+        """
+        self.data.sub_(level - float(self.reference))
+        self.reference.fill_(level)
 
     def middle(self) -> Tensor:
         """The median of the samples that count: contrasts are about it."""

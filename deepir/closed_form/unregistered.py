@@ -20,6 +20,7 @@ from deepir.closed_form.coloured_pixels import ColouredPixels
 from deepir.closed_form.conjugate_gradients import conjugate_gradients
 from deepir.closed_form.edges import AXES, Edges, median_gradients
 from deepir.closed_form.elimination import COLUMN, PIXEL, ROW
+from deepir.closed_form.slow_part import is_implausible, slow_part
 from deepir.closed_form.slow_pattern import slow_pattern
 from deepir.closed_form.white_parts import WhiteParts
 from deepir.priors.parts import Column, Part, Pixel, Row
@@ -74,7 +75,8 @@ def find_pattern(
 def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, bool]:
     """The offset (h, w), mean zero, that frames (N, h, w) share, found without registration; no gain.
 
-    Also, whether neighbouring frames show the same things displaced; these then tell what is slow of the offset.
+    Also, whether neighbouring frames show the same things displaced; these then tell what is slow of the offset. A slow
+    part that is implausibly strong for a sensor is left out.
     """
     maps = (1, 1, *frames.shape[1:])
     data, good = torch.from_numpy(frames), torch.from_numpy(usable)
@@ -87,7 +89,10 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
         shared = slow.values[0, 0].detach().numpy()
         shrink_shading(slow, data - pattern[1])
         offset = offset - shared + slow.values[0, 0].detach().numpy()
-    return offset - offset[usable.any(0)].mean(), moved.related
+    known = np.asarray(usable.any(0))
+    if is_implausible(offset, known):
+        offset = offset - slow_part(offset, known)
+    return offset - offset[known].mean(), moved.related
 
 
 def isolated_pixels(frames: Tensor, usable: Tensor) -> Tensor:

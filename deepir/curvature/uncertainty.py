@@ -50,4 +50,19 @@ def uncertainty(problem: Problem, cost: float) -> Maps:
             total = sum(part.over_map(each) for part, each in zip(parts, variances, strict=True))
             if isinstance(total, Tensor):
                 found[name] = total.expand(problem.fields[name].shape)[0, 0].sqrt()
+        if problem.reference and len(closed) == 2:
+            gain, offset = closed
+            found[offset] = _from_zero(problem, values, found[gain], found[offset])
     return {name: each.cpu().numpy().astype(np.float32) for name, each in found.items()}
+
+
+def _from_zero(problem: Problem, values: dict[str, Tensor], gain: Tensor, offset: Tensor) -> Tensor:
+    """Standard deviation (h, w) of the offset `o - (g - 1) L` of data that are measured from zero, not from L."""
+    parts, (aa, ab, bb), _ = next(problem.solved(values, problem.closed_form()).blocks())
+    u, v = (float(part.sigma) ** 2 if part else 0.0 for part in parts)
+    covariance = -ab * u * v / (1 + u * aa + v * bb + u * v * (aa * bb - ab * ab))
+    level = float(problem.reference)
+    variance = (
+        offset.square() + level**2 * gain.square() - 2 * level * covariance.reshape(offset.shape).to(offset)
+    )
+    return variance.clamp_min(0).sqrt()

@@ -64,6 +64,34 @@ def likeliest(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, f
     return torch.from_numpy(found).to(sigma)
 
 
+def marginal(information: Tensor, means: Tensor, sigma: Tensor, level: float) -> float:
+    """Minus the logarithm of the likelihood of a reference level, at the strengths that are the likeliest with it.
+
+    Measured from a level L the offset is `y + L (x - 1)`, and independent of the gain x.
+
+    Args:
+        information: A (aa, ab, bb), (3, K), measured from the present level.
+        means: the posterior means of x, (2, K), at strengths `sigma` (2,), which are positive.
+        level: L, from the present level.
+    """
+    step = max(information.shape[1] // ENOUGH, 1)
+    (aa, ab, bb), (x, y) = information[:, ::step], means[:, ::step]
+    s, t = aa * x + ab * y + x / sigma[0] ** 2, ab * x + bb * y + y / sigma[1] ** 2
+    values = torch.stack((aa, ab, bb, s, t)).cpu()
+    typical = _typical(values, *(sigma.cpu().numpy() ** 2))
+    moved = torch.stack((aa - 2 * level * ab + level**2 * bb, ab - level * bb, bb, s - level * t, t)).cpu()
+    start = np.log(
+        [max(float(sigma[0]), GAIN / 2), max(float((y + level * x)[typical].std()), float(sigma[1]))]
+    )
+
+    def cost(logarithms: np.ndarray) -> Known:
+        return _nats(moved, typical, np.exp(logarithms))
+
+    far = np.full(2, np.log(1 / LEAST))
+    best = _least(cost, start, start - far, start + far)
+    return cost(best)[0] * float(typical.sum()) * step / 2
+
+
 def _nats(values: Tensor, typical: Tensor, sigma: np.ndarray) -> Known:
     """Twice minus the mean logarithm of the likelihood of strengths, with what is known before; in their logarithms."""
     from deepir.loops import spread

@@ -78,13 +78,15 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     """First strengths of gain and offset, split evenly, from the pattern: of the `rest` of the frames, see `left`.
 
     Pixels that are no part of it are left out. Gains are by the rms of the data: a dark frame with bright spots shows
-    next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean.
+    next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean,
+    unless the data are measured from their middle.
     """
     pattern = pattern_left(rest, problem.precision.sign())  # as a float: torch is slow at the bool
     usable = problem.precision > 0
     data, counts = thinned(problem.data, usable)
     used = counted(data, counts)
-    level, rms = float(used.mean().abs()), float(used.square().mean().sqrt())
+    rms = float(used.square().mean().sqrt())
+    level = rms if problem.reference else float(used.mean().abs())
     for slot, unit, most in (("gain", rms, level), ("offset", 1.0, 1.0)):
         for part in _all_parts(problem, slot):
             if not (part.given or isinstance(part, Shading)):

@@ -16,7 +16,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.fidelity import Fidelity
 from deepir.joint.geometry import Geometry, footprint, locate
 from deepir.joint.unknowns import complete, demand_sense, make_field, make_penalties, start_field
-from deepir.operators import Chain, Operator, Warp
+from deepir.operators import Chain, Operator, Sensor, Warp
 from deepir.operators.path import Path
 from deepir.penalties.penalty import Penalty
 from deepir.priors.field import Field
@@ -85,6 +85,8 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     )
     with torch.no_grad():
         problem.precision *= problem.valid(problem.values())
+        if isinstance(last := operator.named()[-1][1], Sensor) and last.reference is not None:
+            problem.measure_from(last.reference)
     return problem, geometry
 
 

@@ -1,8 +1,8 @@
-"""A correction that leaves more fixed pattern than a simpler one is given up for it.
+"""A correction that leaves more fixed pattern than a simpler one is given up for it, part by part.
 
-From the most to the least that is estimated: gain and offset as they were found; the same without what is slow of
-them; the offset of an estimate that registers no frames; no correction. Each is judged by frames of the same recording
-that the estimate did not use, where there are any, else by the burst's own.
+First the fine part of gain and offset, then their slow part: as estimated, as an estimate that registers no frames has
+it, or none. Each is judged by frames of the same recording that the estimate did not use, where there are any, else by
+the burst's own, which judge no fine part.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import torch
 
 from deepir.average import filled
 from deepir.burst import Burst
+from deepir.closed_form.slow_part import slow_part
 from deepir.closed_form.unregistered import estimate_offset
 from deepir.errors import DataError
-from deepir.evidence.slow import polynomials
 from deepir.result import Result, neutral
 from deepir.validation.held_out_pattern import Judge, Left
 
@@ -30,6 +30,7 @@ MARGIN = 10.0
 OWN_PAIRS, GAPS = 4, (1, 2)
 #: Frames below which no pattern is estimated without registration.
 MINIMUM_FRAMES = 4
+UNREGISTERED = "an offset that is estimated without registration, and no gain"
 
 
 @dataclass(frozen=True)
@@ -43,33 +44,28 @@ class Correction:
 
 
 def safeguarded(result: Result, burst: Burst) -> Result:
-    """The result, or one with a simpler correction that leaves clearly less pattern; a message says so."""
+    """The result, or one with a simpler correction that leaves less pattern; a message says so.
+
+    It has to leave clearly less, or the result more than uncorrected frames.
+    """
     judge = _judge(burst, [(result.gain, result.offset)], result.level)
-
-    def judged(name: str, gain: Array, offset: Array) -> Correction | None:
-        left = judge.left(gain, offset)
-        return None if left is None else Correction(name, gain, offset, left)
-
-    found = judged("gain and offset as estimated", result.gain, result.offset)
-    raw = judged("no correction", np.ones(burst.size), np.zeros(burst.size))
-    if found is None or raw is None:
+    found = _candidates("gain and offset as estimated", judge, burst, result.gain, result.offset)
+    one, zero = np.ones(burst.size), np.zeros(burst.size)
+    raw, shared = _candidates("no correction", judge, burst, one, zero), judge.left(one, judge.shared)
+    if found is None or raw is None or shared is None:
         return result
-    flat = judged("gain and offset without their slow parts", result.gain, _without_slow_part(result, burst))
-    best = min(found, flat or raw, raw, key=_nats)
-    quick = judged("", raw.gain, judge.shared)
-    if len(burst.frames) >= MINIMUM_FRAMES and quick and quick.left.nats < best.left.nats:
+    free = None
+    if len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
-        free = judged("an offset that is estimated without registration, and no gain", raw.gain, offset)
-        best = min(best, free or best, key=_nats)
-    if best.left.nats > found.left.nats - MARGIN:
-        best = found
-    result.metrics["fixed_pattern_left"] = {"raw": raw.left.change, "corrected": best.left.change}
-    if best is found:
+        free = _candidates(UNREGISTERED, judge, burst, one, offset)
+    best = _best(found, free, raw, judge)
+    result.metrics["fixed_pattern_left"] = _figures(raw.whole.left, best.left)
+    if best.offset is found.whole.offset:
         return result
     message = (
-        f"gain and offset as estimated leave a fixed pattern of {found.left.change:.3g} in "
+        f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.left)} in "
         f"{'frames beside the burst' if burst.beside is not None else 'the frames'}, {best.name} "
-        f"{best.left.change:.3g}, uncorrected frames {raw.left.change:.3g}: the result has {best.name}"
+        f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}"
     )
     return _replaced(result, burst, best, message)
 
@@ -82,30 +78,91 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
     offset, related = estimate_offset(burst.frames, usable)
     if not related:
         raise refusal
-    gain = np.ones(burst.size)
-    judge = _judge(burst, [(gain, offset)], np.zeros(len(burst.frames)))
-    left, raw = judge.left(gain, offset), judge.left(gain, np.zeros(burst.size))
-    if left is None or raw is None:
+    one, zero = np.ones(burst.size), np.zeros(burst.size)
+    judge = _judge(burst, [(one, offset)], np.zeros(len(burst.frames)))
+    found = _candidates(UNREGISTERED, judge, burst, one, offset)
+    raw = _candidates("no correction", judge, burst, one, zero)
+    if found is None or raw is None:
         raise refusal
-    name = "an offset that is estimated without registration, and no gain"
-    if left.nats > raw.nats:
-        name, offset, left = "no correction", np.zeros(burst.size), raw
+    best = _best(found, None, raw, judge)
     result = neutral(burst.frames[0], len(burst.frames), burst.size, burst.bad_pixels)
     result.metrics = {
         "iterations": 0,
         "evaluations": 0,
         "stop_reason": "the frames do not register as a whole",
-        "fixed_pattern_left": {"raw": raw.change, "corrected": left.change},
+        "fixed_pattern_left": _figures(raw.whole.left, best.left),
     }
     message = (
-        f"the frames do not register as a whole, but their parts move: the result has {name}. It leaves a fixed "
-        f"pattern of {left.change:.3g}, uncorrected frames {raw.change:.3g}"
+        f"the frames do not register as a whole, but their parts move: the result has {best.name}. It leaves a fixed "
+        f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}"
     )
-    return _replaced(result, burst, Correction(name, gain, offset, left), message)
+    return _replaced(result, burst, best, message)
 
 
-def _nats(correction: Correction) -> float:
-    return correction.left.nats
+@dataclass(frozen=True)
+class _Candidates:
+    """A correction, the same without its slow part, and that part at the frames' level, (h, w)."""
+
+    whole: Correction
+    fine: Correction
+    slow: Array
+
+    @property
+    def fine_nats(self) -> float:
+        """Nats of the fine part; of the whole or the fine part where no fine part is judged."""
+        judged = self.fine.left.detail_nats
+        return judged if not np.isnan(judged) else min(self.whole.left.nats, self.fine.left.nats)
+
+
+def _candidates(name: str, judge: Judge, burst: Burst, gain: Array, offset: Array) -> _Candidates | None:
+    """None where the frames do not judge."""
+    level = float(np.median(burst.frames[burst.valid]))
+    slow = slow_part(offset + (gain - 1) * level, ~burst.bad_pixels)
+    whole, fine = judge.left(gain, offset), judge.left(gain, offset - slow)
+    if whole is None or fine is None:
+        return None
+    short = Correction(f"{name}, without its slow part", gain, offset - slow, fine)
+    return _Candidates(Correction(name, gain, offset, whole), short, slow)
+
+
+def _doubtful(found: _Candidates, raw: _Candidates, shared: Left) -> bool:
+    """Whether half the fine pattern is left, or more of what is slow than the median gradients leave."""
+    half = found.fine.left.detail > raw.fine.left.detail / 2
+    return half or shared.nats < min(found.whole.left.nats, found.fine.left.nats)
+
+
+def _best(found: _Candidates, free: _Candidates | None, raw: _Candidates, judge: Judge) -> Correction:
+    """The fine part of the one or the other, or none; with the slow part of the one or the other, or none."""
+    fine = found
+    if free and free.fine_nats < found.fine_nats - MARGIN:
+        fine = free
+    if fine.fine_nats > raw.fine_nats:
+        fine = raw
+    best = raw.whole if fine is raw else fine.fine
+    for each in filter(None, (found, free)):
+        gain, offset = fine.fine.gain, fine.fine.offset + each.slow
+        if each is fine:
+            other: Left | None = fine.whole.left
+            name, offset = fine.whole.name, fine.whole.offset
+        else:
+            other, name = (
+                judge.left(gain, offset),
+                f"{fine.whole.name}, with the slow part of {each.whole.name}",
+            )
+        if other and other.nats < best.left.nats - (0.0 if each is found else MARGIN):
+            best = Correction(name, gain, offset, other)
+    return raw.whole if best.left.nats > raw.whole.left.nats + MARGIN else best
+
+
+def _figures(raw: Left, corrected: Left) -> dict[str, float]:
+    """What uncorrected and corrected frames leave, slow and fine, for `metrics.json`."""
+    found = {"raw": raw.change, "corrected": corrected.change}
+    fine = {"raw_detail": raw.detail, "corrected_detail": corrected.detail}
+    return found if np.isnan(raw.detail) else found | fine
+
+
+def _said(left: Left) -> str:
+    return f"{left.change:.3g}" + ("" if np.isnan(left.detail) else f" (fine {left.detail:.3g})")
 
 
 def _judge(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) -> Judge:
@@ -118,15 +175,7 @@ def _judge(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) -
     pairs = [(k, k + gap) for gap in GAPS for k in range(count - gap)]
     pairs = pairs[:: max(1, -(-len(pairs) // OWN_PAIRS))]
     frames = burst.frames - np.nan_to_num(level).astype(np.float32)[:, None, None]
-    return Judge(frames, burst.valid & ~burst.bad_pixels, pairs, corrections)
-
-
-def _without_slow_part(result: Result, burst: Burst) -> Array:
-    """The offset with which the pattern at the frames' level has nothing slow."""
-    level = float(np.median(burst.frames[burst.valid]))
-    pattern = torch.from_numpy(result.offset + (result.gain - 1) * level).double()
-    slow = polynomials(*burst.size, torch.device("cpu")).nearest(pattern).numpy()
-    return np.asarray(result.offset - slow + slow.mean())
+    return Judge(frames, burst.valid & ~burst.bad_pixels, pairs, corrections, independent=False)
 
 
 def _replaced(result: Result, burst: Burst, correction: Correction, message: str) -> Result:

@@ -65,6 +65,9 @@ def collect(
     gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
     known = not any(name in problem.free() for name in gains)
     to_gauge(result, known_gain=known, flux=added_flux(problem))
+    if reference := float(problem.reference):
+        result.scene = result.scene + np.float32(reference)
+        result.offset = (result.offset - (result.gain - 1) * reference).astype(np.float32)
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
     result.uncertainty = maps | {"scene": geometry.crop(maps["scene"])}
     result.messages += cost_message(cost, len(problem.data))
@@ -76,6 +79,7 @@ def collect(
         "held_out_rmse": solution.held_out,
         "pattern_cost_db": None if math.isnan(cost) else cost,
         "strengths": strengths(problem),
+        "reference_level": float(problem.reference),
     }
     return result
 

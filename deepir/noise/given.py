@@ -25,14 +25,15 @@ def given_noise(problem: Problem, config: Config) -> list[str]:
         return []
     read, photon = config.noise.read**2, 1 / (config.noise.photons or math.inf)
     # Until there is a prediction, the mean of the neighbours: of single samples the low ones would seem the surest.
-    signal = avg_pool2d(problem.data, AROUND, stride=1, padding=AROUND // 2, count_include_pad=False)
+    data = problem.data + problem.reference
+    signal = avg_pool2d(data, AROUND, stride=1, padding=AROUND // 2, count_include_pad=False)
     variance = read + photon * signal.clamp_(min=0)
     if not variance.min() > 0:
         raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
     least = LEAST * float(variance.median())
     problem.precision.copy_((problem.precision > 0) / variance.clamp_(min=least))
     problem.noise = read, photon, least
-    if variance.max() > ROUNDED**2 / 10 or problem.data.max() <= 1 or (problem.data % 1).any():
+    if variance.max() > ROUNDED**2 / 10 or data.max() <= 1 or (data % 1).any():
         return []
     return [
         f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes {ROUNDED}: is "

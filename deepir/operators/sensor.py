@@ -15,11 +15,18 @@ from deepir.registry import register
 class Sensor(Operator):
     """Gain, offset and levels of frames or of their lines: `y_k = gain * x_k + offset + level_k`, (N, 1, h, w).
 
+    `reference`, in the data's units, is the level at which the estimates of gain and offset are taken to be independent
+    of each other: 0 for a raw detector; None: as the data have it.
+
     Saragadam et al. 2021, the equation that ends "Sensor modeling"; it leaves the drift out.
     """
 
     linear = False
     neutral: ClassVar = {"gain": 1.0, "offset": 0.0, "level": 0.0}
+
+    def __init__(self, reference: float | None = None) -> None:
+        super().__init__()
+        self.reference = reference
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """`gain`, `offset`: (1, C, h, w); `level`: (N, 1, 1, 1), or what fits."""

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.closed_form.elimination import PIXEL
+from deepir.closed_form.slow_part import is_implausible, slow_part
 from deepir.closed_form.slow_pattern import slow_pattern
 from deepir.closed_form.unregistered import find_pattern, shrink_shading
 from deepir.errors import ConfigError, DataError
@@ -148,12 +149,24 @@ def _divide_slow_part(problem: Problem, slow: Shading, offset: Sequence[Part], u
                 f"only by how much these differ: {share:.0%} of what all frames share is taken for the sensor's. "
                 "Take neighbouring frames of a moving camera"
             )
+    found, known = (_offset(problem) + rest).double().cpu().numpy(), usable.any(0).cpu().numpy()
+    if is_implausible(found, known):
+        rest = rest - torch.from_numpy(slow_part(found, known)).to(rest)
+        messages = [
+            "the slow part of what all frames share is implausibly strong for a sensor's pattern, by its fine part: it "
+            "is left to the scenes. Take frames of different scenes, and of a camera that turns"
+        ]
     shading.sigma.copy_(rest.std())
     for part in (shading, *(part for part in offset if part.along == PIXEL and part is not shading)):
         before = part.values[0, 0]
         part.assign(part.values + rest)
         rest = rest - (part.values[0, 0] - before)
     return messages
+
+
+def _offset(problem: Problem) -> Tensor:
+    """The offset of the sensor, (h, w)."""
+    return problem.values()[problem.slots[f"{problem.operator.named()[-1][0]}.offset"]][0, 0]
 
 
 def _corrected(problem: Problem) -> Tensor:

@@ -13,6 +13,7 @@ from deepir.curvature.uncertainty import pattern_cost
 from deepir.curvature.unseen import smooth_unseen
 from deepir.curvature.waves import modelled
 from deepir.evidence.contrast import even_contrast, even_response, response_drifts
+from deepir.evidence.reference_level import refine_reference_level, take_reference_level
 from deepir.evidence.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
 from deepir.evidence.slow_strengths import estimate_slow
 from deepir.evidence.strengths import (
@@ -173,7 +174,10 @@ def finish(problem: Problem) -> None:
 def _update(problem: Problem, *, settled: bool = True) -> None:
     update(problem)
     smooth_unseen(problem)
-    if doubt_moving(problem, settled=settled) > CLEAR and not settled:
+    striking = doubt_moving(problem, settled=settled) > CLEAR
+    if settled:
+        refine_reference_level(problem)
+    elif take_reference_level(problem) or striking:
         _start_again(problem)
 
 

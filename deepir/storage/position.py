@@ -68,5 +68,6 @@ def restore(
 
 def _state(problem: Problem) -> Mapping[str, Tensor]:
     """Parameters and buffers; the data, which a resumed run reads again, only if they have changed on the way."""
-    kept, changed = problem.state_dict().items(), bool((problem.contrast != 1).any())
+    kept = problem.state_dict().items()
+    changed = bool((problem.contrast != 1).any()) or bool(problem.reference != 0)
     return {name: value.detach() for name, value in kept if name != "data" or changed}
