@@ -128,7 +128,7 @@ class Problem(nn.Module):
 
         The equation of the sensor is the same; its offset is that of the new level. The scene is to be started anew.
         """
-        self.data.sub_(level - float(self.reference))
+        self.data = self.data - (level - float(self.reference))  # the frames themselves stay as they are
         self.reference.fill_(level)
 
     def middle(self) -> Tensor:

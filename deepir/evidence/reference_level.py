@@ -20,7 +20,9 @@ from deepir.operators import Sensor
 from deepir.problem import Problem, Values
 
 #: Nats of the pixels by which a first reference level other than zero has to be likelier, and a later one.
-MARGIN, REFINED = 20.0, 2.0
+MARGIN, REFINED = 100.0, 2.0
+#: Standard deviations of the data by which a first level differs from zero: nearer, it makes little difference.
+LEAST = 3.0
 #: Levels at which the likelihood is compared first: shares of the data's mean, and quantiles of the data.
 SHARES, QUANTILES = (0.25, 0.5, 0.75), (0.0, 0.1, 0.5, 0.9, 1.0)
 #: Share of the data's standard deviation to which the level is found.
@@ -36,9 +38,10 @@ def take_reference_level(problem: Problem) -> bool:
     Whether it is another one: scene, gain and offset are to be started anew.
     """
     level = _likeliest(problem, MARGIN)
-    if level is not None:
-        problem.measure_from(level)
-    return level is not None
+    if level is None or abs(level) < LEAST * float(problem.data[problem.precision > 0].std()):
+        return False
+    problem.measure_from(level)
+    return True
 
 
 @torch.no_grad()
