@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,9 @@ from written import write
 import deepir
 from deepir.errors import DeepIRError
 from deepir.result import Result
-from deepir.validation.held_out_pattern import Judge
+from deepir.validation.held_out_pattern import Judge, Left
 
+SCRIPT = "benchmarks/recordings.py"
 DATA = Path(os.environ.get("DEEPIR_DATA", "../shared/data"))
 #: (first frame, frames apart, frames) of the drive: nothing was chosen by these.
 OVER_THE_CLIP = [(3, 37, 16), (7, 36, 16), (13, 38, 16), (25, 36, 16), (32, 35, 16), (40, 36, 16)]
@@ -38,22 +39,41 @@ METHODS: dict[str, tuple[str, ...]] = {
 #: Those that take the frames for a burst of one scene.
 BURSTS = ("nuc", "flow")
 BONNET = 420  # row of the A65's frames below which its car is seen
+#: Recordings at hand.
+MOVING = {
+    "lynred": "lynred_car/raw.avi",
+    "a65, first": "a65/a65_frames_000-009.npz",
+    "a65, others": "a65/a65_frames_010-069.npz",
+    "lepton": "lepton/lepton_tlinear_82x120x160.npz",
+    "lepton, CPTV": "lepton/v2.cptv",
+}
+DRAWN_SEED = 11
+#: Method, frames, frames apart, and how often.
+DRAWS: list[tuple[str, int, list[int], int]] = [
+    ("nuc", 5, [1, 3, 6], 4),
+    ("nuc", 10, [1, 3, 6], 6),
+    ("flow", 5, [1, 3, 6], 4),
+    ("flow", 10, [1, 3, 6], 4),
+    ("multiview_nuc", 8, [4, 7, 20, 60], 6),
+]
 SKIP = 17  # frames between those that likeness is taken of
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, help="write the report to this file too")
+    parser.add_argument("--only", choices=["drive", "a65", "drawn"], help="one part of the report")
     options = parser.parse_args()
     if not DATA.is_dir():
         raise SystemExit(f"{DATA} is not there: set DEEPIR_DATA to the folder of the data")
-    write(report(), "benchmarks/recordings.py", options.output)
+    parts = {"drive": drive, "a65": a65, "drawn": drawn}
+    write(report([parts[options.only]] if options.only else list(parts.values())), SCRIPT, options.output)
 
 
-def report() -> Iterator[str]:
+def report(parts: Sequence[Callable[[], Iterator[str]]]) -> Iterator[str]:
     """Lines of markdown."""
-    yield from drive()
-    yield from a65()
+    for part in parts:
+        yield from part()
 
 
 def drive() -> Iterator[str]:
@@ -96,13 +116,11 @@ def drive() -> Iterator[str]:
                 pattern = (result.gain - 1) * np.median(raw[used]) + result.offset
                 likeness = like(lambda frame, r=result: (frame - r.offset) / r.gain)
                 found[method].append((likeness, alike(fine(pattern), fine(truth))))
-                left = result.metrics.get("fixed_pattern_left")
-                before, after = judged(raw, used, result)
                 rows.append(
                     f"| {method} | {start}::{step} x {count} | {likeness:.3f} | {found[method][-1][1]:.3f} | "
-                    f"{before:.3g} | {after:.3g} | {given_up(result)} |"
+                    f"{said(*judged(raw, used, result))} | {given_up(result)} |"
                 )
-                print(rows[-1], left, flush=True)
+                print(rows[-1], flush=True)
         columns = [
             f"{np.median([a for a, _ in each]):.3f} ({min(a for a, _ in each):.2f}), "
             f"{np.median([b for _, b in each]):.3f}"
@@ -111,13 +129,13 @@ def drive() -> Iterator[str]:
             for each in found.values()
         ]
         yield f"| {name} | {like(lambda f: f):.2f} | {like(lambda f: f - truth):.3f} | {' | '.join(columns)} |"
-    yield "\nEach run: what is left along the displacements of frames beside the burst, before and after.\n"
-    yield "| method | frames | likeness | fine | before | after | given up |\n|---|---|---|---|---|---|---|"
+    yield "\nEach run: what is left in frames beside the burst, slow and fine, before and after.\n"
+    yield "| method | frames | likeness | fine | slow | fine pattern | given up |\n|---|---|---|---|---|---|---|"
     yield from rows
 
 
-def judged(frames: np.ndarray, used: np.ndarray, result: Result) -> tuple[float, float]:
-    """What raw and corrected frames beside the burst leave along their displacements."""
+def judged(frames: np.ndarray, used: np.ndarray, result: Result) -> tuple[Left | None, Left | None]:
+    """What raw and corrected frames beside the burst leave."""
     beside = np.setdiff1d(np.arange(used[0] + 1, min(used[-1] + 10, len(frames) - 4)), used)[::3][:12]
     pairs = np.stack((beside, np.minimum(beside + 4, len(frames) - 1)), 1)
     some = frames[pairs.ravel()]
@@ -127,9 +145,15 @@ def judged(frames: np.ndarray, used: np.ndarray, result: Result) -> tuple[float,
         [(2 * k, 2 * k + 1) for k in range(len(beside))],
         [(result.gain, result.offset)],
     )
-    left = judge.left(result.gain, result.offset)
     raw = judge.left(np.ones_like(result.gain), np.zeros_like(result.offset))
-    return (np.nan, np.nan) if left is None or raw is None else (raw.change, left.change)
+    return raw, judge.left(result.gain, result.offset)
+
+
+def said(before: Left | None, after: Left | None) -> str:
+    """Two cells of a table: of what is slow, and of the fine pattern."""
+    if before is None or after is None:
+        return "not judged | "
+    return f"{before.change:.3g} to {after.change:.3g} | {before.detail:.3g} to {after.detail:.3g}"
 
 
 def given_up(result: Result) -> str:
@@ -166,6 +190,38 @@ def a65() -> Iterator[str]:
                 for each in (frames, corrected)
             )
             yield f"| {name} | {method} | {before:.3f} | {after:.3f} | {given_up(result)} |"
+
+
+def drawn() -> Iterator[str]:
+    """Runs at drawn positions: no correction may leave more than none."""
+    generator = np.random.default_rng(DRAWN_SEED)
+    recordings = {name: deepir.read_frames(DATA / path).frames for name, path in MOVING.items()}
+    recordings["a65"] = np.concatenate([recordings.pop(name) for name in ("a65, first", "a65, others")])
+    yield "\n## Drawn positions\n"
+    yield "What is left in frames beside the burst, slow and fine, before and after; bold where it is more.\n"
+    yield "| method | recording | frames | slow | fine pattern | given up |\n|---|---|---|---|---|---|"
+    count = worse = 0
+    for name, frames in recordings.items():
+        for method, size, steps, times in DRAWS:
+            steps = [each for each in steps if each * size < len(frames) - 8]
+            for _ in range(times if name == "lynred" else times // 2):
+                step = int(generator.choice(steps)) if steps else 1
+                start = int(generator.integers(0, max(1, len(frames) - step * size - 8)))
+                used = start + step * np.arange(size)
+                place = f"| {method} | {name} | {start}::{step} x {size} |"
+                try:
+                    result = deepir.run(METHODS[method][0], frames=frames, data={"frames": used.tolist()})
+                except DeepIRError as error:
+                    yield f"{place} refused: {str(error)[:60]} | | |"
+                    continue
+                before, after = judged(frames, used, result)
+                count += 1
+                if before and after and (after.change > before.change or after.detail > before.detail):
+                    worse += 1
+                    place = place.replace(f"| {method} |", f"| **{method}** |")
+                yield f"{place} {said(before, after)} | {given_up(result)} |"
+                print(f"{place} {said(before, after)} | {given_up(result)}", flush=True)
+    yield f"\n{count} runs; {worse} leave more than uncorrected frames in one of the two."
 
 
 def true_pattern(raw: np.ndarray, calibrated: np.ndarray, rounds: int = 12) -> np.ndarray:

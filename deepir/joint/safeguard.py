@@ -16,7 +16,7 @@ import torch
 
 from deepir.average import filled
 from deepir.burst import Burst
-from deepir.closed_form.slow_part import slow_part
+from deepir.closed_form.slow_part import is_implausible, slow_part
 from deepir.closed_form.unregistered import estimate_offset
 from deepir.errors import DataError
 from deepir.result import Result, neutral
@@ -101,11 +101,15 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
 
 @dataclass(frozen=True)
 class _Candidates:
-    """A correction, the same without its slow part, and that part at the frames' level, (h, w)."""
+    """A correction, the same without its slow part, and that part at the frames' level, (h, w).
+
+    `plausible`: whether a sensor may have so strong a slow part.
+    """
 
     whole: Correction
     fine: Correction
     slow: Array
+    plausible: bool
 
     @property
     def fine_nats(self) -> float:
@@ -117,12 +121,13 @@ class _Candidates:
 def _candidates(name: str, judge: Judge, burst: Burst, gain: Array, offset: Array) -> _Candidates | None:
     """None where the frames do not judge."""
     level = float(np.median(burst.frames[burst.valid]))
-    slow = slow_part(offset + (gain - 1) * level, ~burst.bad_pixels)
+    pattern, good = offset + (gain - 1) * level, ~burst.bad_pixels
+    slow = slow_part(pattern, good)
     whole, fine = judge.left(gain, offset), judge.left(gain, offset - slow)
     if whole is None or fine is None:
         return None
     short = Correction(f"{name}, without its slow part", gain, offset - slow, fine)
-    return _Candidates(Correction(name, gain, offset, whole), short, slow)
+    return _Candidates(Correction(name, gain, offset, whole), short, slow, not is_implausible(pattern, good))
 
 
 def _doubtful(found: _Candidates, raw: _Candidates, shared: Left) -> bool:
@@ -149,7 +154,8 @@ def _best(found: _Candidates, free: _Candidates | None, raw: _Candidates, judge:
                 judge.left(gain, offset),
                 f"{fine.whole.name}, with the slow part of {each.whole.name}",
             )
-        if other and other.nats < best.left.nats - (0.0 if each is found else MARGIN):
+        sure = each is fine and each.plausible
+        if other and other.nats < best.left.nats - (0.0 if sure else MARGIN):
             best = Correction(name, gain, offset, other)
     return raw.whole if best.left.nats > raw.whole.left.nats + MARGIN else best
 
