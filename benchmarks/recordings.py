@@ -203,9 +203,9 @@ def drawn() -> Iterator[str]:
     count = worse = 0
     for name, frames in recordings.items():
         for method, size, steps, times in DRAWS:
-            steps = [each for each in steps if each * size < len(frames) - 8]
+            short = [each for each in steps if each * size < len(frames) - 8]
             for _ in range(times if name == "lynred" else times // 2):
-                step = int(generator.choice(steps)) if steps else 1
+                step = int(generator.choice(short)) if short else 1
                 start = int(generator.integers(0, max(1, len(frames) - step * size - 8)))
                 used = start + step * np.arange(size)
                 place = f"| {method} | {name} | {start}::{step} x {size} |"

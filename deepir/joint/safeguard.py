@@ -145,19 +145,22 @@ def _best(found: _Candidates, free: _Candidates | None, raw: _Candidates, judge:
         fine = raw
     best = raw.whole if fine is raw else fine.fine
     for each in filter(None, (found, free)):
-        gain, offset = fine.fine.gain, fine.fine.offset + each.slow
-        if each is fine:
-            other: Left | None = fine.whole.left
-            name, offset = fine.whole.name, fine.whole.offset
-        else:
-            other, name = (
-                judge.left(gain, offset),
-                f"{fine.whole.name}, with the slow part of {each.whole.name}",
-            )
-        sure = each is fine and each.plausible
-        if other and other.nats < best.left.nats - (0.0 if sure else MARGIN):
-            best = Correction(name, gain, offset, other)
+        other = each.whole if each is fine else _mixed(fine, each, judge)
+        margin = -MARGIN
+        if each is fine and each.plausible:
+            margin = MARGIN if each is found and each.whole.left.nats <= raw.whole.left.nats else 0.0
+        if other.left.nats <= best.left.nats + margin:
+            best = other
     return raw.whole if best.left.nats > raw.whole.left.nats + MARGIN else best
+
+
+def _mixed(fine: _Candidates, slow: _Candidates, judge: Judge) -> Correction:
+    """The fine part of one with the slow part of another."""
+    gain, offset = fine.fine.gain, fine.fine.offset + slow.slow
+    name = f"{fine.whole.name}, with the slow part of {slow.whole.name}"
+    left = judge.left(gain, offset)
+    assert left is not None  # the same frames have judged both
+    return Correction(name, gain, offset, left)
 
 
 def _figures(raw: Left, corrected: Left) -> dict[str, float]:
