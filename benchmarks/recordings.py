@@ -136,7 +136,7 @@ def drive() -> Iterator[str]:
 
 def judged(frames: np.ndarray, used: np.ndarray, result: Result) -> tuple[Left | None, Left | None]:
     """What raw and corrected frames beside the burst leave."""
-    beside = np.setdiff1d(np.arange(used[0] + 1, min(used[-1] + 10, len(frames) - 4)), used)[::3][:12]
+    beside = np.setdiff1d(np.arange(used[0] + 1, min(used[-1] + 10, len(frames) - 4)), used)[::3][:6]
     pairs = np.stack((beside, np.minimum(beside + 4, len(frames) - 1)), 1)
     some = frames[pairs.ravel()]
     judge = Judge(
