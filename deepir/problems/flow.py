@@ -9,6 +9,7 @@ import torch
 
 from deepir.curvature.waves import modelled
 from deepir.errors import ConfigError
+from deepir.evidence.reference_level import take_reference_level
 from deepir.priors.flow import Flow
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC, finish, update
@@ -60,6 +61,7 @@ class DenseMotion(NUC):
             moved = optical_flow(
                 corrected[:, 0].cpu(), (problem.precision[:, 0] > 0).cpu(), copy.deepcopy(flow).cpu()
             )
+        take_reference_level(problem)
         flow.init_from(flow.start + moved.permute(0, 2, 3, 1).to(flow.start))
         for field in (problem.fields[name] for name in problem.closed_form()):
             field.init_from(torch.full(field.shape, field.neutral).to(corrected))

@@ -6,6 +6,7 @@ import math
 
 from deepir.evidence.contrast import even_contrast
 from deepir.evidence.cross_validation import start_trials, trials, weigh_by_trials
+from deepir.evidence.reference_level import take_reference_level
 from deepir.evidence.strengths import hold_out, update_strengths, weigh_scene
 from deepir.noise.residual import update_noise
 from deepir.operators import Downsample
@@ -48,7 +49,7 @@ class SR(Definition):
         sensor = (*still, Step(closed, "eliminate")) if closed else still
         return [
             Stage("sensor 1", sensor, 40),
-            Stage("sensor 2", sensor, 40, prepare=_update),
+            Stage("sensor 2", sensor, 40, prepare=_update_first),
             Stage("motion 1", moving, 20, prepare=weigh_by_trials),
             Stage("sensor 3", sensor, 25, prepare=_update),
             *trials(problem),
@@ -74,6 +75,13 @@ def few_frames(count: int, factor: int) -> list[str]:
         "shows one sample of them; fine detail is in part the prior's. "
         f"Take {factor**2} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}"
     ]
+
+
+def _update_first(problem: Problem) -> None:
+    _update(problem)
+    if take_reference_level(problem):
+        start_scene_and_parts(problem)
+        weigh_by_trials(problem, WEAK)
 
 
 def _update(problem: Problem) -> None:
