@@ -46,7 +46,7 @@ def even_contrast(problem: Problem, least: float = 0.0) -> bool:
     if not least and (whole / whole.mean() - 1).abs().max() < ALIKE:
         contrast = 1 / problem.contrast.flatten()
         problem.even.fill_(True)
-    _divide(problem, contrast)
+    divide_contrast(problem, contrast)
     return True
 
 
@@ -70,11 +70,14 @@ def response_drifts(problem: Problem) -> bool:
 @torch.no_grad()
 def even_response(problem: Problem) -> None:
     """Divide the frames by what their contrasts are by now."""
-    _divide(problem, Smooth(problem, contrasts=True).contrasts())
+    divide_contrast(problem, Smooth(problem, contrasts=True).contrasts())
 
 
-def _divide(problem: Problem, contrast: Tensor) -> None:
-    """About the middle of the samples, where a contrast that is not quite found changes the levels least."""
+def divide_contrast(problem: Problem, contrast: Tensor) -> None:
+    """Divide the frames by contrasts (N,).
+
+    About the middle of the samples, where a contrast that is not quite found changes the levels least.
+    """
     contrast, middle = contrast.to(problem.data)[:, None, None, None], problem.middle()
     problem.data.sub_(middle).div_(contrast).add_(middle)
     problem.contrast.mul_(contrast)

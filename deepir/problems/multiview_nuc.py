@@ -9,10 +9,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.closed_form.elimination import PIXEL
+from deepir.closed_form.frame_gains import frame_gains
 from deepir.closed_form.slow_part import is_implausible, slow_part
 from deepir.closed_form.slow_pattern import slow_pattern
 from deepir.closed_form.unregistered import find_pattern, shrink_shading
 from deepir.errors import ConfigError, DataError
+from deepir.evidence.contrast import divide_contrast
 from deepir.evidence.strengths import weigh_scene
 from deepir.noise.typical import flat_noise
 from deepir.outliers.defects import lonely
@@ -29,6 +31,7 @@ SAME = 2.0  # variance of the blocks' means in a difference of frames, to that o
 SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated ones
 #: Share of the slow part, from none and from all, within which its division is no guess.
 GUESS = 0.1
+CONTRAST_ROUNDS = 3  # of gains of the frames, and of the pattern that they share
 DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
 
 
@@ -54,6 +57,13 @@ class MultiviewNUC(Definition):
         self.messages = _demand_different(frames)
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
         edges, pattern, slow = find_pattern(frames, usable, gain, offset)
+        for _ in range(CONTRAST_ROUNDS if problem.noise is None else 0):
+            gains = frame_gains(frames, usable, pattern[1])
+            if gains is None:
+                break
+            divide_contrast(problem, gains)
+            frames = problem.data[:, 0]
+            edges, pattern, slow = find_pattern(frames, usable, gain, offset)
         misfit = edges.misfit(pattern)
         usable = usable & ~((misfit > DEFECTIVE) & lonely(misfit))
         self.messages += _divide_slow_part(problem, slow, offset, usable)
