@@ -59,7 +59,9 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
     """The likeliest level, in the data's units from their zero; None where that is not likelier by so many nats."""
     last = problem.operator.named()[-1][1]
     closed = problem.closed_form()
-    if not isinstance(last, Sensor) or last.reference is not None or problem.stretched or len(closed) < 2:
+    if not isinstance(last, Sensor) or last.reference is not None or len(closed) < 2:
+        return None
+    if problem.stretched or problem.ends is not None:  # pictures, and pixels whose range is cut off
         return None
     values = problem.values()
     parts, information, means = next(problem.solved(values, closed).blocks())
