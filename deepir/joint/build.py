@@ -85,9 +85,21 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     )
     with torch.no_grad():
         problem.precision *= problem.valid(problem.values())
-        if isinstance(last := operator.named()[-1][1], Sensor) and last.reference is not None:
+        name, last = operator.named()[-1]
+        if isinstance(last, Sensor) and last.reference is not None:
+            _demand_near(last.reference, data, f"physics.{name}.reference")
             problem.measure_from(last.reference)
     return problem, geometry
+
+
+def _demand_near(level: float, data: Tensor, where: str) -> None:
+    """Raise `ConfigError` for a level that is further from the data than zero is, by more than they span."""
+    low, high = min(0.0, float(data.min())), max(0.0, float(data.max()))
+    if not low - (high - low) <= level <= high + (high - low):
+        raise ConfigError(
+            f"{where} = {level:g}: the data are {float(data.min()):g} to {float(data.max()):g}; give a level in their "
+            "units, 0 for a raw detector, or auto"
+        )
 
 
 def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field, dict[str, Penalty]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import torch
@@ -25,7 +26,14 @@ class Sensor(Operator):
     neutral: ClassVar = {"gain": 1.0, "offset": 0.0, "level": 0.0}
 
     def __init__(self, reference: float | None = None) -> None:
+        """`reference`: see above.
+
+        Raises:
+            ValueError: It is not finite.
+        """
         super().__init__()
+        if reference is not None and not math.isfinite(reference):
+            raise ValueError(f"reference = {reference}: a level in the data's units is needed, or auto")
         self.reference = reference
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:

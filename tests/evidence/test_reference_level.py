@@ -6,6 +6,7 @@ import torch
 from pedestal import NOISE, PEDESTAL, camera
 
 import deepir
+from deepir.errors import ConfigError
 from deepir.evidence.parts import marginal
 
 
@@ -40,6 +41,15 @@ def test_scene_gain_and_offset_are_those_of_the_frames_as_they_came():
     left = result.gain * result.scene + result.offset - frames[0]
     assert np.median(np.abs(left)) < 1.5 * NOISE
     assert frames.min() > 0.8 * PEDESTAL  # they are not changed
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [("1e30", "the data are"), (".nan", "a level in the data's units")]
+)
+def test_a_level_that_is_none_of_the_data_is_refused(given, said):
+    frames, _, _ = camera(PEDESTAL)
+    with pytest.raises(ConfigError, match=said):
+        deepir.run("nuc", f"physics.sensor.reference={given}", frames=np.round(frames).astype(np.uint16))
 
 
 def test_the_likelihood_of_the_level_is_largest_at_the_true_one():
