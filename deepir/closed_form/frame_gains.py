@@ -13,11 +13,11 @@ from deepir.closed_form.edges import AXES
 
 ROUNDS = 10  # of reweighting
 #: Largest gradients of the pattern, in their root mean square, that count: of a defect they say nothing.
-LARGEST = 6.0
+GRADIENT_LIMIT = 6.0
 #: Gradients that say the same: those of neighbours.
-CORRELATED = 4.0
+CORRELATED_GRADIENTS = 4.0
 #: Root mean square of (f_k - 1) in its standard errors, and by itself, from which frames have gains of their own.
-SIGNIFICANT, LEAST = 4.0, 0.05
+SIGNIFICANCE, MINIMUM_SPREAD = 4.0, 0.05
 
 
 def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | None:
@@ -30,12 +30,12 @@ def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | Non
     """
     found = [_gain(frame, good, pattern) for frame, good in zip(frames, usable, strict=True)]
     gains, errors = torch.stack([each[0] for each in found]), torch.stack([each[1] for each in found])
-    if not bool((gains > SIGNIFICANT * errors).all()):
+    if not bool((gains > SIGNIFICANCE * errors).all()):
         return None
     gains = gains / gains.log().mean().exp()
     apart = gains - gains.median()
     spread = float((apart / errors).square().mean().sqrt())
-    return gains if spread > SIGNIFICANT and float(apart.square().mean().sqrt()) > LEAST else None
+    return gains if spread > SIGNIFICANCE and float(apart.square().mean().sqrt()) > MINIMUM_SPREAD else None
 
 
 def _gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tensor]:
@@ -48,7 +48,7 @@ def _gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tenso
         steps.append(frame.double().diff(dim=axis)[counts])
         shared.append(pattern.double().diff(dim=axis)[counts])
     y, p = torch.cat(steps), torch.cat(shared)
-    bulk = p.abs() < LARGEST * p.square().mean().sqrt()
+    bulk = p.abs() < GRADIENT_LIMIT * p.square().mean().sqrt()
     y, p = y[bulk], p[bulk]
     gain, weight = y.new_ones(()), torch.ones_like(y)
     for _ in range(ROUNDS):
@@ -56,7 +56,7 @@ def _gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tenso
         rest = (y - gain * p).square()
         weight = 1 / (rest.median().clamp_min(1e-300) + rest)
     variance = (
-        CORRELATED
+        CORRELATED_GRADIENTS
         * (weight.square() * rest * p * p).sum()
         / (weight * p * p).sum().square().clamp_min(1e-300)
     )

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
+from scipy.stats import median_abs_deviation
 
 Array = np.ndarray[Any, Any]
 
@@ -37,5 +38,5 @@ def slow_part(pattern: Array, usable: Array) -> Array:
 def is_implausible(pattern: Array, usable: Array) -> bool:
     """Whether the slow part of a pattern (h, w) is stronger, by its fine part, than a sensor's."""
     detail = (pattern - ndimage.median_filter(pattern, FINE_SIDE))[usable]
-    fine = 1.4826 * float(np.median(np.abs(detail - np.median(detail)))) if usable.any() else 0.0
+    fine = float(median_abs_deviation(detail, scale="normal")) if usable.any() else 0.0
     return fine > 0 and float(slow_part(pattern, usable)[usable].std()) > LARGEST_RATIO * fine

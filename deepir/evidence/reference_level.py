@@ -20,15 +20,15 @@ from deepir.operators import Sensor
 from deepir.problem import Problem, Values
 
 #: Nats of the pixels by which a first reference level other than zero has to be likelier, and a later one.
-MARGIN, REFINED = 100.0, 2.0
+EVIDENCE_MARGIN, REFINEMENT_MARGIN = 100.0, 2.0
 #: Standard deviations of the data by which a first level differs from zero: nearer, it makes little difference.
-LEAST = 3.0
+MINIMUM_DEVIATIONS = 3.0
 #: Levels at which the likelihood is compared first: shares of the data's mean, and quantiles of the data.
 SHARES, QUANTILES = (0.25, 0.5, 0.75), (0.0, 0.1, 0.5, 0.9, 1.0)
 #: Share of the data's standard deviation to which the level is found.
-PRECISE = 0.05
+LEVEL_PRECISION = 0.05
 #: Relative error up to which the flux follows the scene's level, and share of the samples that may have more.
-EXACT, FEW = 1e-3, 0.01
+LEVEL_TOLERANCE, EXCEPTIONS_SHARE = 1e-3, 0.01
 
 
 @torch.no_grad()
@@ -37,8 +37,8 @@ def take_reference_level(problem: Problem) -> bool:
 
     Whether it is another one: scene, gain and offset are to be started anew.
     """
-    level = _likeliest(problem, MARGIN)
-    if level is None or abs(level) < LEAST * float(problem.data[problem.precision > 0].std()):
+    level = _likeliest(problem, EVIDENCE_MARGIN)
+    if level is None or abs(level) < MINIMUM_DEVIATIONS * float(problem.data[problem.precision > 0].std()):
         return False
     problem.measure_from(level)
     return True
@@ -47,7 +47,7 @@ def take_reference_level(problem: Problem) -> bool:
 @torch.no_grad()
 def refine_reference_level(problem: Problem) -> None:
     """Improve a reference level other than zero by the fit of a later round, which goes on from where it is."""
-    level = _likeliest(problem, REFINED) if problem.reference else None
+    level = _likeliest(problem, REFINEMENT_MARGIN) if problem.reference else None
     if level is not None:
         scene = problem.fields["scene"]
         scene.init_from(scene() - (level - float(problem.reference)))
@@ -80,7 +80,7 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
     best = int(np.argmin([nats(level) for level in levels]))
     bounds = levels[max(best - 1, 0)], levels[min(best + 1, len(levels) - 1)]
     found = minimize_scalar(
-        nats, bounds=bounds, method="bounded", options={"xatol": PRECISE * float(data.std())}
+        nats, bounds=bounds, method="bounded", options={"xatol": LEVEL_PRECISION * float(data.std())}
     )
     return float(found.x) if found.fun < nats(reference) - margin else None
 
@@ -89,5 +89,5 @@ def _follows_level(problem: Problem, values: Values) -> bool:
     """Whether a scene that is brighter by some constant makes the flux brighter by that, wherever samples count."""
     unit = float(problem.data.std())
     more = problem.flux(values | {"scene": values["scene"] + unit}) - problem.flux(values)
-    wrong: Tensor = (more / unit - 1).abs()[problem.precision > 0] > EXACT
-    return bool(wrong.float().mean() < FEW)
+    wrong: Tensor = (more / unit - 1).abs()[problem.precision > 0] > LEVEL_TOLERANCE
+    return bool(wrong.float().mean() < EXCEPTIONS_SHARE)

@@ -60,7 +60,7 @@ def safeguarded(result: Result, burst: Burst) -> Result:
         free = _candidates(UNREGISTERED, judge, burst, one, offset)
     best = _best(found, free, raw, judge)
     result.metrics["fixed_pattern_left"] = _figures(raw.whole.left, best.left)
-    if best.offset is found.whole.offset:
+    if best is found.whole:
         return result
     message = (
         f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.left)} in "

@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from deepir.closed_form.slow_pattern import averaged
 from deepir.closed_form.unregistered import median_pattern
+from deepir.noise.typical import MAD
 from deepir.registration.texture_flow import RADIUS, Displacement, displacements, sampled
 
 Array = np.ndarray[Any, Any]
@@ -32,7 +33,7 @@ DETAIL = 5  # px, of the box average that is taken off for the pattern's detail
 CORRELATED_DETAIL = 4.0
 #: px by which the scene has moved where its detail is unrelated to that before, and robust deviations of the detail
 #: beyond which it is an edge, and counts as these.
-UNRELATED, EDGE = 2.0, 3.0
+DETAIL_REACH, EDGE_LIMIT = 2.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class Judge:
         height, width = self.frames.shape[1:]
         for each in self.found:
             rows, columns = np.mgrid[: each.y.shape[0], : each.y.shape[1]]
-            far = np.hypot(each.y - rows, each.x - columns) * self.factor > UNRELATED
+            far = np.hypot(each.y - rows, each.x - columns) * self.factor > DETAIL_REACH
             whole = np.zeros((height, width), bool)
             block = (far & each.known).repeat(self.factor, 0).repeat(self.factor, 1)
             whole[: block.shape[0], : block.shape[1]] = block
@@ -136,7 +137,7 @@ class Judge:
 
     def _detail_shared(self, gain: Array, offset: Array) -> tuple[float, int]:
         """Sum of products of the detail of two frames where the scene has moved, and their number."""
-        total, count, most = 0.0, 0, EDGE * self.deviation if self.moved else 0.0
+        total, count, most = 0.0, 0, EDGE_LIMIT * self.deviation if self.moved else 0.0
         for (first, second), moved in self.moved.items():
             one, other = (self._detail(gain, offset, k)[moved].clip(-most, most) for k in (first, second))
             total += float((one * other).sum())
@@ -152,4 +153,4 @@ def _change(frames: Array, found: Displacement) -> Array:
 
 def _spread(change: Array) -> float:
     """Robust standard deviation about zero."""
-    return 1.4826 * float(np.median(np.abs(change)))
+    return MAD * float(np.median(np.abs(change)))
