@@ -30,6 +30,9 @@ lint: setup  ## ruff and mypy
 docs: setup  ## the documentation as a site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+golden: setup  ## small bursts of all problems against their kept results: two minutes
+	$(BIN)/python benchmarks/golden.py
+
 bench: setup  ## the benchmark of record, a part of it: all methods, a quarter of an hour on two cores
 	$(BIN)/python benchmarks/record.py
 
@@ -76,4 +79,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real clean
+.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real clean
