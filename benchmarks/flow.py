@@ -23,22 +23,22 @@ from scipy import ndimage
 from written import write
 
 import deepir
+from deepir.effects.noise import update_noise
+from deepir.fields.constant import Constant
+from deepir.fields.dense_motion import Flow
+from deepir.fields.motion import Homography
+from deepir.fields.pixels import Pixels
 from deepir.metrics import scores
-from deepir.noise.residual import update_noise
 from deepir.operators import Chain, Sensor, Warp
-from deepir.operators.points import displacements
+from deepir.operators.homography import displacements
 from deepir.operators.warp import coords
-from deepir.priors.constant import Constant
-from deepir.priors.flow import Flow
-from deepir.priors.motion import Homography
-from deepir.priors.pixels import Pixels
+from deepir.optim.solve import solve
 from deepir.problem import Problem
+from deepir.problems.optical_flow import optical_flow
 from deepir.registration import register
-from deepir.registration.optical_flow import optical_flow
 from deepir.report.panels import write_panels
+from deepir.schedule import Stage, Step
 from deepir.simulate import Settings, Simulation, simulate
-from deepir.solve import solve
-from deepir.stage import Stage, Step
 
 PICTURES = ("coffee", "rocket", "procedural 40")
 PRIORS = ("foe", "tv", "tgv", "red")

@@ -20,7 +20,7 @@ LARGE = (20, (1024, 1280), 1)
 CODE = """
 import sys, numpy, deepir
 from deepir.runner import peak_memory, run
-import deepir.joint.joint, deepir.problems.nuc, deepir.registration
+import deepir.pipeline.reconstruct, deepir.problems.nuc, deepir.registration
 frames = numpy.load(sys.argv[1])
 before = peak_memory()
 found = run("nuc", frames=frames).metrics

@@ -13,12 +13,12 @@ import torch
 
 from deepir.burst import Burst
 from deepir.config import Config, load
-from deepir.joint.build import build
 from deepir.metrics import scores
+from deepir.optim.solve import solve
+from deepir.pipeline.build import build
 from deepir.problems.definition import start_scene
+from deepir.schedule import Stage, Step
 from deepir.simulate import Settings, Simulation, render
-from deepir.solve import solve
-from deepir.stage import Stage, Step
 
 VERSION = 2  # to be raised with a change, here or of deepir's warp, that gives other figures
 ITERATIONS, TOLERANCE = 100, 1e-6  # 300 iterations change the best PSNR by 0.05 dB at most

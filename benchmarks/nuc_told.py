@@ -15,17 +15,17 @@ from nuc_oracle import aligned, climb, noise_variance
 
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.evidence.strengths import weigh_scene
-from deepir.evidence.texture import follow_texture
-from deepir.joint.build import build
-from deepir.joint.contest import Contest
-from deepir.priors.shading import Shading
+from deepir.estimation.hyperparameters import weigh_scene
+from deepir.estimation.spatial_weights import adapt_weight_map
+from deepir.fields.shading import Shading
+from deepir.optim.solve import solve
+from deepir.pipeline.build import build
+from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import Problem
 from deepir.problems.definition import start_scene
 from deepir.problems.nuc import WEAK
+from deepir.schedule import Stage, Step
 from deepir.simulate import Simulation
-from deepir.solve import solve
-from deepir.stage import Stage, Step
 
 VERSION = 5  # to be raised with a change, here or of deepir's solve, that gives other figures
 ITERATIONS, TOLERANCE = 300, 1e-7  # of the sensor; the scene has a third of them, at each weight
@@ -47,8 +47,8 @@ def told(sim: Simulation, picture: np.ndarray) -> float:
     closed = tuple(problem.closed_form())
     sensor = (Step(("scene",)), Step(closed, "eliminate"))
     solve(problem, [Stage("sensor", sensor, ITERATIONS, tolerance=TOLERANCE)])
-    follow_texture(problem)
-    contest = Contest(problem, config)
+    adapt_weight_map(problem)
+    contest = PriorRefinement(problem, config)
     contest.enter(problem)
     weigh_scene(problem)
     (penalty,) = problem.penalties["scene"].values()

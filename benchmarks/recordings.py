@@ -19,8 +19,8 @@ from written import write
 
 import deepir
 from deepir.errors import DeepIRError
+from deepir.multiview.held_out_pattern import Judge, Left
 from deepir.result import Result
-from deepir.validation.held_out_pattern import Judge, Left
 
 SCRIPT = "benchmarks/recordings.py"
 DATA = Path(os.environ.get("DEEPIR_DATA", "../shared/data"))

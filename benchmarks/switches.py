@@ -23,8 +23,8 @@ from torch import Tensor
 from written import write
 
 import deepir
-from deepir.priors.dip import DIP
-from deepir.priors.skip import Skip
+from deepir.priors.networks.dip import DIP
+from deepir.priors.networks.skip_network import Skip
 from deepir.simulate import Settings, simulate
 
 PICTURES, SEEDS = ("coffee", "rocket", "coins", "brick", "cat"), (501, 502, 503, 504)

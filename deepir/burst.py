@@ -12,14 +12,14 @@ import torch
 
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
-from deepir.evidence.stretched import cut_off, is_stretched
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
 from deepir.io.checks import empty, lost
+from deepir.io.display_range import cut_off, is_stretched
 from deepir.io.frames import frames_beside, select_frames, to_float32
 from deepir.io.frames import stack as stacked
 from deepir.io.radiometry import Radiometry, chosen
+from deepir.io.saturated_samples import saturated_samples
 from deepir.io.telemetry import telemetry, telemetry_message
-from deepir.outliers.clipping import clipped
 
 Array = np.ndarray[Any, Any]
 #: Of a truth, what it has for each frame.
@@ -115,7 +115,7 @@ def load(
     bad = ~valid.any(0)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
-    ends = None if stretched else clipped(np.where(valid, stack, np.nan))
+    ends = None if stretched else saturated_samples(np.where(valid, stack, np.nan))
     stack = np.where(valid, stack, 0)
     return Burst(stack, valid, bad | mask, source, digest, truth, kelvin, stretched, ends, beside, messages)
 

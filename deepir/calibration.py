@@ -150,7 +150,7 @@ def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
     """
     import torch  # not above: `deepir --help` and `deepir apply` do without
 
-    from deepir.outliers.defects import deviating
+    from deepir.effects.bad_pixels import pattern_outliers
 
     for k, flat in enumerate(flats):
         if flat.shape != flats[0].shape:
@@ -178,7 +178,7 @@ def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
     bad = ~known | (np.abs(gain - 1) > RESPONSE)
     for each in (gain, offset):
         pattern, good = (torch.from_numpy(array)[None, None] for array in (each, ~bad))
-        bad = bad | deviating(pattern, good).numpy()[0, 0]
+        bad = bad | pattern_outliers(pattern, good).numpy()[0, 0]
     if bad.mean() > MOST_BAD:
         raise DataError(
             f"{100 * bad.mean():.0f}% of the pixels answer unlike the others: flat recordings show something uniform, "

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from deepir.burst import Burst
-from deepir.joint.geometry import scaled
 from deepir.metrics import motion_error, scores
+from deepir.operators.geometry import scaled
 from deepir.result import Result
 
 

@@ -7,15 +7,15 @@ from collections.abc import Collection, Mapping
 import torch
 from torch import Tensor, nn
 
-from deepir.average import Average
-from deepir.closed_form.elimination import Eliminated, eliminate
-from deepir.closed_form.half_squares import of_sensor
-from deepir.fidelity import Fidelity, Gaussian
+from deepir.closed_form.variable_projection import Elimination, eliminate
+from deepir.closed_form.weighted_least_squares import of_sensor
+from deepir.fields.base import Field
+from deepir.likelihoods import Fidelity, Gaussian
 from deepir.operators import Chain, Operator, Sensor
-from deepir.operators.base import own
-from deepir.penalties.local import Local
-from deepir.penalties.penalty import Penalty
-from deepir.priors.field import Field
+from deepir.operators.base import slots_of
+from deepir.priors.penalties.base import Penalty
+from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
+from deepir.registered_average import RegisteredAverage
 
 Values = dict[str, Tensor]
 
@@ -92,10 +92,10 @@ class Problem(nn.Module):
         self.register_buffer("plain", torch.tensor(0.0))
         self.register_buffer("rough", torch.tensor(torch.inf, dtype=torch.float64))
 
-    def slot(self, kind: type[Operator], own: str) -> str:
+    def slot(self, kind: type[Operator], slot: str) -> str:
         """The name of a slot of the first stage of a kind, whatever the stage is called; "" if there is none."""
         stages = [name for name, stage in self.operator.named() if isinstance(stage, kind)]
-        name = f"{stages[0]}.{own}" if stages else ""
+        name = f"{stages[0]}.{slot}" if stages else ""
         return name if name in self.slots else ""
 
     def field_of(self, slot: str) -> Field:
@@ -120,7 +120,7 @@ class Problem(nn.Module):
         """What falls on the detector: the prediction before the sensor, which must be the last stage."""
         x, slots = values["scene"], self._slot_values(values)
         for name, stage in self.operator.named()[:-1]:
-            x = stage(x, **own(slots, name))
+            x = stage(x, **slots_of(slots, name))
         return x.expand(len(self.data), *x.shape[1:])
 
     def measure_from(self, level: float) -> None:
@@ -176,7 +176,7 @@ class Problem(nn.Module):
         before = self.penalties[name].values() if name in self.penalties else ()
         for old in before:
             for new in penalties.values():
-                if isinstance(old, Local) and isinstance(new, Local):
+                if isinstance(old, SpatiallyWeighted) and isinstance(new, SpatiallyWeighted):
                     new.go_on_from(old)
         self.fields[name] = field  # type: ignore[index]
         self.penalties[name] = nn.ModuleDict(penalties)  # type: ignore[index]
@@ -188,7 +188,7 @@ class Problem(nn.Module):
             return self.fidelity(self.predict(values), self.data, precision)
         flux = self.flux(values)
         found = self._eliminate(values, eliminated, flux.detach(), precision) if eliminated else None
-        slots = own(self._slot_values(values), name)
+        slots = slots_of(self._slot_values(values), name)
         moves = slots["gain"].requires_grad or slots["offset"].requires_grad
         if isinstance(self.fidelity, Gaussian) and not moves:
             freedom = None if found is None else found.freedom()
@@ -225,16 +225,16 @@ class Problem(nn.Module):
 
     def backproject(self, values: Values, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Registered average of the data on the scene's grid, and the weight of each of its pixels, in frames."""
-        average = Average(self, values, weights)
+        average = RegisteredAverage(self, values, weights)
         return average(self.data - average.at_zero), average.weight
 
-    def beside(self, values: Values, residual: Tensor, average: Average | None = None) -> Tensor:
+    def beside(self, values: Values, residual: Tensor, average: RegisteredAverage | None = None) -> Tensor:
         """What is left of the data, (N, C, h, w), once the scene has followed what their `residual` has in common.
 
         In one step, by its registered `average`. What all frames show is no outlier: a peak that the scene does not
         reach yet leaves as much as somebody who walks by, but the same in each frame.
         """
-        step = (average or Average(self, values))(residual)
+        step = (average or RegisteredAverage(self, values))(residual)
         return self.data - self.predict(values | {"scene": values["scene"] + step})
 
     @torch.no_grad()
@@ -248,7 +248,7 @@ class Problem(nn.Module):
     ) -> dict[str, list[Tensor]]:
         """Set the unknowns of `group` to their optimum given the others; `values` is updated.
 
-        Returns the posterior variance of each part, by unknown, see `deepir.closed_form.elimination`. `flux`
+        Returns the posterior variance of each part, by unknown, see `deepir.closed_form.variable_projection`. `flux`
         and `precision` spare their computation where they are known.
         """
         flux = self.flux(values) if flux is None else flux
@@ -257,14 +257,14 @@ class Problem(nn.Module):
         return dict(zip(self._of_sensor()[:2], found.variances(), strict=True))
 
     @torch.no_grad()
-    def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Eliminated:
+    def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Elimination:
         """What `eliminate` finds, whole, of the samples that are fitted."""
         return self._eliminate(values, group, self.flux(values) if flux is None else flux, self.fitted())
 
     @torch.no_grad()
     def _eliminate(
         self, values: Values, group: Collection[str], flux: Tensor, precision: Tensor
-    ) -> Eliminated:
+    ) -> Elimination:
         gain, offset, level = self._of_sensor()
         data = self.data if gain in group else self.data - values[gain] * flux
         if offset not in group and values[offset].any():

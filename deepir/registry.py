@@ -20,12 +20,12 @@ T = TypeVar("T")
 #: Kind of component -> the modules and packages that hold deepir's own; every module of a package is looked at.
 HOMES = {
     "operator": ["deepir.operators"],
-    "field": ["deepir.priors"],
-    "penalty": ["deepir.penalties"],
+    "field": ["deepir.fields", "deepir.fields.psf", "deepir.priors.networks"],
+    "penalty": ["deepir.priors.penalties"],
     "denoiser": ["deepir.denoisers"],
-    "fidelity": ["deepir.fidelity"],
+    "fidelity": ["deepir.likelihoods"],
     "problem": ["deepir.problems"],
-    "method": ["deepir.joint.joint", "deepir.baselines"],
+    "method": ["deepir.pipeline.reconstruct", "deepir.baselines"],
     "training": ["deepir.training"],
     "camera": ["deepir.cameras"],
 }

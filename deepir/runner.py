@@ -18,18 +18,18 @@ import torch
 
 import deepir
 from deepir import burst as bursts
-from deepir import memory, threads
 from deepir.comparison import compared
 from deepir.config import Config, load
-from deepir.config.method import chosen
 from deepir.errors import ConfigError
-from deepir.joint.build import build
-from deepir.joint.order import demand_order
-from deepir.joint.planned import plan
+from deepir.kernels import memory, threads
 from deepir.metrics import roughness
+from deepir.optim.solve import Progress
+from deepir.pipeline.build import build
+from deepir.pipeline.frame_order import demand_order
+from deepir.pipeline.method import chosen
+from deepir.pipeline.schedule import plan
 from deepir.registry import lookup
 from deepir.result import Result
-from deepir.solve import Progress
 
 Callbacks = Sequence[Callable[[Progress], None]]
 

@@ -40,17 +40,18 @@ SECTIONS = {
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
     "Running": ["runner", "config", "burst", "result", "storage", "errors"],
-    "Solving": ["problem", "solve", "stage", "optimisers", "joint", "closed_form", "curvature"],
-    "Estimating": ["evidence", "noise", "outliers", "validation"],
+    "Solving": ["problem", "schedule", "optim", "pipeline", "closed_form", "registered_average"],
+    "Estimating": ["effects", "estimation", "diagnostics", "multiview"],
     "Operators": ["operators"],
-    "Fields": ["priors"],
-    "Penalties": ["penalties", "denoisers", "fidelity"],
+    "Fields": ["fields"],
+    "Priors": ["priors", "denoisers", "likelihoods"],
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
     "Simulator": ["simulate", "metrics", "comparison"],
     "Sweeps": ["sweep", "analysis", "training"],
     "Files": ["io", "calibration", "cameras"],
     "For plugins": ["registry", "testing"],
+    "Arrays": ["arrays", "kernels"],
 }
 
 
@@ -72,8 +73,8 @@ def _reference(title: str, names: list[str]) -> str:
     parts = [f"# {title}\n"]
     for name in names:
         path = ROOT / "deepir" / name
-        inside = sorted(each.stem for each in path.glob("*.py") if not each.stem.startswith("_"))
-        modules = [f"deepir.{name}.{each}" for each in inside] or [f"deepir.{name}"]
+        inside = sorted(each.relative_to(ROOT).with_suffix("") for each in path.rglob("[!_]*.py"))
+        modules = [".".join(each.parts) for each in inside] or [f"deepir.{name}"]
         parts += [f"::: {module}\n" for module in modules]
     return "\n".join(parts)
 

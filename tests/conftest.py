@@ -28,13 +28,13 @@ def small_nuc():
 
     `make(...)` returns the problem, at the true motion and with the scene near the true one.
     """
+    from deepir.fields.constant import Constant
+    from deepir.fields.motion import Shift
+    from deepir.fields.pixels import Pixels
+    from deepir.fields.sensor_maps import Column, Pixel, Row, Sum
     from deepir.operators import Sensor, Warp
-    from deepir.penalties.ridge import Ridge
-    from deepir.penalties.tv import TV
-    from deepir.priors.constant import Constant
-    from deepir.priors.motion import Shift
-    from deepir.priors.parts import Column, Pixel, Row, Sum
-    from deepir.priors.pixels import Pixels
+    from deepir.priors.penalties.ridge import Ridge
+    from deepir.priors.penalties.tv import TV
     from deepir.problem import Problem
 
     def make(*, pedestal=50.0, quadratic=False, noise=0.1, n_frames=3, size=(10, 12), dtype=torch.float64):

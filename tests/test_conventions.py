@@ -12,12 +12,12 @@ from scipy.interpolate import BSpline
 
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.fidelity import Gaussian
-from deepir.joint.build import build
-from deepir.joint.geometry import MARGIN, footprint
+from deepir.fields.sensor_maps import Pixel
+from deepir.likelihoods import Gaussian
 from deepir.operators import Add, Blur, Chain, Downsample, Sensor, Warp
-from deepir.penalties.tv import TV
-from deepir.priors.parts import Pixel
+from deepir.operators.geometry import MARGIN, footprint
+from deepir.pipeline.build import build
+from deepir.priors.penalties.tv import TV
 from deepir.registry import components
 from deepir.result import Result, to_gauge
 

@@ -7,9 +7,9 @@ import torch
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.denoisers.unit_range import unit_range
-from deepir.evidence.strengths import weigh_scene
-from deepir.joint.build import build
-from deepir.penalties.red import RED
+from deepir.estimation.hyperparameters import weigh_scene
+from deepir.pipeline.build import build
+from deepir.priors.penalties.red import RED
 from deepir.registry import components
 
 DENOISERS = components("denoiser")

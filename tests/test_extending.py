@@ -212,7 +212,7 @@ def test_mistakes_are_named(plugin, change, message):
 
 def test_options_of_a_component_need_no_keyword_marker(monkeypatch):
     from deepir.config.components import make
-    from deepir.penalties.penalty import Penalty
+    from deepir.priors.penalties.base import Penalty
 
     monkeypatch.setattr(registry, "_components", {kind: registry.components(kind) for kind in registry.HOMES})
 

@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from deepir.fidelity import Huber
+from deepir.fields.constant import Constant
+from deepir.fields.pixels import Pixels
+from deepir.fields.sensor_maps import Column, Pixel, Sum
+from deepir.likelihoods import Huber
 from deepir.operators import Blur, Chain, Sensor, Warp
-from deepir.penalties.ridge import Ridge
-from deepir.priors.constant import Constant
-from deepir.priors.parts import Column, Pixel, Sum
-from deepir.priors.pixels import Pixels
+from deepir.priors.penalties.ridge import Ridge
 from deepir.problem import Problem
 
 SHAPE = (1, 1, 6, 7)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deepir.analysis.statistics import HOLDS, STRIPES, Array, Statistics
-from deepir.joint.registered import LITTLE
+from deepir.pipeline.register import LITTLE
 
 SHARED = 1.5  # px, across a line, below which a burst moves along one line
 LOOKS = 3.0  # independent looks at the pattern that are wanted

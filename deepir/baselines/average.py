@@ -9,17 +9,17 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from deepir.average import filled
+from deepir.arrays.fill import nearest_filled
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.joint.build import build
-from deepir.joint.registered import registered
-from deepir.operators.points import homographies
+from deepir.operators.homography import homographies
+from deepir.pipeline.build import build
+from deepir.pipeline.register import register_frames
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 
 Array = np.ndarray[Any, Any]
-#: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.joint.registered.registered`.
+#: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.pipeline.register.registered`.
 Found = tuple[torch.Tensor | None, Array, list[str]]
 
 LEAST, MOST = 0.2, 5.0  # gains, in medians, beyond which a pixel is a bad one
@@ -38,7 +38,7 @@ def pulled_back(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) 
         total += seen * ndimage.map_coordinates(frame, at, order=3, mode="mirror")
         count += seen
     mean = torch.from_numpy(total / count.clip(min=1))[None, None]
-    return filled(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
+    return nearest_filled(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
 
 
 def places(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
@@ -57,7 +57,9 @@ def indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
 def whole(frames: Array, valid: Array) -> Array:
     """Frames (N, h, w) in which samples that are not valid are like their nearest neighbour that is."""
     pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
-    return np.stack([filled(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs])
+    return np.stack(
+        [nearest_filled(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs]
+    )
 
 
 @register("method", "average")
@@ -68,7 +70,7 @@ def average(burst: Burst, config: Config) -> Result:
 
 def find(burst: Burst, config: Config) -> Found:
     """Register the burst: the fixed pattern is no obstacle to it."""
-    return registered(burst, config, lookup("problem", config.problem, "problem")())
+    return register_frames(burst, config, lookup("problem", config.problem, "problem")())
 
 
 def averaged(burst: Burst, config: Config, frames: Array, found: Found | None = None) -> Result:
@@ -85,7 +87,7 @@ def averaged(burst: Burst, config: Config, frames: Array, found: Found | None = 
     else:
         with torch.no_grad():
             mean, weight = problem.backproject(problem.values())
-            scene = geometry.crop(filled(mean, weight > 0.3 * weight.max()))
+            scene = geometry.crop(nearest_filled(mean, weight > 0.3 * weight.max()))
     result = neutral(scene.numpy(), len(used), burst.size, burst.bad_pixels)
     if motion is not None:
         result.motion[used] = homographies(problem.values()["motion"]).detach().numpy()

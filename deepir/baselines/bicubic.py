@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from deepir.average import filled
+from deepir.arrays.fill import nearest_filled
 from deepir.baselines.average import Array
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.joint.build import build
+from deepir.pipeline.build import build
 from deepir.registry import register
 from deepir.result import Result, neutral
 
@@ -23,7 +23,7 @@ def bicubic(burst: Burst, config: Config) -> Result:
     first = dataclasses.replace(burst, frames=burst.frames[:1], valid=burst.valid[:1])
     _, geometry = build(config, first)
     frame, good = (torch.from_numpy(each)[None] for each in (first.frames, first.valid & ~burst.bad_pixels))
-    whole = filled(frame, good)[0, 0].numpy()
+    whole = nearest_filled(frame, good)[0, 0].numpy()
     result = neutral(enlarged(whole, geometry.ratio), len(burst.frames), burst.size, burst.bad_pixels)
     result.frames_used[1:] = False
     result.motion[1:] = float("nan")

@@ -12,13 +12,13 @@ from pydantic import Field
 from scipy.optimize import nnls
 from torch import Tensor
 
+from deepir.arrays.noise_level import sample_noise
 from deepir.baselines.average import find
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError
-from deepir.joint.build import build
-from deepir.noise.typical import sample_noise
 from deepir.operators import Chain, Sensor
+from deepir.pipeline.build import build
 from deepir.problems.definition import start_scene
 from deepir.registry import register
 from deepir.result import Result, neutral, to_gauge

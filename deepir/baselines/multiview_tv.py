@@ -8,8 +8,8 @@ import numpy as np
 
 from deepir.baselines.average import average
 from deepir.burst import Burst
-from deepir.closed_form.unregistered import poisson
 from deepir.config import Config
+from deepir.multiview.pattern import poisson
 from deepir.registry import register
 from deepir.result import Result
 

@@ -15,7 +15,7 @@ from deepir.baselines.average import Array, averaged, find, pulled_back, whole
 from deepir.baselines.bicubic import enlarged
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.joint.geometry import scaled
+from deepir.operators.geometry import scaled
 from deepir.registry import register
 from deepir.result import Result
 

@@ -74,7 +74,7 @@ def _burst(data: Data) -> list[str]:
 def _configuration(name: str, settings: list[str]) -> None:
     from deepir.cli.run import output_folder
     from deepir.config import load
-    from deepir.config.method import chosen
+    from deepir.pipeline.method import chosen
     from deepir.storage.folder import Folder
 
     config = load(name, settings)

@@ -10,7 +10,7 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deepir.solve import Progress
+    from deepir.optim.solve import Progress
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

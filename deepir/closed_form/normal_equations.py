@@ -149,8 +149,8 @@ class PixelsOnCPU(Pixels):
     """The same, each in one pass by a compiled loop."""
 
     def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
-        from deepir.loops import spread
-        from deepir.loops.normal_equations import BAND, reduce
+        from deepir.kernels import parallel_for
+        from deepir.kernels.normal_equations import BAND, reduce
 
         (_, height, width), u, v = flux.shape, *self.sigma.square().tolist()
         self.bands = -(-height // BAND)
@@ -159,21 +159,21 @@ class PixelsOnCPU(Pixels):
         down = torch.empty(self.bands, 5, width, dtype=torch.float64)
         nats = torch.empty(self.bands, dtype=torch.float64)
         frames = (each.contiguous() for each in (flux, data, precision))
-        spread(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.across, down, nats)
+        parallel_for(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.across, down, nats)
         self.down, self.nats = down.sum(0), nats.sum()
 
     def solve(
         self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
     ) -> Tensor:
         """See `Pixels`."""
-        from deepir.loops import spread
-        from deepir.loops.normal_equations import solve
+        from deepir.kernels import parallel_for
+        from deepir.kernels.normal_equations import solve
 
         x, maps, tolerance = rhs.clone(), self.maps[:3], TOLERANCE
         if self.rounded:
             maps, tolerance = maps.float(), ROUGH_TOLERANCE
         system = (maps, root, to_columns, to_rows, weights, self.across[3:].flatten())
-        spread(solve, 1, *system, tolerance, MAX_ITERATIONS, x)
+        parallel_for(solve, 1, *system, tolerance, MAX_ITERATIONS, x)
         return x
 
     def finish(
@@ -185,15 +185,15 @@ class PixelsOnCPU(Pixels):
         white: tuple[Tensor, Tensor],
     ) -> tuple[Tensor, Tensor]:
         """See `Pixels`."""
-        from deepir.loops import spread
-        from deepir.loops.normal_equations import finish
+        from deepir.kernels import parallel_for
+        from deepir.kernels.normal_equations import finish
 
         errors, values = (
             torch.empty_like(self.across[3:]),
             self.maps.new_empty(2, *self.maps.shape[1:], dtype=self.dtype),
         )
         before = (columns.contiguous(), self.across[3:], weights, *(each.contiguous() for each in smooth))
-        spread(finish, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values)
+        parallel_for(finish, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values)
         return errors, values
 
 

@@ -62,7 +62,7 @@ class Noise(_Strict):
 
 
 class StepConfig(_Strict):
-    """A step of a stage, see `deepir.solve.Step`."""
+    """A step of a stage, see `deepir.optim.solve.Step`."""
 
     group: list[str] = Field(min_length=1)
     method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
@@ -84,7 +84,7 @@ class Fit(_Strict):
 
 
 class StageConfig(_Strict):
-    """A stage of the plan, see `deepir.solve.Stage`."""
+    """A stage of the plan, see `deepir.optim.solve.Stage`."""
 
     name: str
     steps: list[StepConfig] = Field(min_length=1)

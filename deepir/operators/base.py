@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.operators.path import Path
+from deepir.operators.trajectory import Trajectory
 
 Shape = tuple[int, ...]
 
@@ -29,7 +29,7 @@ class Operator(nn.Module):
     #: How much stronger white noise of the output is when it is carried back to the input (standard deviations).
     noise_gain: float = 1.0
     #: The instants at which it wants its input.
-    path: Path = Path()
+    path: Trajectory = Trajectory()
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""
@@ -111,7 +111,7 @@ class Chain(Operator):
     def forward(self, x: Tensor, **slots: Tensor) -> Tensor:
         """Apply every stage with its own slots."""
         for name, stage in self.named():
-            x = stage(x, **own(slots, name))
+            x = stage(x, **slots_of(slots, name))
         return x
 
     def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
@@ -122,13 +122,13 @@ class Chain(Operator):
         for _, stage in self.named()[:-1]:
             shapes.append(stage.out_shape(shapes[-1], len(y)))
         for (name, stage), shape in zip(reversed(self.named()), reversed(shapes), strict=True):
-            y = stage.adjoint(y, shape, **own(slots, name))
+            y = stage.adjoint(y, shape, **slots_of(slots, name))
         return y
 
     def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
         """Validity after the last stage."""
         for name, stage in self.named():
-            mask = stage.valid(mask, **own(slots, name))
+            mask = stage.valid(mask, **slots_of(slots, name))
         return mask
 
     def image(self, x: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ class Chain(Operator):
         return list(self.stages.items())  # type: ignore[arg-type]
 
 
-def own(slots: Mapping[str, Tensor], stage: str) -> dict[str, Tensor]:
+def slots_of(slots: Mapping[str, Tensor], stage: str) -> dict[str, Tensor]:
     """The slots of one stage, without its name: `{"warp.motion": m} -> {"motion": m}`."""
     prefix = f"{stage}."
     return {name.removeprefix(prefix): value for name, value in slots.items() if name.startswith(prefix)}

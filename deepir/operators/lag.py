@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
-from deepir.operators.path import Path
+from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
 SHORTEST = 1e-6  # time constant, in steps, below which a pixel follows at once
@@ -53,7 +53,7 @@ class Lag(Operator):
             raise ValueError(f"substeps must be 1 to 100, not {substeps}")
         if not 0 <= readout <= 1:
             raise ValueError(f"readout must be 0 to 1, not {readout}")
-        self.path = Path(substeps, lead=substeps)
+        self.path = Trajectory(substeps, lead=substeps)
         self.duration, self.readout = 1000 / (fps * substeps), readout
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:

@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
-from deepir.operators.path import Path
-from deepir.operators.spline import LEAST, NOISE_GAIN, Pull, image, pushed, sample
+from deepir.operators.bspline import LEAST, NOISE_GAIN, Pull, image, pushed, sample
+from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
 #: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
 FAR, NEAR = 1e6, 1e-3
-EVERY_FRAME = Path()
+EVERY_FRAME = Trajectory()
 ALL = slice(None)
 
 
@@ -38,7 +38,7 @@ class Warp(Operator):
         size: tuple[int, int],
         canvas: tuple[int, int],
         origin: tuple[int, int],
-        instants: Path = EVERY_FRAME,
+        instants: Trajectory = EVERY_FRAME,
     ) -> None:
         """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel.
 

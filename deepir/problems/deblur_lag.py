@@ -8,16 +8,16 @@ from typing import ClassVar
 
 import torch
 
-from deepir.evidence.slow import late
-from deepir.joint.build import FREE, build_scene
+from deepir.fields.scalar import Scalar
 from deepir.operators import Lag, Warp
-from deepir.operators.path import Path
-from deepir.priors.uniform import Uniform
+from deepir.operators.trajectory import Trajectory
+from deepir.optim.low_order_model import apply_lag
+from deepir.optim.solve import solve
+from deepir.pipeline.build import PIXELS_WITH_TV, build_scene
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.registry import register
-from deepir.solve import solve
-from deepir.stage import Stage
+from deepir.schedule import Stage
 
 FAST = 1.0  # px from instant to instant, above which the flux in between is a guess
 FINEST = 16  # sub-steps, above which a camera does not move smoothly but jumps
@@ -41,7 +41,7 @@ class DeblurLag(NUC):
     frames = 3
     ordered = True
     operators: ClassVar[tuple[str, ...]] = ("warp", "lag", "sensor")
-    late: ClassVar[tuple[str, ...]] = ("motion", "tau")
+    apply_lag: ClassVar[tuple[str, ...]] = ("motion", "tau")
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """As in `nuc`, from where the camera was as each frame was read."""
@@ -59,7 +59,7 @@ class DeblurLag(NUC):
         Of free pixels, whatever the scene's prior: a network would take its time.
         """
         hold(problem, share)
-        problem.represent("scene", *build_scene(FREE, problem.fields["scene"].shape))
+        problem.represent("scene", *build_scene(PIXELS_WITH_TV, problem.fields["scene"].shape))
         problem.to(problem.data.device)
         self.initialise(problem, seed)
         steps = self.plan(problem)[1].steps
@@ -104,13 +104,17 @@ def start_motion(problem: Problem) -> None:
     seen = field().double()
     frames = torch.eye(len(seen), dtype=seen.dtype, device=seen.device)
     field.init_from(
-        torch.linalg.solve(late(problem, path_of(problem).through(frames)), seen.flatten(1)).view_as(seen)
+        torch.linalg.solve(apply_lag(problem, path_of(problem).through(frames)), seen.flatten(1)).view_as(
+            seen
+        )
     )
 
 
-def path_of(problem: Problem) -> Path:
+def path_of(problem: Problem) -> Trajectory:
     """The instants at which the warp shows the scene."""
-    path: Path = next(stage for _, stage in problem.operator.named() if isinstance(stage, Warp)).instants
+    path: Trajectory = next(
+        stage for _, stage in problem.operator.named() if isinstance(stage, Warp)
+    ).instants
     return path
 
 
@@ -140,7 +144,7 @@ def start_message(problem: Problem) -> list[str]:
         problem.fields[slot_of(problem, "moving")],
         "the first frame does not fit the others: what did the",
     )
-    if isinstance(moving, Uniform):  # both were tried
+    if isinstance(moving, Scalar):  # both were tried
         return [
             f"{unlike} camera do before it? Neither rest nor moving as it goes on fits, and the next frames hold some "
             "of it still: leave the first ones out (data.frames=2:)"

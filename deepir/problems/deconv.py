@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import torch
 
+from deepir.effects.frame_gain import normalise_frame_gain
+from deepir.effects.noise import update_noise
+from deepir.effects.shading import estimate_low_order
 from deepir.errors import ConfigError
-from deepir.evidence.contrast import even_contrast
-from deepir.evidence.cross_validation import begin_smooth, start_trials, trials, weigh_by_trials
-from deepir.evidence.slow_strengths import estimate_slow
-from deepir.evidence.spectrum import fit_psf, spectral_noise
-from deepir.evidence.strengths import HELD_OUT as LEAST
-from deepir.evidence.strengths import hold_out, update_strengths, weigh_scene
-from deepir.noise.residual import update_noise
-from deepir.priors.airy import Airy
-from deepir.priors.defocus import Defocus
-from deepir.priors.gaussian import Gaussian
-from deepir.priors.motion_blur import MotionBlur
-from deepir.priors.psf import PSF
-from deepir.priors.simplex import Simplex
+from deepir.estimation.cross_validation import (
+    cross_validation_stages,
+    reset_scene,
+    start_trials,
+    weight_from_cross_validation,
+)
+from deepir.estimation.hyperparameters import HELD_OUT as LEAST
+from deepir.estimation.hyperparameters import hold_out, update_strengths, weigh_scene
+from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
+from deepir.fields.psf.airy import Airy
+from deepir.fields.psf.base import PSF
+from deepir.fields.psf.defocus import Defocus
+from deepir.fields.psf.gaussian import Gaussian
+from deepir.fields.psf.motion_blur import MotionBlur
+from deepir.fields.psf.simplex import Simplex
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene, start_scene_and_parts
 from deepir.registry import register
-from deepir.stage import Stage, Step
+from deepir.schedule import Stage, Step
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
@@ -46,7 +51,7 @@ class Deconv(Definition):
     """
 
     operators = ("blur",)
-    weigh = staticmethod(weigh_by_trials)
+    weigh = staticmethod(weight_from_cross_validation)
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise, blur and pattern as the raw frames show them; scene: registered average."""
@@ -58,7 +63,7 @@ class Deconv(Definition):
             start_noise(problem)
         if problem.closed_form():
             start_scene_and_parts(problem)
-            estimate_slow(problem, start=True)
+            estimate_low_order(problem, start=True)
         else:
             start_scene(problem)
         hold_out(problem, seed, max(LEAST, HELD_OUT / len(problem.data)))
@@ -80,7 +85,7 @@ class Deconv(Definition):
         ]
         return [
             *(sensor if closed else [Stage("start", still, 40)]),
-            *trials(problem, first=0.0, least=LIGHTEST, iterations=ITERATIONS),
+            *cross_validation_stages(problem, first=0.0, least=LIGHTEST, iterations=ITERATIONS),
             Stage("scene", (Step(("scene",)),) if sharp else still, 120, prepare=_finish, use_held_out=True),
         ]
 
@@ -179,14 +184,14 @@ def demand_room(problem: Problem) -> None:
 
 
 def _update(problem: Problem) -> None:
-    even_contrast(problem)
+    normalise_frame_gain(problem)
     update_strengths(problem)
-    weigh_by_trials(problem, WEAK)
+    weight_from_cross_validation(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
     if len(problem.data) > 1:  # in one frame, edges that the prior rounds misfit as defects do
-        even_contrast(problem)
+        normalise_frame_gain(problem)
         update_noise(problem, settled=True)
-    weigh_by_trials(problem)
-    begin_smooth(problem)
+    weight_from_cross_validation(problem)
+    reset_scene(problem)

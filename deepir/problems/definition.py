@@ -7,27 +7,22 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from deepir.average import Average, filled
-from deepir.evidence.contrast import GROSS, even_contrast
-from deepir.evidence.levels import start_jumps
-from deepir.evidence.slow import polynomials
-from deepir.evidence.slow_strengths import estimate_slow
-from deepir.evidence.strengths import (
-    doubt_misfits,
-    give_up_dead,
-    left,
-    pattern_left,
-    spread,
-    start_parts,
-    weigh_scene,
-)
-from deepir.noise.thin import counted, thinned
-from deepir.noise.typical import ROUNDED, sample_noise, step, typical_noise
-from deepir.outliers.clipping import give_up_stuck
-from deepir.outliers.defects import still
+from deepir.arrays.fill import nearest_filled
+from deepir.arrays.median import robust_std
+from deepir.arrays.noise_level import ROUNDED, median_sigma, quantisation_step, sample_noise
+from deepir.arrays.subsample import masked_values, subsample
+from deepir.effects.bad_pixels import mask_dead_pixels, static_pixels
+from deepir.effects.frame_gain import GROSS, normalise_frame_gain
+from deepir.effects.frame_offset import start_line_levels
+from deepir.effects.saturation import mask_stuck_pixels
+from deepir.effects.shading import estimate_low_order
+from deepir.estimation.hyperparameters import down_weight_outliers, start_parts, weigh_scene
+from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
+from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem
+from deepir.registered_average import RegisteredAverage
 from deepir.registry import register
-from deepir.stage import Stage, Step
+from deepir.schedule import Stage, Step
 
 TURNS = 3  # of the scene's start and the samples' weights
 PASSES = 20  # over scene and pattern, at most
@@ -60,7 +55,7 @@ class Definition:
         """Set starts and strengths from the data."""
         start_precision(problem)
         start_scene_and_parts(problem)
-        estimate_slow(problem, start=True)
+        estimate_low_order(problem, start=True)
         weigh_scene(problem)
 
     def plan(self, problem: Problem) -> list[Stage]:
@@ -90,11 +85,13 @@ def start_precision(problem: Problem) -> None:
         return
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
-    data, counts = thinned(problem.data, usable)
-    spread = float(counted(data, counts).std())
-    rounded = ROUNDED * step(problem.data, usable)  # in a plain scene differences may be all zero
+    data, counts = subsample(problem.data, usable)
+    robust_std = float(masked_values(data, counts).std())
+    rounded = ROUNDED * quantisation_step(
+        problem.data, usable
+    )  # in a plain scene differences may be all zero
     # Noiseless data: a solve still wants finite weights.
-    sigma = max(sigma, rounded, 1e-4 * spread)
+    sigma = max(sigma, rounded, 1e-4 * robust_std)
     problem.precision.copy_(usable / sigma**2)
 
 
@@ -104,36 +101,36 @@ def start_scene_and_parts(problem: Problem) -> None:
     Scene and weights by turns: in an average, who walks through two frames of five is half as far off as he is from
     what the others show.
     """
-    noise = typical_noise(problem.precision)
-    calm = still(problem.data, problem.precision > 0, noise)
+    noise = median_sigma(problem.precision)
+    calm = static_pixels(problem.data, problem.precision > 0, noise)
     start_scene(problem)
-    give_up_stuck(problem)
+    mask_stuck_pixels(problem)
     if problem.stretched:  # contrasts are told by least squares, and not by who walks by
-        doubt_misfits(problem, left(problem))
+        down_weight_outliers(problem, fixed_pattern_residual(problem))
         start_scene(problem)
-    give_up_dead(problem, left(problem), noise, calm)
+    mask_dead_pixels(problem, fixed_pattern_residual(problem), noise, calm)
     start_scene(problem)
     for _ in range(TURNS):
-        uneven = even_contrast(problem, GROSS)
-        if not start_jumps(problem) and not uneven:
+        uneven = normalise_frame_gain(problem, GROSS)
+        if not start_line_levels(problem) and not uneven:
             break
         start_scene(problem)
-    rest = left(problem)
+    rest = fixed_pattern_residual(problem)
     start_parts(problem, rest)
     fixed = len(problem.data) > 1 and bool(problem.closed_form())
     strong = fixed and pattern_is_strong(problem, rest)
     taken = torch.zeros_like(rest[:1])
     if strong:
         rest = take_pattern_out(problem, rest, taken, noise, strong=True)
-    doubt_misfits(problem, rest)
+    down_weight_outliers(problem, rest)
     for _ in range(TURNS):
         if strong or (fixed and problem.ends is None):  # what is cut off moves, and is no pattern
             rest = take_pattern_out(problem, rest, taken, noise, strong=strong)
         else:
             start_scene(problem)
-            rest = left(problem)
-        give_up_dead(problem, rest, noise, calm)
-        doubt_misfits(problem, rest)
+            rest = fixed_pattern_residual(problem)
+        mask_dead_pixels(problem, rest, noise, calm)
+        down_weight_outliers(problem, rest)
     if problem.ends is not None:  # what is given up for its other samples is no bound either
         problem.ends.mul_((problem.precision > 0) | (problem.ends != 0).all(0))
 
@@ -142,9 +139,9 @@ def start_scene_and_parts(problem: Problem) -> None:
 def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
     """Whether what stands still is stronger than all that is in the average of the frames."""
     scene, weight = problem.backproject(problem.values())
-    pattern = pattern_left(rest, problem.precision.sign())
+    pattern = temporal_mean(rest, problem.precision.sign())
     # By the standard deviation: before a black sky the bulk has next to none.
-    return spread(pattern) > float(scene[weight > SEEN * weight.max()].std())
+    return robust_std(pattern) > float(scene[weight > SEEN * weight.max()].std())
 
 
 @torch.no_grad()
@@ -158,29 +155,34 @@ def take_pattern_out(problem: Problem, rest: Tensor, taken: Tensor, noise: float
 
     Returned is the new `rest`; `taken` (1, 1, h, w), the pattern that was taken out before, is updated.
     """
-    average, weight = Average(problem, problem.values()), problem.precision / problem.precision.amax()
+    average, weight = (
+        RegisteredAverage(problem, problem.values()),
+        problem.precision / problem.precision.amax(),
+    )
     for _ in range(PASSES if strong else 1):
-        pattern = pattern_left(rest, weight)
+        pattern = temporal_mean(rest, weight)
         if not strong:
             slow = polynomials(*pattern.shape[-2:], pattern.device)
             pattern -= slow.nearest(pattern.double()).to(pattern)
-        change = spread(pattern - taken)
+        change = robust_std(pattern - taken)
         taken.copy_(pattern)
         start_scene(problem, average, pattern)
-        rest = left(problem, average)
+        rest = fixed_pattern_residual(problem, average)
         if change < SETTLED * noise:
             break
     return rest
 
 
 @torch.no_grad()
-def start_scene(problem: Problem, average: Average | None = None, pattern: Tensor | float = 0.0) -> None:
+def start_scene(
+    problem: Problem, average: RegisteredAverage | None = None, pattern: Tensor | float = 0.0
+) -> None:
     """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
 
     `average` spares its computation where it is known; `pattern`, in every frame, is no scene.
     """
-    average = average or Average(problem, problem.values())
+    average = average or RegisteredAverage(problem, problem.values())
     mean = average((problem.data - average.at_zero).sub_(pattern))
     frames = len(problem.data) / len(mean)  # that show a scene
     known = average.weight > SEEN * average.weight.max() / frames
-    problem.fields["scene"].init_from(filled(mean, known))
+    problem.fields["scene"].init_from(nearest_filled(mean, known))

@@ -7,15 +7,15 @@ from typing import Any
 
 import torch
 
-from deepir.curvature.waves import modelled
+from deepir.effects.reference_level import take_reference_level
 from deepir.errors import ConfigError
-from deepir.evidence.reference_level import take_reference_level
-from deepir.priors.flow import Flow
+from deepir.fields.dense_motion import Flow
+from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC, finish, update
-from deepir.registration.optical_flow import optical_flow
+from deepir.problems.optical_flow import optical_flow
 from deepir.registry import register
-from deepir.stage import Stage, Step
+from deepir.schedule import Stage, Step
 
 
 @register("problem", "flow")
@@ -42,7 +42,7 @@ class DenseMotion(NUC):
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if name != motion)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        short, last = (8, 20) if modelled(problem) else (25, 35)
+        short, last = (8, 20) if has_fourier_model(problem) else (25, 35)
         return [
             Stage("homography", (Step(still), *eliminate), short),
             Stage("flow 1", (Step(free), *eliminate), 25, prepare=self._displace),

@@ -8,22 +8,22 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.closed_form.elimination import PIXEL
-from deepir.closed_form.frame_gains import frame_gains
-from deepir.closed_form.slow_part import is_implausible, slow_part
-from deepir.closed_form.slow_pattern import slow_pattern
-from deepir.closed_form.unregistered import find_pattern, shrink_shading
+from deepir.arrays.noise_level import flat_noise
+from deepir.closed_form.variable_projection import PIXEL
+from deepir.effects.bad_pixels import isolated_pixels
+from deepir.effects.frame_gain import divide_frame_gain
 from deepir.errors import ConfigError, DataError
-from deepir.evidence.contrast import divide_contrast
-from deepir.evidence.strengths import weigh_scene
-from deepir.noise.typical import flat_noise
-from deepir.outliers.defects import lonely
-from deepir.priors.parts import Part
-from deepir.priors.shading import Shading
+from deepir.estimation.hyperparameters import weigh_scene
+from deepir.fields.sensor_maps import Part
+from deepir.fields.shading import Shading
+from deepir.multiview.frame_gains import frame_gains
+from deepir.multiview.low_order_part import is_implausible, slow_part
+from deepir.multiview.low_order_pattern import slow_pattern
+from deepir.multiview.pattern import find_pattern, shrink_shading
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_scene
 from deepir.registry import register
-from deepir.stage import Stage, Step
+from deepir.schedule import Stage, Step
 
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared
@@ -61,11 +61,11 @@ class MultiviewNUC(Definition):
             gains = frame_gains(frames, usable, pattern[1])
             if gains is None:
                 break
-            divide_contrast(problem, gains)
+            divide_frame_gain(problem, gains)
             frames = problem.data[:, 0]
             edges, pattern, slow = find_pattern(frames, usable, gain, offset)
         misfit = edges.misfit(pattern)
-        usable = usable & ~((misfit > DEFECTIVE) & lonely(misfit))
+        usable = usable & ~((misfit > DEFECTIVE) & isolated_pixels(misfit))
         self.messages += _divide_slow_part(problem, slow, offset, usable)
         if problem.noise is not None:
             problem.precision.mul_(usable[:, None])

@@ -7,21 +7,22 @@ from dataclasses import replace
 
 import torch
 
+from deepir.effects.shading import estimate_low_order, strays
 from deepir.errors import ConfigError
-from deepir.evidence.one_frame import flattest
-from deepir.evidence.slow_strengths import estimate_slow, strays
-from deepir.evidence.strengths import doubt_misfits, hold_out, left, start_parts, weigh_scene
-from deepir.joint.geometry import MARGIN
+from deepir.estimation.hyperparameters import down_weight_outliers, hold_out, start_parts, weigh_scene
+from deepir.estimation.residuals import fixed_pattern_residual
+from deepir.estimation.single_frame_stray import tv_minimising_fit
+from deepir.fields.basis_expansion import BasisExpansion
+from deepir.fields.constant import Constant
 from deepir.operators import Add, Warp
-from deepir.priors.constant import Constant
-from deepir.priors.terms import Terms
+from deepir.operators.geometry import MARGIN
+from deepir.operators.motion_models import PARAMETERS
 from deepir.problem import Problem
 from deepir.problems.definition import start_precision, start_scene
 from deepir.problems.nuc import NUC, WEAK, finish, update
 from deepir.registration import register as register_frames
-from deepir.registration.motion import PARAMETERS
 from deepir.registry import lookup, register
-from deepir.stage import Stage, Step
+from deepir.schedule import Stage, Step
 
 ALONE = (
     "one frame: stray flux is told from the scene by its being smooth, and by nothing else. A slope or a large glow of "
@@ -58,10 +59,10 @@ class Narcissus(NUC):
             _start_alone(problem)
             self.messages = [ALONE]
         start_scene(problem)
-        estimate_slow(problem, start=True)
-        rest = left(problem)
+        estimate_low_order(problem, start=True)
+        rest = fixed_pattern_residual(problem)
         start_parts(problem, rest)
-        doubt_misfits(problem, rest)
+        down_weight_outliers(problem, rest)
         hold_out(problem, seed)
         weigh_scene(problem, WEAK)
 
@@ -123,7 +124,7 @@ def _prepared(stage: Stage) -> Callable[[Problem], None]:
 
 def _sensor(problem: Problem) -> None:
     _register(problem)
-    estimate_slow(problem)
+    estimate_low_order(problem)
     weigh_scene(problem, WEAK)
 
 
@@ -137,7 +138,9 @@ def _demand_terms(problem: Problem) -> None:
     stages = dict(problem.operator.named())
     for slot, name in problem.slots.items():
         field = problem.fields[name]
-        if isinstance(stages[slot.rpartition(".")[0]], Add) and not isinstance(field, Terms | Constant):
+        if isinstance(stages[slot.rpartition(".")[0]], Add) and not isinstance(
+            field, BasisExpansion | Constant
+        ):
             raise ConfigError(
                 f"physics.{slot}: stray flux that is free at each pixel is the offset. Take dct (smooth) or radial, "
                 "or a constant"
@@ -152,4 +155,4 @@ def _start_alone(problem: Problem) -> None:
         field.step.copy_(frame[usable].std() / frame.numel() ** 0.5)
         if not field.given:
             field.sigma.copy_(frame[usable].std())
-        field.init_from(flattest(frame, usable, field).to(frame))
+        field.init_from(tv_minimising_fit(frame, usable, field).to(frame))

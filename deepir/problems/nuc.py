@@ -9,32 +9,27 @@ from typing import ClassVar
 
 import torch
 
-from deepir.curvature.uncertainty import pattern_cost
-from deepir.curvature.unseen import smooth_unseen
-from deepir.curvature.waves import modelled
-from deepir.evidence.contrast import even_contrast, even_response, response_drifts
-from deepir.evidence.reference_level import refine_reference_level, take_reference_level
-from deepir.evidence.shaded_gain import estimate_shaded_gain, gain_is_shaded, unknown_shadings
-from deepir.evidence.slow_strengths import estimate_slow
-from deepir.evidence.strengths import (
-    hold_out,
-    pattern_to_noise,
-    update_strengths,
-    weigh_scene,
-)
-from deepir.evidence.texture import follow_texture
-from deepir.evidence.too_smooth import note_misfit
-from deepir.joint.bends import bent
-from deepir.joint.half_size import halved, take_motion, take_moving
-from deepir.joint.step_asked import step_asked
-from deepir.noise.lines import with_jumps
-from deepir.noise.residual import update_noise
-from deepir.outliers.moving import LITTLE, doubt_moving, find_moving
+from deepir.effects.frame_gain import correct_gain_drift, detect_gain_drift, normalise_frame_gain
+from deepir.effects.line_noise import with_jumps
+from deepir.effects.moving_objects import LITTLE, detect_moving_objects, down_weight_moving
+from deepir.effects.noise import update_noise
+from deepir.effects.reference_level import refine_reference_level, take_reference_level
+from deepir.effects.shading import estimate_low_order
+from deepir.effects.unobserved import fill_unobserved
+from deepir.effects.vignetting import detect_vignetting, estimate_vignetting, unknown_gain_shadings
+from deepir.estimation.hyperparameters import hold_out, pattern_to_noise, update_strengths, weigh_scene
+from deepir.estimation.oversmoothing import store_reference_misfit
+from deepir.estimation.spatial_weights import adapt_weight_map
+from deepir.estimation.uncertainty import nuc_penalty_db
+from deepir.optim.fourier_hessian import has_fourier_model
+from deepir.optim.solve import solve
 from deepir.problem import Problem
+from deepir.problems.coarse_to_fine import half_resolution, upsample_motion, upsample_moving_mask
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
+from deepir.problems.homography_selection import select_homography
+from deepir.problems.motion_step import gauss_newton_motion_step
 from deepir.registry import register
-from deepir.solve import solve
-from deepir.stage import Stage, Step
+from deepir.schedule import Stage, Step
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.05
@@ -81,11 +76,11 @@ class NUC(Definition):
         whole = min(problem.data.shape[-2:]) >= WHOLE and problem.ends is None and not problem.stretched
         untouched = {name: tensor.clone() for name, tensor in problem.state_dict().items()} if whole else {}
         _start(problem)
-        if untouched and step_asked(problem) > ASKED:
+        if untouched and gauss_newton_motion_step(problem) > ASKED:
             problem.load_state_dict(untouched)
             _take_from_half(problem, seed)
             _start(problem)
-        walks = find_moving(problem, settled=False)
+        walks = detect_moving_objects(problem, settled=False)
         apart = walks.apart if walks else 0.0
         if walks and apart > SHOWN:
             problem.moving.copy_(walks.samples)
@@ -108,19 +103,19 @@ class NUC(Definition):
         free = tuple(name for name in problem.free() if name not in closed)
         still = tuple(name for name in free if self.buried or name not in self.late)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        short, long, last = (30, 60, 30) if modelled(problem) else (25, 30, 35)
+        short, long, last = (30, 60, 30) if has_fourier_model(problem) else (25, 30, 35)
         settled = SETTLED / len(problem.data)
-        rough, fine, rest = (ROUGH, FINE, settled) if modelled(problem) else (1e-5, 1e-5, 1e-5)
-        first = Stage("sensor 1", (Step(still), *eliminate), short, prepare=smooth_unseen, tolerance=rough)
+        rough, fine, rest = (ROUGH, FINE, settled) if has_fourier_model(problem) else (1e-5, 1e-5, 1e-5)
+        first = Stage("sensor 1", (Step(still), *eliminate), short, prepare=fill_unobserved, tolerance=rough)
         third = Stage("sensor 3", (Step(free), *eliminate), long, prepare=_update, tolerance=fine)
         scene = Stage("scene", (Step(("scene",)),), last, prepare=_finish, use_held_out=True, tolerance=rest)
-        shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=gain_is_shaded)
+        shaded = dataclasses.replace(third, name="shaded gain", prepare=_shade, needed=detect_vignetting)
         return [
             first,
             dataclasses.replace(first, name="sensor 2", prepare=functools.partial(_update, settled=False)),
             third,
             *_response(third),
-            *([shaded] if unknown_shadings(problem) else []),
+            *([shaded] if unknown_gain_shadings(problem) else []),
             *with_jumps(problem, scene),
         ]
 
@@ -128,7 +123,7 @@ class NUC(Definition):
 def _response(last: Stage) -> list[Stage]:
     """More rounds where the last one shows that the camera's response drifts: once more from the start, and on."""
     return [
-        dataclasses.replace(last, name=f"response {i}", needed=response_drifts, prepare=prepare)
+        dataclasses.replace(last, name=f"response {i}", needed=detect_gain_drift, prepare=prepare)
         for i, prepare in enumerate((_even_response, _go_on_even, _go_on_even), 1)
     ]
 
@@ -140,41 +135,41 @@ def _start(problem: Problem) -> None:
     doubtful = LITTLE * problem.precision * problem.moving
     problem.precision.mul_(~problem.moving)
     start_scene_and_parts(problem)
-    estimate_slow(problem, start=True)
+    estimate_low_order(problem, start=True)
     problem.precision.add_(doubtful)
     weigh_scene(problem, WEAK)
 
 
 def _take_from_half(problem: Problem, seed: int) -> None:
     """Take the motion of a burst, and what moves by itself, from its half."""
-    half, definition = halved(problem), NUC()
+    half, definition = half_resolution(problem), NUC()
     definition.initialise(half, seed)
     rounds = definition.plan(half)[:ROUNDS]
     solve(half, rounds)
-    take_motion(problem, bent(half, rounds[-1]) or half)
-    take_moving(problem, half)
+    upsample_motion(problem, select_homography(half, rounds[-1]) or half)
+    upsample_moving_mask(problem, half)
 
 
 def update(problem: Problem) -> None:
     """Strengths from the last round, for the next."""
-    even_contrast(problem)
+    normalise_frame_gain(problem)
     update_strengths(problem)
     weigh_scene(problem, WEAK)
 
 
 def finish(problem: Problem) -> None:
     """Strengths for the scene's own stage."""
-    even_contrast(problem)
+    normalise_frame_gain(problem)
     update_noise(problem, settled=True)
     weigh_scene(problem)
-    cost = 0.0 if problem.follows else pattern_cost(problem, WEAK)
-    follow_texture(problem, 0.0 if math.isnan(cost) else cost)
+    cost = 0.0 if problem.follows else nuc_penalty_db(problem, WEAK)
+    adapt_weight_map(problem, 0.0 if math.isnan(cost) else cost)
 
 
 def _update(problem: Problem, *, settled: bool = True) -> None:
     update(problem)
-    smooth_unseen(problem)
-    striking = doubt_moving(problem, settled=settled) > CLEAR
+    fill_unobserved(problem)
+    striking = down_weight_moving(problem, settled=settled) > CLEAR
     if settled:
         refine_reference_level(problem)
     elif take_reference_level(problem) or striking:
@@ -193,21 +188,21 @@ def _start_again(problem: Problem) -> None:
 
 
 def _even_response(problem: Problem) -> None:
-    even_response(problem)
+    correct_gain_drift(problem)
     _start_again(problem)
 
 
 def _go_on_even(problem: Problem) -> None:
-    even_response(problem)
+    correct_gain_drift(problem)
     _update(problem)
 
 
 def _finish(problem: Problem) -> None:
     finish(problem)
-    doubt_moving(problem)
-    note_misfit(problem)
+    down_weight_moving(problem)
+    store_reference_misfit(problem)
 
 
 def _shade(problem: Problem) -> None:
     _update(problem)
-    estimate_shaded_gain(problem)
+    estimate_vignetting(problem)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 
-from deepir.evidence.contrast import even_contrast
-from deepir.evidence.cross_validation import start_trials, trials, weigh_by_trials
-from deepir.evidence.reference_level import take_reference_level
-from deepir.evidence.strengths import hold_out, update_strengths, weigh_scene
-from deepir.noise.residual import update_noise
+from deepir.effects.frame_gain import normalise_frame_gain
+from deepir.effects.noise import update_noise
+from deepir.effects.reference_level import take_reference_level
+from deepir.estimation.cross_validation import (
+    cross_validation_stages,
+    start_trials,
+    weight_from_cross_validation,
+)
+from deepir.estimation.hyperparameters import hold_out, update_strengths, weigh_scene
 from deepir.operators import Downsample
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register
-from deepir.stage import Stage, Step
+from deepir.schedule import Stage, Step
 
 #: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
 WEAK = 0.2
@@ -50,10 +54,10 @@ class SR(Definition):
         return [
             Stage("sensor 1", sensor, 40),
             Stage("sensor 2", sensor, 40, prepare=_update_first),
-            Stage("motion 1", moving, 20, prepare=weigh_by_trials),
+            Stage("motion 1", moving, 20, prepare=weight_from_cross_validation),
             Stage("sensor 3", sensor, 25, prepare=_update),
-            *trials(problem),
-            Stage("motion 2", moving, 20, prepare=weigh_by_trials),
+            *cross_validation_stages(problem),
+            Stage("motion 2", moving, 20, prepare=weight_from_cross_validation),
             Stage("sensor 4", sensor, 25, prepare=_update),
             Stage("scene", (Step(("scene",)),), 40, prepare=_finish, use_held_out=True),
         ]
@@ -81,16 +85,16 @@ def _update_first(problem: Problem) -> None:
     _update(problem)
     if take_reference_level(problem):
         start_scene_and_parts(problem)
-        weigh_by_trials(problem, WEAK)
+        weight_from_cross_validation(problem, WEAK)
 
 
 def _update(problem: Problem) -> None:
-    even_contrast(problem)
+    normalise_frame_gain(problem)
     update_strengths(problem)
-    weigh_by_trials(problem, WEAK)
+    weight_from_cross_validation(problem, WEAK)
 
 
 def _finish(problem: Problem) -> None:
-    even_contrast(problem)
+    normalise_frame_gain(problem)
     update_noise(problem, settled=True)
-    weigh_by_trials(problem)
+    weight_from_cross_validation(problem)

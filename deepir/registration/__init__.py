@@ -9,6 +9,6 @@ once), `likelihood` (of shifts), `parts` (of turns, by parts that shift), `walke
 somebody who walks by), `bend` (frames that bend), `motion` (the motion models).
 """
 
-from deepir.registration.burst import Registration, register
+from deepir.registration.register_burst import Registration, register
 
 __all__ = ["Registration", "register"]

@@ -104,18 +104,18 @@ def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
     scale = known / support[0].clamp_min(1e-6)
     for frame in flat:
         frame.copy_(smooth(frame, FINE) * scale)
-    spread = float(flat.square().mean().sqrt())
-    flat /= max(spread, 1e-12)
+    parallel_for = float(flat.square().mean().sqrt())
+    flat /= max(parallel_for, 1e-12)
     return Level(factor, flat, known, bool(known.all()), (frames.shape[1], frames.shape[2]))
 
 
 def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]:
     """Images `(1 or N, h, w)` at the level's pixels moved by `(N, 3, 3)`, and where they are known."""
-    from deepir.loops import registration as loops
-    from deepir.loops import spread
+    from deepir.kernels import parallel_for
+    from deepir.kernels import registration as loops
 
     values, known = (torch.empty(len(motion), *level.weight.shape) for _ in range(2))
-    spread(
+    parallel_for(
         loops.pull, len(values[0]), images, level.weight, level.whole, level.indexed(motion), values, known
     )
     return values, known

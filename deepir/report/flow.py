@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from deepir.io import replace
-from deepir.operators.points import displacements
+from deepir.operators.homography import displacements
 from deepir.operators.warp import coords
 
 Array = np.ndarray[Any, Any]

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deepir.solve import Progress
+    from deepir.optim.solve import Progress
 
 log = logging.getLogger("deepir")
 

@@ -17,11 +17,11 @@ import torch
 from deepir.burst import Burst
 from deepir.config import Config, Data, dump, read
 from deepir.errors import ConfigError, DataError, SolverError
+from deepir.optim.solve import Progress
 from deepir.paths import expanded
 from deepir.report.progress import Lines
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, machine, prepare, versions
-from deepir.solve import Progress
 from deepir.storage import checkpoint
 from deepir.storage.folder import FILES, Folder
 

@@ -13,10 +13,10 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter
 from torch import Tensor, nn
 
-from deepir.evidence.texture import held, plainness
-from deepir.operators.spline import image
-from deepir.penalties.foe import Experts, counted
-from deepir.penalties.penalty import squared_gradient
+from deepir.arrays.differences import squared_gradient
+from deepir.estimation.spatial_weights import smoothness_exponent, weight_from_gradients
+from deepir.operators.bspline import image
+from deepir.priors.penalties.foe import Experts, counted
 from deepir.registry import register
 from deepir.simulate.scenes import procedural, sky
 from deepir.training.training import Training
@@ -135,7 +135,9 @@ class FieldsOfExperts(Training):
         scene = _minimum(weak, start, 15)
         # In standard deviations of a pixel's mean.
         gradient = math.sqrt(12) * squared_gradient(image(scene[:, None])[:, 0]).sqrt()
-        return scene, torch.cat([held(each[None], plainness(float(each.mean()))) for each in gradient])
+        return scene, torch.cat(
+            [weight_from_gradients(each[None], smoothness_exponent(float(each.mean()))) for each in gradient]
+        )
 
 
 def _minimum(objective: Callable[[Tensor], Tensor], start: Tensor, iterations: int) -> Tensor:

@@ -15,8 +15,9 @@ import matplotlib.backends.backend_agg
 import matplotlib.figure  # noqa: F401 - what runs need is imported once, before the forks
 import numpy as np
 
-from deepir import registry, solve
+from deepir import registry
 from deepir.cli import main
+from deepir.optim import solve
 from deepir.storage import stored  # noqa: F401
 
 RUN = ["run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=15"]

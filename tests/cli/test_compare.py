@@ -20,7 +20,7 @@ COMPARE = ("compare", "nuc", SMALL, "threads=1", "solver.max_iterations=3")
 METHODS = (*COMPARE, "method=average,joint", "seed=0,1")
 FAILS = '''
 from deepir.errors import DataError
-from deepir.joint.joint import joint
+from deepir.pipeline.reconstruct import joint
 from deepir.registry import register
 
 @register("method", "picky")
@@ -33,7 +33,7 @@ def picky(burst, config, **how):
 DIES = '''
 import os, signal
 from pathlib import Path
-from deepir.joint.joint import joint
+from deepir.pipeline.reconstruct import joint
 from deepir.registry import register
 from deepir.solve import solve
 

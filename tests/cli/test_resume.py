@@ -63,7 +63,9 @@ def test_twice(deepir, scene, signalled):
 
 def test_a_signal_while_registering_ends_the_run_at_once(deepir, folder, scene, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("deepir.joint.registered.register", lambda *a, **k: os.kill(os.getpid(), signal.SIGINT))
+        patch.setattr(
+            "deepir.pipeline.register.register", lambda *a, **k: os.kill(os.getpid(), signal.SIGINT)
+        )
         status, _, err = deepir(*RUN)
     assert status == 130
     assert "before the first checkpoint" in err

@@ -157,7 +157,7 @@ def test_a_plugin_that_fails_names_itself(nuc, folder):
 
 
 def test_a_diverging_solve_ends_with_status_1_and_keeps_its_state(nuc, folder, monkeypatch):
-    monkeypatch.setattr("deepir.optimisers.lbfgs.LBFGS._at", lambda self, x: (float("nan"), x * float("nan")))
+    monkeypatch.setattr("deepir.optim.lbfgs.LBFGS._at", lambda self, x: (float("nan"), x * float("nan")))
     status, _, err = nuc("data.path=burst.npz")
     assert status == 1
     assert "deepir: error: the objective is not a number" in err
@@ -165,7 +165,7 @@ def test_a_diverging_solve_ends_with_status_1_and_keeps_its_state(nuc, folder, m
 
 
 def test_something_unforeseen_is_one_line_and_a_traceback_in_the_log(nuc, folder, monkeypatch):
-    monkeypatch.setattr("deepir.joint.joint.solve", lambda *a, **k: 1 / 0)
+    monkeypatch.setattr("deepir.pipeline.reconstruct.solve", lambda *a, **k: 1 / 0)
     status, _, err = nuc("data.path=burst.npz")
     assert status == 1
     assert err.count("\n") == 1
@@ -184,7 +184,7 @@ def test_too_little_memory_says_what_to_do(nuc, monkeypatch, error, words):
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr("deepir.joint.joint.solve", fail)
+    monkeypatch.setattr("deepir.pipeline.reconstruct.solve", fail)
     status, _, err = nuc("data.path=burst.npz")
     assert status == 1
     assert words in err

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from deepir import registry
 from deepir.config import dump, load, read
-from deepir.config.method import chosen
 from deepir.errors import ConfigError
+from deepir.pipeline.method import chosen
 from deepir.registry import register
 
 

@@ -6,10 +6,10 @@ import torch
 
 from deepir.burst import Burst
 from deepir.config import SHIPPED, headline, load, priors, shipped_names
-from deepir.joint.build import build
-from deepir.joint.planned import plan
+from deepir.optim.solve import solve
+from deepir.pipeline.build import build
+from deepir.pipeline.schedule import plan
 from deepir.registry import lookup
-from deepir.solve import solve
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from deepir.operators import Chain, Lag, Sensor, Warp
-from deepir.operators.path import Path
+from deepir.operators.trajectory import Trajectory
 from deepir.testing import check_operator
 
 FPS = 60.0
@@ -159,4 +159,4 @@ def test_what_makes_no_sense_is_refused(rate, options, message):
 
 
 def test_the_instants_are_those_that_the_lag_asks_for():
-    assert Lag(FPS, substeps=6).path == Path(6, lead=6)
+    assert Lag(FPS, substeps=6).path == Trajectory(6, lead=6)

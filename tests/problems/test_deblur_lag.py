@@ -10,8 +10,8 @@ import deepir
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError
-from deepir.joint.build import build
 from deepir.metrics import scores
+from deepir.pipeline.build import build
 from deepir.problems.deblur_lag import speed_message, start_motion
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural

@@ -11,12 +11,12 @@ from skimage.restoration import richardson_lucy, wiener
 
 import deepir
 from deepir.errors import ConfigError
-from deepir.evidence.spectrum import fit_psf, spectral_noise
+from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
+from deepir.fields.psf.airy import Airy
+from deepir.fields.psf.defocus import Defocus
+from deepir.fields.psf.gaussian import Gaussian
+from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.metrics import scores
-from deepir.priors.airy import Airy
-from deepir.priors.defocus import Defocus
-from deepir.priors.gaussian import Gaussian
-from deepir.priors.motion_blur import MotionBlur
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural
 

@@ -6,11 +6,11 @@ import torch
 
 import deepir
 from deepir.errors import ConfigError
+from deepir.fields.dense_motion import Flow
 from deepir.metrics import scores
-from deepir.operators.points import displacements
+from deepir.operators.homography import displacements
 from deepir.operators.warp import coords
-from deepir.priors.flow import Flow
-from deepir.registration.optical_flow import optical_flow
+from deepir.problems.optical_flow import optical_flow
 from deepir.simulate import Settings, simulate
 
 SIZE = (64, 80)
@@ -29,7 +29,7 @@ def sim():
 @pytest.fixture
 def quick(monkeypatch):
     """An optical flow that takes one step."""
-    monkeypatch.setattr("deepir.registration.optical_flow.ITERATIONS", 1)
+    monkeypatch.setattr("deepir.problems.optical_flow.ITERATIONS", 1)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_one_motion_of_the_whole_frame_is_refused(sim):
 def test_an_interrupted_run_goes_on_to_the_same_result(sim, tmp_path, quick):
     from deepir.burst import Burst
     from deepir.config import load
-    from deepir.joint.joint import joint
+    from deepir.pipeline.reconstruct import joint
 
     def at_the_second_flow(progress):
         if progress.stage == "flow 2":

@@ -7,7 +7,7 @@ import torch
 import deepir
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.joint.build import build
+from deepir.pipeline.build import build
 from deepir.simulate.scenes import procedural
 
 BLUR = {"radius": 2, "psf": {"type": "gaussian", "sigma": 0.8, "fixed": True}}

@@ -8,11 +8,11 @@ import deepir
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError
-from deepir.evidence.one_frame import flattest
-from deepir.evidence.texture import follow_texture
-from deepir.joint.build import build
+from deepir.estimation.single_frame_stray import tv_minimising_fit
+from deepir.estimation.spatial_weights import adapt_weight_map
+from deepir.fields.basis_expansion import DCT, Radial
 from deepir.metrics import scores
-from deepir.priors.terms import DCT, Radial
+from deepir.pipeline.build import build
 from deepir.problems import narcissus as module
 from deepir.problems import nuc
 from deepir.problems.definition import start_scene
@@ -72,7 +72,7 @@ def test_a_scene_is_as_plain_behind_a_steep_stray_flux_as_without():
     for strength in (0.0, 1.0):
         problem.fields["stray"].sigma.fill_(strength)
         problem.fields["stray"].init_from(torch.from_numpy(sim.truth.stray).float())
-        follow_texture(problem)
+        adapt_weight_map(problem)
         found.append(problem.penalties["scene"]["tv"].share.clone())
     assert torch.equal(*found)
 
@@ -132,7 +132,7 @@ def test_in_a_scene_of_flat_parts_one_frame_shows_its_stray_flux(field):
     scene[15:40, 20:50], scene[30:55, 45:70] = 3.0, -2.0
     usable = torch.rand(60, 80) > 0.05
     frame = torch.where(usable, scene + stray + 0.01 * torch.randn(60, 80), torch.tensor(50.0))
-    found = flattest(frame, usable, field)
+    found = tv_minimising_fit(frame, usable, field)
     assert float((found - stray).std()) < 0.15 * float(stray.std())
 
 

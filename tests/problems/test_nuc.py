@@ -6,7 +6,7 @@ from scipy import ndimage
 import deepir
 from deepir.metrics import scores
 from deepir.operators.warp import NOISE_GAIN
-from deepir.penalties.tv import TV
+from deepir.priors.penalties.tv import TV
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural, sky
 

@@ -9,10 +9,10 @@ import deepir
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError
-from deepir.joint.build import build
-from deepir.joint.geometry import scaled
 from deepir.metrics import scores
 from deepir.operators import Downsample, Warp
+from deepir.operators.geometry import scaled
+from deepir.pipeline.build import build
 from deepir.problems.sr import few_frames
 from deepir.simulate import Settings, simulate
 

@@ -5,15 +5,15 @@ import pytest
 import torch
 from registered import simulated
 
-from deepir.registration.consensus import cost, gain, residuals
-from deepir.registration.flatten import flatten
-from deepir.registration.place import search_level
-from deepir.registration.repair import repaired
+from deepir.registration.motion_search import search_level
+from deepir.registration.preprocess import preprocess
+from deepir.registration.reregister_worst import repaired
+from deepir.registration.robust_score import cost, log_likelihood_ratio, residuals
 
 
 def burst(name="astronaut", n=6):
     frames, truth = simulated(name, n_frames=n)
-    return search_level(*flatten(frames, None)), torch.from_numpy(truth)
+    return search_level(*preprocess(frames, None)), torch.from_numpy(truth)
 
 
 def shifted(truth, x):
@@ -27,7 +27,7 @@ def test_true_motions_explain_more_than_others_and_than_none(name):
     level, truth = burst(name)
     still = torch.eye(3, dtype=torch.float64).expand_as(truth)
     for wrong in (still, shifted(truth, 1.0), shifted(truth, 12.0)):
-        assert gain(level, wrong, truth) > 0 > gain(level, truth, wrong)
+        assert log_likelihood_ratio(level, wrong, truth) > 0 > log_likelihood_ratio(level, truth, wrong)
 
 
 def test_somebody_in_a_seventh_of_the_frame_makes_his_own_motion_no_better():
@@ -36,7 +36,7 @@ def test_somebody_in_a_seventh_of_the_frame_makes_his_own_motion_no_better():
         frame[:, 12 + 11 * k : 26 + 11 * k] += 10 * (-1) ** (torch.arange(14) // 4)
     his = torch.eye(3, dtype=torch.float64).repeat(len(truth), 1, 1)
     his[:, 0, 2] = -11 * level.factor * torch.arange(len(truth))
-    assert gain(level, his, truth) > 0
+    assert log_likelihood_ratio(level, his, truth) > 0
 
 
 def test_a_frame_that_is_not_used_explains_nothing_but_costs_nothing_either():
@@ -44,14 +44,14 @@ def test_a_frame_that_is_not_used_explains_nothing_but_costs_nothing_either():
     fewer = truth.clone()
     fewer[3] = torch.nan
     assert residuals(level, fewer)[3].isinf().all()
-    assert gain(level, truth, fewer) < 0
+    assert log_likelihood_ratio(level, truth, fewer) < 0
     assert cost(level, fewer) == pytest.approx(cost(level, truth), rel=0.2)
 
 
 def test_frames_that_share_nothing_explain_nothing():
     level, truth = burst()
     apart = shifted(truth, 1000.0)
-    assert gain(level, apart, truth) > 1
+    assert log_likelihood_ratio(level, apart, truth) > 1
     assert np.isfinite(cost(level, apart))
 
 
@@ -75,4 +75,4 @@ def test_a_frame_that_is_left_out_stays_so():
 def test_two_frames_say_nothing():
     level, truth = burst()
     truth[2:] = torch.nan
-    assert gain(level, truth, shifted(truth, 3.0)) == 0
+    assert log_likelihood_ratio(level, truth, shifted(truth, 3.0)) == 0

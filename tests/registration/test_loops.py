@@ -7,9 +7,9 @@ import torch
 from registered import COUNTS, simulated
 from torch.testing import assert_close
 
-from deepir import threads
+from deepir.kernels import threads
+from deepir.operators.motion_models import rotation
 from deepir.registration import register
-from deepir.registration.motion import rotation
 from deepir.registration.pyramid import Level, sample
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from registered import FAINT, SHAPE, errors, simulated
 
 from deepir.registration import register
-from deepir.registration.even import even
+from deepir.registration.variance_stabilise import variance_stabilise
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
 
@@ -50,7 +50,7 @@ def test_a_pattern_is_as_strong_in_the_bright_as_in_the_dark_once_it_is_even(gai
     rng = np.random.default_rng(seed)
     flux = np.tile(np.linspace(0.1, 1.5, 160), (128, 1))
     frame = flux * (1 + gain * rng.normal(size=flux.shape)) + offset * rng.normal(size=flux.shape)
-    bent = even(torch.from_numpy(unit * frame)[None], torch.ones(128, 160))[0].numpy()
+    bent = variance_stabilise(torch.from_numpy(unit * frame)[None], torch.ones(128, 160))[0].numpy()
     fine = bent - scipy.ndimage.gaussian_filter(bent, 3)
     dark, bright = fine[:, :60].std(), fine[:, 100:].std()
     assert 0.6 < bright / dark < 1.6

@@ -5,8 +5,15 @@ import pytest
 import torch
 from registered import SHAPE, apart, camera_of_tones, simulated
 
-from deepir.registration import beside, group, likelihood, register, vote, whole
-from deepir.registration.even import even
+from deepir.registration import (
+    block_vote,
+    frame_groups,
+    integer_shifts,
+    moving_objects,
+    register,
+    shift_likelihood,
+)
+from deepir.registration.variance_stabilise import variance_stabilise
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky
@@ -58,23 +65,25 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, see
     sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3, **camera), seed=seed)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
-    monkeypatch.setattr(vote, "MOST", 2)
-    monkeypatch.setattr(beside, "PLAIN", torch.inf)  # which finds them, too,
-    monkeypatch.setattr(group, "PANNED", 1.0)  # as does this
+    monkeypatch.setattr(block_vote, "MOST", 2)
+    monkeypatch.setattr(moving_objects, "PLAIN", torch.inf)  # which finds them, too,
+    monkeypatch.setattr(frame_groups, "PANNED", 1.0)  # as does this
     assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
 @pytest.mark.parametrize("name", ["camera", "moon", "gravel", "astronaut"])
 def test_whole_shifts_are_right_to_a_px_or_so_whatever_the_pattern(name):
     frames, truth = simulated(name, n_frames=4)
-    found = whole.whole_shifts(even(frames, torch.ones(SHAPE)))
+    found = integer_shifts.whole_shifts(variance_stabilise(frames, torch.ones(SHAPE)))
     assert np.abs(found - truth[1:, :2, 2]).max() < 1.5
 
 
 def test_a_frame_beside_another_is_weighed_by_the_first_harmonic_of_their_likelihood():
     rng = np.random.default_rng(3)
-    spectra = likelihood.Spectra(torch.from_numpy(rng.normal(size=(2, 24, 30)).cumsum(1)))
-    found = whole.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[spectra.known]
+    spectra = shift_likelihood.Spectra(torch.from_numpy(rng.normal(size=(2, 24, 30)).cumsum(1)))
+    found = integer_shifts.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[
+        spectra.known
+    ]
     turns = np.exp(2j * np.pi * np.arange(64) / 64)
     for wave in ((5, 4), (2, 7), (12, 3)):
         scene, noise = spectra.scene[wave], spectra.noise[wave]
@@ -90,7 +99,7 @@ def test_a_frame_beside_another_is_weighed_by_the_first_harmonic_of_their_likeli
 def test_the_slope_of_the_shifts_likelihood_is_that_of_its_differences():
     frames, truth = simulated("moon")
     shifts = truth[1:, :2, 2].ravel() + 0.3
-    spectra = likelihood.Spectra(even(frames, torch.ones(SHAPE)))
+    spectra = shift_likelihood.Spectra(variance_stabilise(frames, torch.ones(SHAPE)))
     around = [spectra.nats(shifts + 1e-5 * way * unit)[0] for unit in np.eye(len(shifts)) for way in (1, -1)]
     np.testing.assert_allclose(
         spectra.nats(shifts)[1], (np.array(around[::2]) - around[1::2]) / 2e-5, rtol=1e-4
@@ -112,7 +121,7 @@ def log_likelihood(spectra, shifts):
 @pytest.mark.parametrize("n_frames", [2, 3, 5])
 def test_the_shifts_likelihood_is_that_of_the_dense_covariances(n_frames):
     rng = np.random.default_rng(n_frames)
-    spectra = likelihood.Spectra(torch.from_numpy(rng.normal(size=(n_frames, 20, 27)).cumsum(2)))
+    spectra = shift_likelihood.Spectra(torch.from_numpy(rng.normal(size=(n_frames, 20, 27)).cumsum(2)))
     one, other = rng.normal(0, 3, (2, n_frames - 1, 2))
     gained = spectra.nats(one.ravel())[0] - spectra.nats(other.ravel())[0]
     assert np.isclose(gained, log_likelihood(spectra, one) - log_likelihood(spectra, other))
@@ -121,7 +130,7 @@ def test_the_shifts_likelihood_is_that_of_the_dense_covariances(n_frames):
 def test_next_to_no_noise_and_no_shift_are_likely_but_not_infinitely():
     rng = np.random.default_rng(0)
     one = torch.from_numpy(rng.normal(size=(1, 20, 400)).cumsum(2))
-    spectra = likelihood.Spectra(one + 1e-4 * torch.from_numpy(rng.normal(size=(4, 20, 400))))
+    spectra = shift_likelihood.Spectra(one + 1e-4 * torch.from_numpy(rng.normal(size=(4, 20, 400))))
     still, moved = np.zeros((3, 2)), np.full((3, 2), 0.7)
     spectra.update(still)
     gained = spectra.nats(moved.ravel())[0] - spectra.nats(still.ravel())[0]
@@ -131,7 +140,10 @@ def test_next_to_no_noise_and_no_shift_are_likely_but_not_infinitely():
 
 def test_with_each_update_the_powers_are_likelier():
     frames, truth = simulated("moon", n_frames=4)
-    spectra, shifts = likelihood.Spectra(even(frames, torch.ones(SHAPE))[:, 40:80, 50:100]), truth[1:, :2, 2]
+    spectra, shifts = (
+        shift_likelihood.Spectra(variance_stabilise(frames, torch.ones(SHAPE))[:, 40:80, 50:100]),
+        truth[1:, :2, 2],
+    )
     found = []
     for _ in range(4):
         found.append(log_likelihood(spectra, shifts))

@@ -5,8 +5,8 @@ import pytest
 import torch
 from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 
-from deepir.registration import likelihood, register
-from deepir.registration.even import even, filled
+from deepir.registration import register, shift_likelihood
+from deepir.registration.variance_stabilise import filled, variance_stabilise
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky
@@ -76,7 +76,7 @@ def test_somebody_who_walks_does_not_take_the_likelihood_along():
     sim = simulate(procedural(3, (430, 500)), camera_of_tones(n_frames=5, shape=(96, 128), **walker), seed=57)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     shifts = register(frames).motion[:, :2, 2].numpy()
-    followed = likelihood.likeliest_shifts(even(frames, torch.ones(96, 128)), shifts[1:])
+    followed = shift_likelihood.likeliest_shifts(variance_stabilise(frames, torch.ones(96, 128)), shifts[1:])
     assert apart(sim, np.vstack((shifts[:1], followed))) < 0.3
     assert apart(sim, shifts) < 0.2
 

@@ -6,10 +6,10 @@ import torch
 from registered import camera_of_tones
 from scipy.optimize import check_grad
 
-from deepir.registration import place, register
-from deepir.registration.motion import carried
-from deepir.registration.parts import _Turns, likeliest_turns
-from deepir.registration.vote import reduced
+from deepir.operators.motion_models import carried
+from deepir.registration import motion_search, register
+from deepir.registration.block_likelihood import _Turns, likeliest_turns
+from deepir.registration.block_vote import reduced
 from deepir.simulate import simulate
 from deepir.simulate.scenes import sky
 
@@ -47,7 +47,7 @@ def test_clouds_before_which_the_camera_turns_are_found(number, seed, settings, 
     result = register(frames)
     assert result.used.all()
     assert off(result.motion) < 0.4
-    monkeypatch.setattr(place, "likeliest_turns", lambda frames, start: start)
+    monkeypatch.setattr(motion_search, "likeliest_turns", lambda frames, start: start)
     assert off(register(frames).motion) > 0.7
 
 

@@ -7,11 +7,11 @@ import pytest
 import torch
 from registered import apart, camera_of_tones, simulated
 
-from deepir.registration import beside, register
-from deepir.registration.flatten import flatten
-from deepir.registration.motion import identity
-from deepir.registration.place import place
-from deepir.registration.walker import blanked, filled, someone
+from deepir.operators.motion_models import identity
+from deepir.registration import moving_objects, register
+from deepir.registration.motion_search import place
+from deepir.registration.moving_object_masks import blanked, filled, someone
+from deepir.registration.preprocess import preprocess
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky
@@ -21,7 +21,7 @@ COUNTS = {"counts": True, "read_noise": 0.004, "photons": 0.0}
 
 
 def flat_of(sim):
-    return flatten(torch.from_numpy(sim.frames.astype(np.float32)), None)
+    return preprocess(torch.from_numpy(sim.frames.astype(np.float32)), None)
 
 
 @pytest.mark.parametrize("camera", [{}, COUNTS], ids=["tones", "counts"])
@@ -35,7 +35,7 @@ def test_who_stands_before_a_sky_is_found_in_each_frame(camera):
 def test_a_frame_of_another_place_is_nobody():
     frames = simulated("camera")[0].clone()
     frames[3] = simulated("gravel")[0][2]
-    assert not someone(flatten(frames, None)[0])[3].any()
+    assert not someone(preprocess(frames, None)[0])[3].any()
 
 
 def test_he_is_filled_in_by_what_is_behind_him():
@@ -73,10 +73,10 @@ def test_what_registers_is_the_scene(picture, n_frames, seed, camera):
 
 
 def test_frames_that_are_well_explained_are_not_placed_again(monkeypatch):
-    monkeypatch.setattr(beside, "searched", None)
+    monkeypatch.setattr(moving_objects, "searched", None)
     frames = simulated("astronaut")[0]
-    one = place(frames, *flatten(frames, None), "rigid")
-    assert beside.beside_walker(one, torch.ones(frames.shape[1:]), "rigid") is one
+    one = place(frames, *preprocess(frames, None), "rigid")
+    assert moving_objects.beside_walker(one, torch.ones(frames.shape[1:]), "rigid") is one
 
 
 def test_bright_things_before_a_dark_scene_are_nobody_where_one_motion_explains_all(monkeypatch):
@@ -86,11 +86,11 @@ def test_bright_things_before_a_dark_scene_are_nobody_where_one_motion_explains_
     one = place(frames, flat, weight, "rigid")
     assert someone(flat).any()
     with monkeypatch.context() as patch:
-        patch.setattr(beside, "searched", None)
-        assert beside.beside_walker(one, weight, "rigid") is one
+        patch.setattr(moving_objects, "searched", None)
+        assert moving_objects.beside_walker(one, weight, "rigid") is one
     still = dataclasses.replace(one, motion=identity(len(frames)))
-    assert beside.well(one, weight)
-    assert not beside.well(still, weight)
+    assert moving_objects.well(one, weight)
+    assert not moving_objects.well(still, weight)
 
 
 def test_a_scene_that_turns_is_nobody_who_walks():

@@ -1,0 +1,1 @@
+"""Array helpers that know no problem: statistics, windows, filling."""

@@ -1,0 +1,36 @@
+"""Filling of unknown pixels."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+
+def nearest_filled(image: Tensor, known: Tensor) -> Tensor:
+    """Replace unknown pixels (S, C, H, W) by the nearest known one of the row, or, where none is, of the column."""
+    for axis in (-1, -2):
+        side = image.shape[axis]
+        at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
+        before = at.where(known, -side).cummax(axis).values
+        after = at.where(known, 2 * side).flip(axis).cummin(axis).values.flip(axis)
+        nearest = before.where(at - before <= after - at, after)
+        image = image.gather(axis, nearest.clamp(0, side - 1))
+        known = known.any(axis, keepdim=True).expand(known.shape)
+    return image
+
+
+def pull_push_filled(image: Tensor, known: Tensor) -> Tensor:
+    """Replace unknown pixels (S, C, H, W) by means of what is known around, over ever larger squares.
+
+    (Pull and push: Gortler et al. 1996, "The lumigraph".)
+    """
+    if known.all() or not known.any():
+        return image
+    height, width = image.shape[-2:]
+    odd = (0, width % 2, 0, height % 2)
+    share = F.avg_pool2d(F.pad(known.to(image), odd), 2)
+    total = F.avg_pool2d(F.pad(image.where(known, 0), odd), 2)
+    coarse = pull_push_filled(total / share.clamp(min=1e-6), share > 0)
+    fine = F.interpolate(coarse, scale_factor=2, mode="bilinear")[..., :height, :width]
+    return torch.where(known, image, fine)

@@ -1,0 +1,31 @@
+"""Frames whose histogram was equalised."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.io.display_range import Array
+
+EQUAL = 0.01  # of the samples: equalised frames have so many of each range of values; others are 0.13 and more off
+
+
+def is_equalised(frames: Array) -> bool:
+    """Whether the histogram of each of frames (N, h, w), NaN where unknown, is even: a sample's value is its rank."""
+    for frame in frames:
+        values, counts = np.unique(frame[np.isfinite(frame)], return_counts=True)
+        if len(values) < 3:
+            return False
+        below = counts[1:].cumsum() / counts[1:].sum()
+        if np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max() > EQUAL:
+            return False
+    return True
+
+
+def equalised_message(frames: Array) -> list[str]:
+    """Say so if frames (N, h, w), NaN where unknown, are equalised."""
+    if not is_equalised(frames):
+        return []
+    return [
+        "each frame's histogram is equalised: its values are ranks, not flux, so that neither gain and offset nor the "
+        "scene's contrasts mean much. Record the raw (radiometric) stream of 14 or 16 bits, or a linear gain"
+    ]

@@ -1,0 +1,70 @@
+"""Interlaced frames: their odd rows are of another time than their even ones, and a moving camera sets them apart."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.registration.gauss_newton import tukey
+from deepir.registration.preprocess import preprocess
+from deepir.registration.pyramid import Level, broad, sample
+
+SIDE, MOST = 320, 10  # px and frames: the middle of larger frames, and the first of more, tell enough
+ENOUGH = 3  # frames: a scene and a pattern explain any two
+PASSES = 3  # over scene and pattern
+CLASSES = 4  # of rows: two of each field
+CERTAIN = 5.0  # times as far apart as rows of one field; progressive frames come to 2.5, interlaced ones to 9 and more
+LEAST = 0.1  # px: what asks for less is little apart
+
+
+@torch.no_grad()
+def are_interlaced(frames: Tensor, motion: Tensor, ignore: Tensor | None = None) -> bool:
+    """Whether the odd rows of frames `(N, H, W)` at motions `(N, 3, 3)` are off the even ones, not by chance.
+
+    Rows of one field, two and two, say how far chance sets rows apart. ignore: `(H, W)` bool, pixels without use.
+    """
+    if len(frames) < ENOUGH:
+        return False
+    steps = steps_of_rows(middle(frames[:MOST]), motion[:MOST], None if ignore is None else middle(ignore))
+    first, second, third, fourth = steps.unbind()
+    between = (first - second + third - fourth) / 2
+    within = torch.stack((first + second - third - fourth, first - second - third + fourth)) / 2
+    apart, chance = (float(each.square().sum(-1).mean().sqrt()) for each in (between, within))
+    return apart > max(LEAST, CERTAIN * chance)
+
+
+def middle(images: Tensor) -> Tensor:
+    """The middle of images `(..., H, W)`, about the same centre."""
+    for axis in (-2, -1):
+        cut = max(0, -(-(images.shape[axis] - SIDE) // 2))
+        images = images.narrow(axis, cut, images.shape[axis] - 2 * cut)
+    return images
+
+
+def steps_of_rows(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tensor:
+    """The shift `(4, N, 2)` in px that every fourth row of frames, from the first four on, asks for beside the motion.
+
+    A step of Gauss and Newton for each, scene and pattern being those of all rows: what all four ask for alike is an
+    error of the motion.
+    """
+    flat, weight = preprocess(frames, ignore)
+    flat -= weight * torch.stack([broad(frame[None])[0] for frame in flat])
+    level = Level(1, flat, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
+    pattern = torch.zeros_like(weight)
+    for _ in range(PASSES):
+        pulled, known = sample(flat - pattern, torch.linalg.inv(motion), level)
+        scene, seen = sample((pulled.sum(0) / known.sum(0).clamp_min(1))[None], motion, level)
+        rest = (flat - scene) * seen
+        pattern = rest.sum(0) / seen.sum(0).clamp_min(1)
+    seen = seen * weight
+    rest = (rest - pattern) * seen
+    trust = tukey(rest.flatten(1), seen.flatten(1)).view_as(rest)[:, 1:-1, 1:-1]
+    slope_x, slope_y = scene[:, 1:-1, 2:] - scene[:, 1:-1, :-2], scene[:, 2:, 1:-1] - scene[:, :-2, 1:-1]
+    each = torch.stack((slope_x / 2, slope_y / 2, torch.ones_like(slope_x)), 1).double()
+    found = []
+    for row in range(CLASSES):
+        some = [image[..., row::CLASSES, :].flatten(-2) for image in (each, trust, rest[:, 1:-1, 1:-1])]
+        design, right = some[0] * some[1][:, None], some[2].double()
+        normal = design @ some[0].mT + 1e-9 * torch.eye(3, dtype=torch.float64)
+        found.append(torch.linalg.solve(normal, design @ right[:, :, None])[:, :2, 0])
+    return torch.stack(found)

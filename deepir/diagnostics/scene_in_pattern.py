@@ -1,0 +1,77 @@
+"""Whether the pattern that was found is a picture: then the motion was wrong, and the scene is in the pattern.
+
+A sensor has columns, rows, pixels and something smooth, and what one pixel has says nothing of the one next but one.
+Where the camera stands still while something moves, or moves by less than a pixel under a strong pattern, the motion
+that is found may be of something else: what stands still is then the scene, and what is left may be its negative. Dust
+on a window, a bonnet, the corners that a lens leaves dark look like pictures, too, but there the motion explains the
+frames far better than rest does.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.analysis.statistics import autocorrelation
+from deepir.arrays.median import MAD, median
+from deepir.operators import Sensor, Warp
+from deepir.operators.motion_models import identity
+from deepir.optim.low_order_model import polynomials
+from deepir.problem import Problem
+from deepir.registration.motion_search import search_level
+from deepir.registration.preprocess import preprocess
+from deepir.registration.robust_score import log_likelihood_ratio
+
+BESIDE = 2  # px: noise in the motion and the scene's interpolation reach one
+OUTLIER = 4.0  # robust standard deviations at which values are cut off
+#: Correlation of pixels so far apart from which a pattern is a picture; those that were found right have 0.08 at most.
+ALIKE = 0.1
+FAINT = 0.2  # of the scene: what is less may be of a sensor that was corrected with a scene in view
+MOVES = 0.3  # nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong
+
+
+@torch.no_grad()
+def scene_in_pattern_message(problem: Problem) -> list[str]:
+    """Say so if the pattern that was found is a picture."""
+    stage, last = problem.operator.named()[-1]
+    if not isinstance(last, Sensor) or not problem.closed_form() or not problem.slot(Warp, "motion"):
+        return []
+    values = problem.values()
+    flux = problem.flux(values)
+    problem.eliminate(values, problem.closed_form(), flux=flux)
+    log_likelihood_ratio, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    shown = (log_likelihood_ratio * flux.median() + offset).expand_as(flux[:1])
+    pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
+    if pattern.std() < FAINT * scene.std() or _alike(pattern, problem.alive()) < ALIKE or _moves(problem):
+        return []
+    return [
+        "the fixed pattern that was found looks like a picture, as where the camera stands still and something else "
+        "moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by 3 to "
+        "10 px in x and in y"
+    ]
+
+
+def _moves(problem: Problem) -> bool:
+    """Whether a motion that was found of whole frames makes them clearly likelier than rest."""
+    motion = problem.field_of(problem.slot(Warp, "motion"))().double().cpu()
+    if motion.shape != (len(problem.data), 3, 3):
+        return False
+    flat, weight = preprocess(problem.data[:, 0].cpu(), ~problem.alive().cpu())
+    return log_likelihood_ratio(search_level(flat, weight), identity(len(motion)), motion) > MOVES
+
+
+def _rough(image: Tensor, good: Tensor) -> Tensor:
+    """An image (h, w) less its lines and all that is smooth, outliers cut off; zero where it is not good."""
+    image = image.double()
+    image = image - image.median(1, keepdim=True).values
+    image = image - image.median(0, keepdim=True).values
+    image = image - polynomials(*image.shape, image.device).nearest(image)
+    limit = OUTLIER * MAD * median(image.abs())
+    return image.clamp(-limit, limit) * good
+
+
+def _alike(image: Tensor, good: Tensor) -> float:
+    """Correlation of pixels that are `BESIDE` px apart, along rows and columns."""
+    found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
+    middle = len(found) // 2
+    return float(found[middle, middle + BESIDE] + found[middle + BESIDE, middle]) / 2

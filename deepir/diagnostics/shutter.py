@@ -1,0 +1,54 @@
+"""A shutter that closes in the midst of a burst: what stands still is another pattern from then on."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.arrays.noise_level import mixed_difference
+from deepir.arrays.subsample import subsample
+
+ENOUGH, LEAST = 40_000, 200  # samples of all frames, and of each
+BULK = 0.75  # share of the samples that count: edges of the scene do not
+APART = 1.3  # times as far from each other: frames of two patterns
+
+
+@torch.no_grad()
+def one_pattern(frames: Tensor, usable: Tensor) -> slice:
+    """The longer part of frames (N, h, w) where the pattern changes in between, or all; usable (N, h, w), bool.
+
+    The finest detail of frames is pattern and noise, mostly. Frames before and after a shutter differ by more of it
+    than any two before it or after it; a camera that moves on does not make such parts.
+    """
+    n, whole = len(frames), slice(0, len(frames))
+    if n < 4:
+        return whole
+    fine, counts = mixed_difference(frames, usable.all(0).expand_as(usable))
+    some, known = subsample(fine[:, None], counts[:, None], enough=max(LEAST, ENOUGH // n))
+    some = some[:, known[0]]
+    if not some.numel():
+        return whole
+    bulk = max(1, int(BULK * some.shape[1]))
+    values = some.numpy()
+    apart = np.stack([np.partition(np.abs(values - one), bulk - 1)[:, :bulk].mean(1) for one in values])
+
+    def stands_out(at: int) -> float:
+        within = max(float(apart[:at, :at].max()), float(apart[at:, at:].max()))
+        return float(apart[:at, at:].min()) / max(within, 1e-30)
+
+    at = max(range(2, n - 1), key=stands_out)
+    if stands_out(at) < APART:
+        return whole
+    return slice(0, at) if 2 * at >= n else slice(at, n)
+
+
+def shutter_message(part: slice, n: int) -> list[str]:
+    """Say so if only a part of n frames is used."""
+    if part == slice(0, n):
+        return []
+    at, other = (part.start, f":{part.start}") if part.start else (part.stop, f"{part.stop}:")
+    return [
+        f"the fixed pattern changes between frames {at - 1} and {at}, as where a shutter closes: only frames "
+        f"{part.start} to {part.stop - 1} are used. The others: data.frames={other}"
+    ]

@@ -1,0 +1,154 @@
+"""Pixels that are no sensors, and samples that show something else than the scene.
+
+A pixel is judged by what it does beside the model, never by its value: pixels of a saturated sky, or exact zeros, are
+as good as any.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.ndimage
+import torch
+from scipy.special import chdtri
+from torch import Tensor
+
+from deepir.arrays.median import MAD
+from deepir.arrays.subsample import subsample
+from deepir.arrays.windows import NEIGHBOURHOOD, box_sum, median_filter
+from deepir.estimation.residuals import temporal_mean
+from deepir.problem import Problem
+
+DEVIATION = 7.0  # robust standard deviations of the pattern beyond which a pixel is none of it
+MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, from which a pixel is defective
+MOST = 100.0  # squared misfit that counts of one sample: one frame does not condemn a pixel
+LONELY = 4.0  # how many times more a defective pixel misfits than its neighbourhood
+CALM = 1e-3  # chance at which noise alone changes as little over the frames as a pixel that does not change
+MOVES = 9.0  # variance over the frames, in units of the noise's, expected of a pixel that is drawn over
+RIM = 0.5  # share of the rim of what hangs together
+OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
+ENOUGH = 128  # pixels of a line are enough for its median
+OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
+CROWD = 2.0  # mean squared misfit of a neighbourhood from which it shows something else
+
+
+@torch.no_grad()
+def pattern_outliers(pattern: Tensor, known: Tensor) -> Tensor:
+    """Pixels whose pattern (1, 1, h, w) is far from what their neighbours' lets expect, bool; columns may differ."""
+    apart = pattern
+    for axis in (-2, -1):
+        apart = apart - line_median(apart, known, axis)
+    apart = apart - median_filter(apart)
+    differ = apart[known & (apart != 0)].abs()
+    if differ.numel() < apart.numel() / 4:  # most pixels are exactly alike: nothing to compare with
+        return torch.zeros_like(known)
+    apart = apart.abs()
+    return known & (apart > DEVIATION * MAD * differ.median()) & (apart > LONELY * median_filter(apart))
+
+
+@torch.no_grad()
+def static_pixels(frames: Tensor, usable: Tensor, noise: float) -> Tensor:
+    """Pixels (1, 1, h, w), bool, that do not even show noise, of standard deviation `noise`; of (N, 1, h, w)."""
+    change, count = changes(frames, usable)
+    # What noise alone makes of so many samples is a chi-squared number.
+    least = torch.from_numpy(chdtri(np.arange(len(frames) + 1).clip(2) - 1, 1 - CALM) * noise**2).to(change)
+    return (count > 1) & (change < least[count])
+
+
+@torch.no_grad()
+def dead_pixels(calm: Tensor, pattern: Tensor, known: Tensor) -> Tensor:
+    """Pixels (1, 1, h, w), bool, of those that are `calm`, whose pattern is far from that of the others known.
+
+    Whole lines and blocks of them too, which `pattern_outliers` takes for columns, or for something in the scene. What is
+    saturated or zero because the scene is has no pattern.
+    """
+    live = known & ~calm
+    far = torch.zeros_like(calm)
+    for axis in (-2, -1):  # a dead column differs from all others in its rows
+        apart = (pattern - line_median(pattern, live, axis)).abs()
+        some, counts = subsample(apart, live)
+        far |= apart > OFF * MAD * some[counts].median()
+    return calm & far
+
+
+@torch.no_grad()
+def overlay_mask(calm: Tensor, expected: Tensor, usable: Tensor, noise: float) -> Tensor:
+    """Pixels (1, 1, h, w), bool, of those that are `calm`, at which the scene that is expected changes all the same.
+
+    Bars, boxes and letters that a camera draws over its pictures. The inside of a box expects itself, as a plain sky
+    does: of what hangs together all is drawn if most of its rim is. expected, usable (N, 1, h, w).
+    """
+    change, count = changes(expected, usable)
+    drawn = calm & (change > MOVES * noise**2 * (count - 1))
+    if not drawn.any():
+        return drawn
+    whole = calm[0, 0].numpy(force=True)
+    names, _ = scipy.ndimage.label(whole, np.ones((3, 3)))
+    rim = whole & ~scipy.ndimage.binary_erosion(whole, border_value=1)
+    found, all_of_it = (
+        np.bincount(names[rim & each], minlength=names.max() + 1)
+        for each in (drawn[0, 0].numpy(force=True), whole)
+    )
+    return drawn | torch.from_numpy((found > RIM * all_of_it)[names]).to(drawn)
+
+
+def changes(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
+    """The sum of each pixel's squared deviations from its mean over the frames, (1, 1, h, w); how many are usable."""
+    count, mean, change = (torch.zeros_like(frames[:1]) for _ in range(3))
+    for frame, known in zip(frames, usable, strict=True):  # one at a time stays in the cache
+        count += known
+        mean += frame * known
+    mean /= count.clamp(min=1)
+    for frame, known in zip(frames, usable, strict=True):
+        change += (frame - mean).square_().mul_(known)
+    return change, count.long()
+
+
+def line_median(image: Tensor, known: Tensor, axis: int) -> Tensor:
+    """The median of each line of an image (1, 1, h, w) along an axis, of what is known of it; zero if nothing is."""
+    lines, mask = (each.transpose(axis, -1) for each in (image, known))
+    step = max(1, lines.shape[-1] // ENOUGH)
+    some = lines[..., ::step].where(mask[..., ::step], torch.nan)
+    return some.nanmedian(-1, keepdim=True).values.nan_to_num().transpose(axis, -1)
+
+
+@torch.no_grad()
+def defective_pixels(misfit: Tensor, usable: Tensor) -> Tensor:
+    """Pixels (1, 1, h, w), bool, that misfit in the mean of all frames, alone among their neighbours.
+
+    `misfit` is squared, in units of the noise, (N, 1, h, w).
+    """
+    count = usable.sum(0, keepdim=True)
+    mean = misfit.clamp(max=MOST).sum(0, keepdim=True) / count.clamp(min=1)
+    return (count > 0) & (mean > MISFIT) & (mean > LONELY * median_filter(mean))
+
+
+@torch.no_grad()
+def isolated_pixels(misfit: Tensor, times: float = 1.5) -> Tensor:
+    """Pixels (h, w), bool, that misfit so many times more than their neighbourhood."""
+    return misfit > times * median_filter(misfit[None, None])[0, 0]
+
+
+@torch.no_grad()
+def neighbourhood_doubt(misfit: Tensor, usable: Tensor) -> Tensor:
+    """How much samples are to be doubted for their neighbourhood's sake, (N, 1, h, w): zero for a clean one.
+
+    What moves by itself misfits over many pixels, a little each.
+    """
+    total, share = box_sum(misfit.clamp(max=MOST)), box_sum(usable.to(misfit))
+    return total.div_(share.clamp_(min=0.1 * NEIGHBOURHOOD**2)).sub_(CROWD).clamp_(min=0)
+
+
+@torch.no_grad()
+def mask_dead_pixels(problem: Problem, rest: Tensor, noise: float, calm: Tensor) -> None:
+    """Give up pixels that are dead, or drawn over; from the edge of a block inwards, for its inside shows itself.
+
+    calm: those that do not change in the frames as they are, (1, 1, h, w); once levels and contrasts are evened out
+    others may not.
+    """
+    usable = problem.precision > 0
+    calm = calm | static_pixels(problem.data, usable, noise)
+    gone = dead_pixels(calm, temporal_mean(rest, problem.precision.sign()), usable.any(0, keepdim=True))
+    if problem.ends is not None:  # a scene beyond the range is as calm
+        calm = calm & (problem.ends == 0).all(0, keepdim=True)
+    gone |= overlay_mask(calm, problem.data - rest, usable, noise)
+    problem.precision.mul_(~gone)

@@ -1,0 +1,75 @@
+"""Levels of whole frames: what the residuals say of them, and what is said of it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.arrays.noise_level import median_sigma
+from deepir.arrays.subsample import masked_values, subsample
+from deepir.fields.drift import Drift
+from deepir.fields.line_noise import LineNoise
+from deepir.problem import Problem
+
+#: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
+DRIFT = 0.25
+
+#: The same, in those that the mean of a frame's lines has if they jump independently.
+CHANCE = 4.0
+
+#: The same, in those of all that the average leaves, pattern most of it, that are no slope of anything.
+JUMP = 2.0
+
+
+@torch.no_grad()
+def level_residuals(problem: Problem) -> Tensor:
+    """How far each frame as a whole is above its prediction, (N, 1, 1, 1): the median over its usable samples."""
+    data, precision, expected = subsample(problem.data, problem.precision, problem.predict(problem.values()))
+    rest = (data - expected).where(precision > 0, torch.nan)
+    return rest.nanmedian(1).values.nan_to_num()[:, None, None, None]
+
+
+@torch.no_grad()
+def start_line_levels(problem: Problem) -> bool:
+    """Take levels that stand out of the frames' pattern over into what is known of a drift; whether there are any.
+
+    In an average of frames whose levels are far apart, edges of the frames stand as edges of the scene.
+    """
+    names = [name for name in level_names(problem) if name in problem.free()]
+    fields = [module for name in names for module in problem.fields[name].modules()]
+    drifts = [field for field in fields if isinstance(field, Drift) and not field.given]
+    level = level_residuals(problem)
+    level -= level.mean()
+    data, precision, expected = subsample(problem.data, problem.precision, problem.predict(problem.values()))
+    rest = masked_values(data - expected - level.flatten(1), precision > 0)
+    if not drifts or not level.abs().max() > JUMP * rest.std():
+        return False
+    drifts[0].jumps.add_(level)
+    return True
+
+
+def drift_message(problem: Problem) -> list[str]:
+    """Say so if the frames' levels drift, whether the problem knows it or not."""
+    least = DRIFT * median_sigma(problem.precision)
+    if all(name in problem.free() for name in level_names(problem)):
+        found = [problem.fields[name]().detach().mean((1, 2, 3)) for name in level_names(problem)]
+        chance = sum(each.in_level for each in problem.modules() if isinstance(each, LineNoise))
+        least += CHANCE * chance**0.5
+        return [
+            f"the level of whole frames drifts, by {each.std():.3g}: "
+            "a slope across the scene is told from that only in part"
+            for each in found
+            if float((each - each.mean()).abs().max()) > least
+        ]
+    level = level_residuals(problem)
+    drift = float((level - level.mean()).abs().max())
+    if drift < least:
+        return []
+    return [
+        f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with physics.sensor.level=drift"
+    ]
+
+
+def level_names(problem: Problem) -> list[str]:
+    """The unknowns that are bound to a sensor's level."""
+    return [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "level"]

@@ -1,0 +1,130 @@
+"""Whether rows or columns jump from frame to frame, and by how much: from the means of the residuals along them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from torch import Tensor
+
+from deepir.arrays.median import MAD, median
+from deepir.arrays.noise_level import median_sigma
+from deepir.arrays.subsample import masked_values
+from deepir.effects.frame_offset import level_names
+from deepir.fields.line_noise import LineNoise
+from deepir.fields.shading import Shading
+from deepir.problem import Problem
+from deepir.schedule import Stage, Step
+
+ENOUGH = 3  # frames: a scene and a pattern explain any two values of a line
+CERTAIN = 3.0  # variance of lines' means, in that of what their halves differ by, from which they jump
+SHORT = 80  # px: lines that are shorter must by more, as their square, for the same edge lies in both halves
+LITTLE = 0.1  # standard deviation of jumps, in that of a sample's noise, up to which they cost nothing
+
+
+def line_noises(problem: Problem) -> list[LineNoise]:
+    """Those that the problem knows of."""
+    fields = [problem.fields[name] for name in problem.free()]
+    return [module for field in fields for module in field.modules() if isinstance(module, LineNoise)]
+
+
+def lines_jump(problem: Problem) -> bool:
+    """Whether any do, as far as is known."""
+    return any(field.sigma > 0 for field in line_noises(problem))
+
+
+def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
+    """The stage of the scene; or, where lines jump, one in which the jumps follow the scene.
+
+    What all frames' jumps in a line of the scene have in common, these do not tell from the scene: its penalties do.
+    """
+    if not line_noises(problem):
+        return [scene]
+    levels = [name for name in level_names(problem) if name in problem.free()]
+    step = Step((*scene.steps[0].group, *levels))
+    return [
+        dataclasses.replace(scene, needed=lambda it: not lines_jump(it)),
+        dataclasses.replace(scene, steps=(step,), needed=lines_jump),
+    ]
+
+
+@torch.no_grad()
+def line_noise_message(problem: Problem) -> list[str]:
+    """Say so if lines jump."""
+    noise = median_sigma(problem.precision)
+    found = [(field.lines, float(field.sigma)) for field in line_noises(problem) if field.sigma > 0]
+    return [
+        f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
+        "estimated and taken out"
+        for lines, sigma in found
+    ]
+
+
+@torch.no_grad()
+def estimate_line_noise(problem: Problem) -> list[LineNoise]:
+    """Set by how much lines jump, and each jump to its mean with all else held.
+
+    A line that jumps does so in both its halves, unlike noise and what the model lacks. Scene and fixed pattern
+    explain two of the n values of a line, whatever these are: of the variance of jumps `(n - 2) / n` is left. Returns
+    those that are found to jump for the first time.
+    """
+    fields, new = line_noises(problem), list[LineNoise]()
+    if not fields or len(problem.data) < ENOUGH:
+        return new
+    residual, precision = problem.data - problem.predict(problem.values()), problem.fitted()
+    for field in fields:
+        mean, apart, known, white = _means(residual, precision, field)
+        if field.given:
+            variance = float(field.sigma) ** 2
+        else:
+            whole, chance = (_variance(each, known, field.across) for each in (mean, apart))
+            variance = (whole - chance) * len(mean) / (len(mean) - 2)
+            least = LITTLE**2 * white * residual.shape[field.along[0]]
+            certain = CERTAIN * max(1.0, SHORT / residual.shape[field.along[0]]) ** 2
+            variance = variance if whole > certain * chance and variance > least else 0.0
+            new += [field] if variance and not field.sigma > 0 else []
+            field.sigma.fill_(variance**0.5)
+        field.step.fill_(white**0.5)
+        field.values.copy_(mean * variance / (variance + white) / field.step)
+    return new
+
+
+def _means(residual: Tensor, precision: Tensor, field: LineNoise) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Each line's mean above what is predicted without jumps, zero where it is not known; half of what its two halves
+    differ by; where both are known; and the variance that white noise leaves in a mean."""
+    along = field.along[0]
+    side = residual.shape[along]
+    (a, b), (u, v) = (
+        [part.sum(along, keepdim=True) for part in each.split([side // 2, side - side // 2], along)]
+        for each in (precision * residual, precision)
+    )
+    total, least = u + v, torch.finfo(u.dtype).tiny
+    mean = ((a + b) / total.clamp(min=least) + field() - field.neutral) * (total > 0)
+    apart = (a / u.clamp(min=least) - b / v.clamp(min=least)) / 2
+    return mean, apart, (u > 0) & (v > 0), 1 / median(masked_values(total, total > 0))
+
+
+def _variance(values: Tensor, known: Tensor, across: int) -> float:
+    """Of lines that lie side by side, without what is slow across them, or far out."""
+    count = known.shape[across] - 1
+    both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
+    return (MAD * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2
+
+
+def in_polynomials(problem: Problem, frame: Shading) -> Tensor:
+    """The variance that jumps have in each frame's level and polynomials, (terms + 1,)."""
+    level = torch.zeros_like(frame.of_y[:1])
+    of_y, of_x = torch.cat((level, frame.of_y)), torch.cat((level, frame.of_x))
+    found = torch.zeros(len(of_y), dtype=torch.float64, device=of_y.device)
+    for field in line_noises(problem):
+        constant = (of_x if field.across == -2 else of_y) == 0
+        found += constant * field.in_level
+    return found
+
+
+def less_lines(problem: Problem, values: Tensor) -> Tensor:
+    """Values (..., h, w) less their means along lines that jump: these tell nothing."""
+    for field in line_noises(problem):
+        if field.sigma > 0:
+            values = values - values.mean(-3 - field.across, keepdim=True)
+    return values

@@ -1,0 +1,104 @@
+"""How noisy the samples are, by what a fit leaves of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from scipy.optimize import nnls
+from torch import Tensor
+
+from deepir.arrays.median import MAD, median
+from deepir.arrays.noise_level import ROUNDED, quantisation_step
+from deepir.arrays.subsample import masked_values, subsample
+from deepir.effects.bad_pixels import OUTLIER, defective_pixels, neighbourhood_doubt
+from deepir.problem import Problem
+
+BINS = 10  # of the signal, in which the noise is measured
+#: Standard deviations beyond which a residual counts no more than these, and the mean square that a Gaussian then has.
+WILD, TAMED = 2.0, 0.920537
+SCALINGS = 6
+
+
+@torch.no_grad()
+def update_noise(problem: Problem, *, settled: bool = False) -> None:
+    """Set each sample's precision to 1 / (read² + signal / photons): the noise that is given, or the measured one.
+
+    The signal is what the light does: the prediction without the offset. Samples that misfit count less, beside what
+    the scene would follow; with `settled`, pixels that misfit throughout are given up.
+    """
+    values = problem.values()
+    prediction = problem.predict(values)
+    offset = next((values[name] for slot, name in problem.slots.items() if slot.endswith(".offset")), None)
+    signal = (prediction - offset if offset is not None else prediction.clone()) + problem.reference
+    signal.clamp_(min=0)
+    noise = problem.noise or measured(problem, prediction, signal)
+    if noise is None:
+        return
+    read, photon, least = noise
+    usable, misfit = problem.precision > 0, problem.beside(values, problem.data - prediction)
+    # A frame at a time: what is needed on the way stays in the cache.
+    for k, signal_k in enumerate(signal):
+        signal_k.mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
+        misfit[k].square_().mul_(usable[k]).div_(signal_k)
+    if settled:
+        bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
+        usable &= ~defective_pixels(misfit, bounds)
+    for k, variance_k in enumerate(signal):
+        doubt = neighbourhood_doubt(misfit[k : k + 1], usable[k : k + 1])[0]
+        doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)
+        torch.div(usable[k], doubt, out=problem.precision[k])
+
+
+def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> tuple[float, float, float] | None:
+    """Variance of the noise at no signal, for each unit of it, and at least; None if too few residuals tell.
+
+    Residuals of fitted samples are too small, by the freedom that the fit has, and those of held-out samples too
+    large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
+    the noise, in bins of the signal.
+    """
+    frames = subsample(prediction, problem.data, problem.precision, problem.held_out, signal)
+    some, data, precision, held, light = (each.flatten() for each in frames)
+    counts, residual = precision > 0, (some - data).abs_()
+    # By bin, the fitted samples and those held out: each group's lie side by side, which spares twenty masks.
+    group = (2 * _bins(light, counts) + held).where(counts, 2 * BINS).to(torch.uint8).cpu().numpy()
+    order = torch.from_numpy(np.argsort(group, kind="stable")).to(residual.device)
+    sizes = np.bincount(group, minlength=2 * BINS + 1).tolist()
+    residuals, totals = residual[order].split(sizes), np.bincount(group, light.cpu().numpy(), 2 * BINS)
+    # Data that are rounded more coarsely than they are noisy may leave no residual at all.
+    rounding = (torch.finfo(problem.data.dtype).eps * float((some * counts).max())) ** 2
+    least = (ROUNDED * quantisation_step(problem.data, problem.precision > 0)) ** 2
+    rows, seen = [], []
+    for i in range(0, 2 * BINS, 2):
+        fitted, new = residuals[i : i + 2]
+        if len(new) >= 20:
+            rows.append((1.0, sum(totals[i : i + 2]) / sum(sizes[i : i + 2])))
+            seen.append(max(scale(fitted) * scale(new) + rounding, least))
+    if not rows:
+        return None
+    design, variance = np.array(rows), np.array(seen)
+    unit = design.max(0).clip(min=1e-30)
+    relative = design / unit / variance[:, None]  # errors are in proportion to the variance
+    share, _ = nnls(relative, np.ones(len(rows)))
+    read, photon = share / unit
+    return float(read), float(photon), 0.1 * float(variance.min())
+
+
+def scale(residuals: Tensor) -> float:
+    """Standard deviation by what residuals (K) are in size, wild ones bounded (Huber 1964, proposal 2).
+
+    Unlike the median it reads right what is a mixture: within a bin variances and leverages differ.
+    """
+    found = MAD * median(residuals)
+    for _ in range(SCALINGS):
+        found = math.sqrt(float(residuals.clamp(max=WILD * found).square_().mean()) / TAMED)
+    return found
+
+
+def _bins(values: Tensor, counts: Tensor) -> Tensor:
+    """Number of the quantile bin of each value, of those that count."""
+    each = max(1, len(values) // 20_000)
+    some = masked_values(values[::each], counts[::each]).cpu().numpy()
+    edges = np.quantile(some, np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
+    return torch.bucketize(values.contiguous(), torch.from_numpy(edges).to(values))

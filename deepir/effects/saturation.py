@@ -1,0 +1,90 @@
+"""Samples at an end of the range: they do not say how much there is, but how much at least, or at most."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.arrays.median import robust_std
+from deepir.arrays.noise_level import median_sigma
+from deepir.effects.bad_pixels import OFF, OUTLIER
+from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
+from deepir.io.saturated_samples import Array
+from deepir.problem import Problem
+
+SHORT = 2.0  # standard deviations of the noise by which a prediction is short of a bound
+OTHERS = 0.5  # share of a place's samples that are cut off, if it is beyond the range
+SAID = 0.001  # of the samples: fewer are worth a message only if the result is bounded by them
+SEEN = 0.3  # frames that must show a pixel of the scene at least
+
+
+@torch.no_grad()
+def deactivate_bounds(problem: Problem) -> None:
+    """Let no sample count that is cut off: as long as strengths are estimated, which want to know."""
+    if problem.ends is not None:
+        problem.precision.masked_fill_(problem.ends != 0, 0)
+
+
+@torch.no_grad()
+def activate_bounds(problem: Problem) -> None:
+    """Let samples count that are cut off where the prediction is short of the bound, and so pull it there.
+
+    The others leave the scene as free as the range does. (The active set of a least-squares problem with bounds.)
+    """
+    if problem.ends is None:
+        return
+    deactivate_bounds(problem)
+    noise = median_sigma(problem.precision)
+    short = problem.ends * (problem.data - problem.predict(problem.values())) / noise
+    doubt = 1 + (short / OUTLIER).square()
+    problem.precision.add_((short > SHORT) / (doubt * noise**2))
+
+
+@torch.no_grad()
+def mask_stuck_pixels(problem: Problem) -> None:
+    """Give up pixels that are cut off in all frames, though most of what others see there is not, and far from it."""
+    if problem.ends is None:
+        return
+    cut, usable, values = problem.ends != 0, problem.precision > 0, problem.values()
+    those, all_of_them = (problem.backproject(values, each)[1] for each in (cut & usable, usable))
+    share = those / all_of_them.clamp(min=1e-6)
+    nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
+    lonely = problem.predict(values | {"scene": share}) - nothing < OTHERS
+    rest = fixed_pattern_residual(problem)
+    far = problem.ends * rest > OFF * robust_std(temporal_mean(rest, usable))
+    live = ~(cut & lonely & far).all(0)
+    problem.precision.mul_(live)
+    problem.ends.mul_(live)
+
+
+@torch.no_grad()
+def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
+    """The scene's image, at the bound or beyond where most samples that see it are cut off; and where, 1 or -1."""
+    where = torch.zeros_like(image, dtype=torch.int8)
+    if problem.ends is None:
+        return image, where
+    values = problem.values()
+    _, seen = problem.backproject(values, (problem.precision > 0) & (problem.ends == 0))
+    for sign in (1, -1):
+        if (cut := problem.ends == sign).any():
+            bound, share = problem.backproject(values, cut)
+            most = share > seen.clamp(min=SEEN)
+            image = torch.where(most, sign * torch.maximum(sign * image, sign * bound), image)
+            where[most] = sign
+    return image, where
+
+
+def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]:
+    """A line if samples of frames (N, h, w) are cut off: where the result, on its grid, is not a value but a bound."""
+    if problem.ends is None:
+        return []
+    said = []
+    for sign, name in ((1, "at least"), (-1, "at most")):
+        cut, bounds = (problem.ends[:, 0] == sign).cpu().numpy(), int((where == sign).sum())
+        if bounds or cut.mean() > SAID:
+            said.append(
+                f"{cut.mean():.2%} of the samples are cut off at {np.median(frames[cut]):g}: the scene is {name} as "
+                f"much at {bounds} pixels"
+            )
+    return ["; ".join(said) + " ('clipped' in result.npz)"] if said else []

@@ -1,0 +1,103 @@
+"""Whether there is shading, and whether the levels drift: by the evidence of what is slow over the frame."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.estimation.low_order_evidence import LowOrderEvidence, contrast
+from deepir.fields.basis_expansion import BasisExpansion
+from deepir.fields.drift import Drift
+from deepir.fields.shading import Shading
+from deepir.operators import Add, Blur, Lag, Sensor, Warp
+from deepir.problem import Problem
+
+ENOUGH = 3  # frames to tell shading and stray flux from the scene
+
+
+@torch.no_grad()
+def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
+    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too.
+
+    Stray flux is shading of another shape: there is some if there is shading, and it is as strong as it was found.
+    """
+    shadings, stray, drifts = low_order_unknowns(problem)
+    if not (shadings or stray or drifts):
+        return
+    evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
+    # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
+    sure = not (start and stray)
+    smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
+    if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
+        smooth = drift = 0.0
+    step = contrast(problem) / problem.data[0].numel() ** 0.5 if start else None
+    for part in shadings:
+        part.sigma.fill_(smooth)
+    for field in drifts:
+        field.sigma.fill_(drift)
+        if step is not None:
+            field.step.copy_(step)
+            field.init_from(field.jumps + evidence.levels(smooth, drift))
+    for each in stray:
+        if not each.given:
+            known = bool(smooth) and bool(each.sigma > 0)
+            each.sigma.fill_(float(each.coefficients.square().mean().sqrt()) if known else smooth)
+        if step is not None:
+            each.step.copy_(step)
+            each.init_from(evidence.slow_pattern(smooth, drift))
+    if start and (smooth or drift):
+        scene = problem.fields["scene"]
+        scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
+
+
+@torch.no_grad()
+def shading_message(problem: Problem) -> list[str]:
+    """Say so if too few frames are shaded."""
+    shadings, stray, drifts = low_order_unknowns(problem)
+    if not (shadings or stray) or len(problem.data) >= ENOUGH:
+        return []
+    evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
+    smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
+    if not smooth:
+        return []
+    return [
+        f"the frames are shaded, which {len(problem.data)} of them do not tell from the scene: it is left in. "
+        f"Take {ENOUGH} or more"
+    ]
+
+
+def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpansion], list[Drift]]:
+    """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
+    first, *others = (stage for _, stage in problem.operator.named())
+    # Of one size, but for a blur's reach.
+    same = all(isinstance(stage, Add | Blur | Lag | Sensor) for stage in others)
+    if not (isinstance(first, Warp) and same) or len(problem.data) < 2:
+        return [], [], []
+    closed, free = problem.closed_form(), problem.free()
+    offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]
+    parts = [part for name in offsets for part in problem.fields[name].parts()]
+    fields = [module for name in free for module in problem.fields[name].modules()]
+    return (
+        [part for part in parts if isinstance(part, Shading) and not part.given],
+        strays(problem),
+        [field for field in fields if isinstance(field, Drift) and not field.given],
+    )
+
+
+def doubt(problem: Problem) -> Tensor:
+    """Variances by which the slow parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
+    return LowOrderEvidence(problem, problem.closed_form(), strays(problem)).doubt
+
+
+def added_flux(problem: Problem) -> list[str]:
+    """The unknowns that are added to the scene's flux in front of the sensor."""
+    *before, (_, last) = problem.operator.named()
+    added = {name for name, stage in before if isinstance(stage, Add) and isinstance(last, Sensor)}
+    return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in added]
+
+
+def strays(problem: Problem) -> list[BasisExpansion]:
+    """Those of them that are free maps of few terms."""
+    free = problem.free()
+    fields = [problem.fields[name] for name in added_flux(problem) if name in free]
+    return [field for field in fields if isinstance(field, BasisExpansion)]

@@ -1,0 +1,1 @@
+"""Hyperparameters from the data: marginal likelihood, variance components, cross-validation."""

@@ -1,0 +1,38 @@
+"""What one frame tells of stray flux: nothing but that the scene is likely to be flat almost everywhere."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from deepir.arrays.noise_level import sample_noise
+from deepir.fields.basis_expansion import BasisExpansion
+
+SLOW = 6.0  # half waves over the frame: what is finer is more likely the scene's
+SIDE = 128  # px to which the frame is reduced
+ROUNDS = 50
+
+
+@torch.no_grad()
+def tv_minimising_fit(frame: Tensor, usable: Tensor, field: BasisExpansion) -> Tensor:
+    """The slow map (h, w) of `field` that leaves the least total variation when it is taken from the frame (h, w).
+
+    By reweighted least squares. Edges of the scene are few and steep, and count little; a slope of the scene itself is
+    taken for stray flux.
+    """
+    one = torch.eye(len(field.values), dtype=frame.dtype, device=frame.device)
+    terms = torch.stack([field.spread(each) for each in one[field.frequency <= SLOW]])
+    side = max(1, min(frame.shape) // SIDE)
+    share = F.avg_pool2d(usable.double()[None], side)
+    maps = F.avg_pool2d(torch.cat((frame[None], terms)).double() * usable, side) / share.clamp(min=1e-6)
+    known = (share > 0.5).double()
+    slopes = torch.cat([maps.diff(dim=axis).flatten(1) for axis in (1, 2)], 1)
+    sure = torch.cat([known.unfold(axis, 2, 1).amin(-1).flatten() for axis in (1, 2)])
+    noise = max(2**0.5 * sample_noise(frame[None], usable[None]) / side, 1e-9 * float(slopes[0].abs().max()))
+    found = slopes.new_zeros(len(terms))
+    for _ in range(ROUNDS):
+        left = (slopes[0] - found @ slopes[1:]).abs()
+        weighted = slopes[1:] * (sure / left.clamp(min=noise))
+        found = torch.linalg.pinv(weighted @ slopes[1:].T, hermitian=True) @ (weighted @ slopes[0])
+    return torch.tensordot(found, terms.double(), 1)

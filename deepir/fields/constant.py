@@ -1,0 +1,58 @@
+"""An unknown that is known."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.errors import ConfigError
+from deepir.fields.base import Field, Shape
+from deepir.registry import register
+
+
+@register("field", "constant")
+class Constant(Field):
+    """A given value that is never changed: a number, or an array from a file (a calibrated gain map).
+
+    `key` names the array in an `.npz` of several.
+    """
+
+    values: Tensor
+
+    def __init__(
+        self,
+        shape: Shape,
+        neutral: float = 0.0,
+        *,
+        value: float | None = None,
+        path: str | None = None,
+        key: str | None = None,
+    ) -> None:
+        super().__init__(shape, neutral)
+        if value is not None and path is not None:
+            raise ConfigError("give either 'value' or 'path', not both")
+        given = (
+            torch.tensor(float(neutral if value is None else value)) if path is None else read_map(path, key)
+        )
+        if given.ndim == 3 and len(self.shape) == 4:  # one channel
+            given = given[:, None]
+        try:
+            self.register_buffer("values", given.expand(self.shape).clone())
+        except RuntimeError:
+            raise ConfigError(
+                f"{path}: its shape {tuple(given.shape)} does not fit, {self.shape} is wanted"
+            ) from None
+
+    def forward(self) -> Tensor:
+        """The given value."""
+        return self.values
+
+    def init_from(self, value: Tensor) -> None:
+        """Nothing: what is known stays."""
+
+
+def read_map(path: str, key: str | None = None) -> Tensor:
+    """The arrays of a file, (N, h, w)."""
+    from deepir.io import read_frames  # not above: it is slow to import
+
+    return torch.from_numpy(read_frames(path, key=key).frames)

@@ -1,0 +1,188 @@
+"""Camera motion with few parameters: shift, rigid, affine, homography, or what the frames ask for."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from deepir.fields.base import Field, Shape
+from deepir.operators.motion_models import nearest_angle, nearest_rigid
+from deepir.registry import register
+
+#: What a parameter that all samples feel moves for a step of one, times the detector's side in its own px: see
+#: `Field`. The misfit's curvature in a shift is about their number times that in a pixel of the scene, weighted by
+#: the scene's squared gradient.
+STEP = 10.0
+#: What bends a frame by less, in px at its corners, is rigid.
+ROUNDING = 1e-3
+
+
+class Motion(Field):
+    """Pull homographies (N, 3, 3); frame 0 is the identity, always.
+
+    Parameters are displacements in px at the edge of the frame, whose (h, w) is `size`, `ratio` px for each of the
+    detector's.
+    """
+
+    count: ClassVar[int]
+
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
+    ) -> None:
+        super().__init__(shape, neutral)
+        self.radius = math.hypot(*size) / 2
+        self.felt = size[0] * size[1]  # how many samples feel a step of one parameter
+        self.step = STEP * ratio / math.sqrt(self.felt)
+        self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.count))
+
+    def forward(self) -> Tensor:
+        """Identity for frame 0, then the parameters' homographies."""
+        moved = self.matrices(self.step * self.values)
+        first = torch.eye(3, dtype=moved.dtype, device=moved.device)[None]
+        return torch.cat((first, moved))
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take over `value` (N, 3, 3), relative to its frame 0; what the model lacks is dropped."""
+        value = value.double()
+        relative = torch.linalg.solve(value[:1], value[1:])
+        self.values.copy_(self.parameters_of(relative / relative[:, 2:, 2:]) / self.step)
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """(N - 1, count) parameters in px -> (N - 1, 3, 3)."""
+        raise NotImplementedError
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """The inverse of `matrices`; `t[:, 2, 2]` is one."""
+        raise NotImplementedError
+
+    @classmethod
+    def example(cls) -> Motion:
+        """Three frames of 60 x 80 px."""
+        return cls((3, 3, 3), size=(60, 80))
+
+
+@register("field", "shift")
+class Shift(Motion):
+    """Translation, 2 parameters a frame."""
+
+    model, count = "shift", 2
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """`T p = p + t`."""
+        one, zero = torch.ones_like(p[:, 0]), torch.zeros_like(p[:, 0])
+        return _matrix(one, zero, p[:, 0], zero, one, p[:, 1])
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """The translation."""
+        return t[:, :2, 2]
+
+
+@register("field", "rigid")
+class Rigid(Motion):
+    """Rotation about the frame's centre and translation, 3 parameters a frame."""
+
+    model, count = "rigid", 3
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """`T p = R(angle) p + t`."""
+        return _rigid(p, self.radius)
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """Translation, and the angle of the nearest rotation."""
+        return _of_rigid(t, self.radius)
+
+
+@register("field", "affine")
+class Affine(Motion):
+    """Any linear map and translation, 6 parameters a frame."""
+
+    model, count = "affine", 6
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """`T p = A p + t`."""
+        a = p[:, 2:] / self.radius
+        return _matrix(1 + a[:, 0], a[:, 1], p[:, 0], a[:, 2], 1 + a[:, 3], p[:, 1])
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """Translation and linear part."""
+        linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
+        return torch.cat((t[:, :2, 2], self.radius * linear), 1)
+
+
+@register("field", "homography")
+class Homography(Motion):
+    """Any perspective map, 8 parameters a frame."""
+
+    model, count = "homography", 8
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """Affine part, and two perspective terms."""
+        a, tilt = p[:, 2:6] / self.radius, p[:, 6:] / self.radius**2
+        return _matrix(1 + a[:, 0], a[:, 1], p[:, 0], a[:, 2], 1 + a[:, 3], p[:, 1], tilt[:, 0], tilt[:, 1])
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """All entries but the last, which is one."""
+        linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
+        return torch.cat((t[:, :2, 2], self.radius * linear, self.radius**2 * t[:, 2, :2]), 1)
+
+
+@register("field", "auto")
+class Auto(Homography):
+    """Rigid, or a homography where the motion that it begins with bends by more than rounding."""
+
+    model = "auto"
+    bends: Tensor
+
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
+    ) -> None:
+        super().__init__(shape, neutral, size=size, ratio=ratio)
+        self.register_buffer("bends", torch.tensor(False))
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take over `value` (N, 3, 3), relative to its frame 0, and whether it bends."""
+        value = value.double()
+        relative = torch.linalg.solve(value[:1], value[1:])
+        relative = relative / relative[:, 2:, 2:]
+        bend = (relative - nearest_rigid(relative)).abs()
+        bend[:, :, :2] *= self.radius
+        bend[:, 2] *= self.radius
+        self.bends.fill_(bool((bend > ROUNDING).any()))
+        super().init_from(value)
+
+    @torch.no_grad()
+    def bend(self) -> None:
+        """Let a rigid motion bend, from where it is."""
+        now = self()[1:].double()
+        self.bends.fill_(True)
+        self.values.copy_(self.parameters_of(now) / self.step)
+
+    def matrices(self, p: Tensor) -> Tensor:
+        """A homography; of rigid motion the last parameters are idle."""
+        return super().matrices(p) if self.bends else _rigid(p[:, :3], self.radius)
+
+    def parameters_of(self, t: Tensor) -> Tensor:
+        """The inverse of `matrices`."""
+        if self.bends:
+            return super().parameters_of(t)
+        return torch.nn.functional.pad(_of_rigid(t, self.radius), (0, self.count - Rigid.count))
+
+
+def _rigid(p: Tensor, radius: float) -> Tensor:
+    angle = p[:, 2] / radius
+    cos, sin = angle.cos(), angle.sin()
+    return _matrix(cos, -sin, p[:, 0], sin, cos, p[:, 1])
+
+
+def _of_rigid(t: Tensor, radius: float) -> Tensor:
+    return torch.cat((t[:, :2, 2], radius * nearest_angle(t)[:, None]), 1)
+
+
+def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor, e: Tensor, f: Tensor, *last: Tensor) -> Tensor:
+    g, h = last or (torch.zeros_like(a), torch.zeros_like(a))
+    return torch.stack((a, b, c, d, e, f, g, h, torch.ones_like(a)), -1).unflatten(-1, (3, 3))

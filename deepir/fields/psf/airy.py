@@ -1,0 +1,44 @@
+"""Diffraction at a round aperture."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from deepir.fields.base import Shape
+from deepir.fields.psf.base import PSF
+from deepir.registry import register
+
+FIRST_ZERO = 3.8317059702075125  # of the Bessel function J1
+NODES = 48  # exact to 1e-6 up to ten rings
+
+
+@register("field", "airy")
+class Airy(PSF):
+    """Airy pattern (1, 1, 2 r + 1, 2 r + 1), sum one; `radius`, of its first dark ring in px, is free.
+
+    That is 1.22 wavelengths times the f-number, over the pitch: 12.2 µm at 10 µm and f/1. (Born and Wolf 1999,
+    "Principles of Optics", 8.5.2.) It is sampled at pixel centres. The blur's radius should be two to three of it.
+    """
+
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0
+    ) -> None:
+        super().__init__(shape, neutral, size, "radius", radius)
+
+    def of_width(self, width: Tensor) -> Tensor:
+        """`(2 J1(v) / v)²`, normalised, by `J1(v) / v = ∫ sqrt(1 - t²) cos(v t) dt / π`, t from -1 to 1."""
+        axis = self._axis()
+        v = FIRST_ZERO * torch.hypot(axis, axis[:, None]) / width
+        angle = math.pi * torch.arange(1, NODES + 1, dtype=v.dtype, device=v.device) / (NODES + 1)
+        # Gauss-Chebyshev quadrature of the second kind.
+        amplitude = torch.cos(v[..., None] * angle.cos()) @ angle.sin().square()
+        energy = amplitude.square()
+        return (energy / energy.sum()).expand(self.shape)
+
+    @classmethod
+    def example(cls) -> Airy:
+        """A kernel of 9 x 9 px."""
+        return cls((1, 1, 9, 9), size=(60, 80), radius=2.2)

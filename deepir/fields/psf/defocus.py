@@ -1,0 +1,34 @@
+"""A point out of focus."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from deepir.fields.base import Shape
+from deepir.fields.psf.base import PSF, over_pixels
+from deepir.registry import register
+
+EDGE = 0.2  # px, from light to dark
+
+
+@register("field", "defocus")
+class Defocus(PSF):
+    """The disc that a lens out of focus makes of a point, (1, 1, 2 r + 1, 2 r + 1), sum one; `radius` in px is free.
+
+    It has an edge, so that it is integrated over pixels. The blur's radius should be a px more than its own.
+    """
+
+    def __init__(
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0
+    ) -> None:
+        super().__init__(shape, neutral, size, "radius", radius)
+
+    def of_width(self, width: Tensor) -> Tensor:
+        """The normalised disc of a radius."""
+        found = over_pixels(self._axis(), lambda x, y: ((width - (x**2 + y**2).sqrt()) / EDGE).sigmoid())
+        return (found / found.sum()).expand(self.shape)
+
+    @classmethod
+    def example(cls) -> Defocus:
+        """A kernel of 9 x 9 px."""
+        return cls((1, 1, 9, 9), size=(60, 80), radius=2.2)

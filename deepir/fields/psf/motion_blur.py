@@ -1,0 +1,75 @@
+"""A camera that moves during the exposure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from deepir.fields.base import Shape
+from deepir.fields.psf.base import PSF, over_pixels
+from deepir.registry import register
+
+EDGE = 0.2  # px, from light to dark
+
+
+@register("field", "motion_blur")
+class MotionBlur(PSF):
+    """The line that a straight, even motion makes of a point, (1, 1, 2 r + 1, 2 r + 1), sum one.
+
+    `length` in px and `angle` in degrees, from +x towards +y, are free. It is integrated over pixels. The blur's
+    radius should be a px more than half its length.
+    """
+
+    ratio: ClassVar[float] = 1.25
+    exact: ClassVar[bool] = False  # its direction, to half a degree
+
+    def __init__(
+        self,
+        shape: Shape,
+        neutral: float = 0.0,
+        *,
+        size: tuple[int, int],
+        length: float = 3.0,
+        angle: float = 0.0,
+    ) -> None:
+        super().__init__(shape, neutral, size, "length", length)
+        if not math.isfinite(angle):
+            raise ValueError(f"angle must be a number of degrees, not {angle}")
+        self.turn = nn.Parameter(torch.tensor(math.radians(angle) / self.step))
+
+    def of_width(self, width: Tensor) -> Tensor:
+        """The normalised line of a length."""
+        angle = self.step * self.turn
+
+        def line(x: Tensor, y: Tensor) -> Tensor:
+            along, across = x * angle.cos() + y * angle.sin(), y * angle.cos() - x * angle.sin()
+            ends = ((width / 2 - along) / EDGE).sigmoid() - ((-width / 2 - along) / EDGE).sigmoid()
+            return ends * torch.exp(-((across / EDGE) ** 2) / 2)
+
+        found = over_pixels(self._axis(), line)
+        return (found / found.sum()).expand(self.shape)
+
+    @torch.no_grad()
+    def starts(self) -> Iterator[dict[str, Tensor]]:
+        """Each width in eight directions."""
+        for state in super().starts():
+            for i in range(8):
+                yield state | {"turn": self.turn.new_tensor(math.pi * i / 8 / self.step)}
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take over the direction in which `value` is widest, and the length that has its mean squared radius."""
+        axis, kernel = self._axis(), value.to(self.value).expand(self.shape)[0, 0]
+        x, y = axis, axis[:, None]
+        xx, xy, yy = ((kernel * each).sum() for each in (x * x, x * y, y * y))
+        self.turn.copy_(torch.atan2(2 * xy, xx - yy) / 2 / self.step)
+        super().init_from(value)
+
+    @classmethod
+    def example(cls) -> MotionBlur:
+        """A kernel of 9 x 9 px."""
+        return cls((1, 1, 9, 9), size=(60, 80), length=4.0, angle=30.0)

@@ -1,0 +1,29 @@
+"""Pictures that a camera or a program has stretched, each frame by its own: what tells them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+MOST = 0.5  # share of a frame at the ends of the range from which these are left as they are
+
+
+def is_stretched(frames: Array) -> bool:
+    """Whether frames (N, h, w), NaN where unknown, may have contrasts of their own: 8 bits, or all of one range.
+
+    An automatic gain makes such pictures, and so does who scales each frame to [0, 1]. Pixels at an end in all frames
+    are dead and tell nothing.
+    """
+    low, high = np.nanmin(frames), np.nanmax(frames)
+    if low >= 0 and 1 < high <= 255 and np.array_equal(frames, np.rint(frames), equal_nan=True):
+        return True
+    ends = [frames == end for end in (low, high)]
+    return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
+
+
+def cut_off(frames: Array) -> Array:
+    """Samples of frames (N, h, w), bool, at an end of the range: cut off. Not of frames that mostly are."""
+    cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
+    return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MOST))

@@ -1,0 +1,44 @@
+"""Samples at an end of the range of the data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+
+
+ADC_LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # of integers: more cannot be stored
+
+
+CHANCE_COUNT = 20  # samples that may share an end of the range by chance
+
+
+PILE_UP_RATIO = 4.0  # times as many share it as share a value next to it
+
+
+NEIGHBOUR_VALUES = 5  # such values
+
+
+def saturated_samples(frames: Array) -> Array | None:
+    """Which samples of frames (N, h, w), NaN where unknown, are cut off: 1 at the top, -1 at the bottom, else 0; int8.
+
+    Integers cannot be above the largest that some bits hold; and where something has cut them off, many more samples
+    share an end of the range than share any value next to it. A pixel that is there in all frames does not
+    tell: it may be dead. None if nothing is cut off.
+    """
+    found = np.zeros(frames.shape, np.int8)
+    for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
+        there = frames == end
+        passing = int((there & ~(there | np.isnan(frames)).all(0)).sum())
+        limit = end in ADC_LIMITS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
+        if (passing and limit) or (passing >= CHANCE_COUNT and _piled_up(sign * frames, passing)):
+            found[there] = sign
+    return found if found.any() else None
+
+
+def _piled_up(frames: Array, count: int) -> bool:
+    """Whether so many samples are more than there are of any value next to the largest."""
+    _, counts = np.unique(frames[np.isfinite(frames)], return_counts=True)
+    return len(counts) > 1 and count > PILE_UP_RATIO * counts[-NEIGHBOUR_VALUES - 1 : -1].max()

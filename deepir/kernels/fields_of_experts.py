@@ -1,0 +1,53 @@
+# mypy: disable-error-code="no-untyped-def"
+"""Fields of experts and their gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.kernels import compiled
+
+SIDE = 5  # px: of a filter
+
+
+@compiled
+def experts(first, last, value, share, filters, weights, tails, rounding, energy, gradient):
+    """Rows [first, last) of a picture (h, w): `energy` (h), summed in float64, and its `gradient` (h, w).
+
+    `filters` (C, SIDE, SIDE) answer where they lie within the picture; what they answer counts by the `share` (h, w)
+    of their middle, by `weights` (C), and from `tails` (C) on less and less.
+    """
+    height, width = value.shape
+    half = SIDE // 2
+    e, one, inside = value.dtype.type(rounding), value.dtype.type(1), width - SIDE + 1
+    padded = np.zeros(width + SIDE - 1, value.dtype)  # of answers, with nothing beyond both ends
+    answer = padded[SIDE - 1 : SIDE - 1 + inside]
+    for i in range(first, last):
+        energy[i] = 0
+        gradient[i] = 0
+    # Middles whose filters reach these rows: those above and below are answered twice, by the next part too.
+    for i in range(max(first - half, half), min(last + half, height - half)):
+        counts = share[i, half:]
+        for c in range(len(filters)):
+            answer[:] = 0
+            for a in range(SIDE):
+                f0, f1, f2, f3, f4 = filters[c, a]
+                r = value[i + a - half]
+                for j in range(inside):
+                    answer[j] += f0 * r[j] + f1 * r[j + 1] + f2 * r[j + 2] + f3 * r[j + 3] + f4 * r[j + 4]
+            total, w, tail = 0.0, weights[c], one / tails[c]
+            for j in range(inside):
+                squared = answer[j] * answer[j]
+                length = np.sqrt(squared + e * e)
+                long = squared / (length + e)
+                root = np.sqrt(one + long * tail)
+                counted = w * counts[j]
+                total += counted * (long + long) / (one + root)
+                answer[j] *= counted / (length * root)
+            if first <= i < last:
+                energy[i] += total
+            for a in range(max(0, first - i + half), min(SIDE, last - i + half)):
+                f4, f3, f2, f1, f0 = filters[c, a]
+                r, row = padded, gradient[i + a - half]
+                for j in range(width):
+                    row[j] += f0 * r[j] + f1 * r[j + 1] + f2 * r[j + 2] + f3 * r[j + 3] + f4 * r[j + 4]

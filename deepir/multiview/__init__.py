@@ -1,0 +1,1 @@
+"""The sensor from frames of different scenes, without registration."""

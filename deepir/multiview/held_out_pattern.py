@@ -1,0 +1,156 @@
+"""How much fixed pattern a correction leaves, judged by frames of a moving scene.
+
+The scene moves, the pattern stays. Along the displacement of the scene between two frames the brightness of corrected
+frames does not change; what a slow pattern leaves does. The fine detail of two frames at the same pixel is unrelated
+where the scene has moved; what a fine pattern leaves is the same. This needs no truth, and frames that the correction
+was not estimated from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.arrays.median import MAD
+from deepir.multiview.low_order_pattern import averaged
+from deepir.multiview.pattern import median_pattern
+from deepir.registration.texture_flow import RADIUS, Displacement, displacements, sampled
+
+Array = np.ndarray[Any, Any]
+
+#: Share of the frame that has to be known to have moved.
+LEAST_KNOWN = 0.02
+#: Shorter side, px, to which frames are averaged at least.
+SHORT_SIDE = 80
+#: Samples that say the same, for the displacement of all in a window is one.
+CORRELATED = (2 * RADIUS + 1) ** 2
+DETAIL = 5  # px, of the box average that is taken off for the pattern's detail
+#: Pixels of the detail that say the same.
+CORRELATED_DETAIL = 4.0
+#: px by which the scene has moved where its detail is unrelated to that before, and robust deviations of the detail
+#: beyond which it is an edge, and counts as these.
+DETAIL_REACH, EDGE_LIMIT = 2.0, 3.0
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a correction leaves.
+
+    `change` is the root mean square change of brightness along the displacements of the scene, robust, and `detail` the
+    deviation of the fine pattern, in the frames' units; `nats` and `detail_nats` minus the logarithms of their
+    likelihoods, but for a constant that all corrections share. The fine pattern's are NaN where it is not judged.
+    """
+
+    change: float
+    nats: float
+    detail: float
+    detail_nats: float
+
+
+class Judge:
+    """Compares corrections (gain, offset), (h, w), on frames (N, h, w).
+
+    Args:
+        frames: of one sensor.
+        usable: which samples count, same shape.
+        pairs: of frames that show the same things displaced.
+        corrections: those that are to be compared; the displacements are found on frames corrected by each, and on
+            frames without the detail that all share, so that none is favoured.
+        independent: whether the corrections were estimated from other frames: else these have their noise, and do not
+            judge the fine pattern.
+    """
+
+    def __init__(
+        self,
+        frames: Array,
+        usable: Array,
+        pairs: Sequence[tuple[int, int]],
+        corrections: Sequence[tuple[Array, Array]],
+        *,
+        independent: bool = True,
+    ) -> None:
+        self.usable, self.factor = usable, max(1, min(frames.shape[1:]) // SHORT_SIDE)
+        self.frames, self.independent = frames, independent
+        #: What all frames share, (h, w), as their median gradients have it.
+        self.shared = median_pattern(frames, usable)
+        detail = self.shared - ndimage.uniform_filter(self.shared, DETAIL)
+        #: Displacements that tell, found in each of these ways.
+        self.found: list[Displacement] = []
+        self.ways = [(np.ones_like(detail), detail), *corrections]
+        coarse = [self.coarse(*each) for each in self.ways]
+        for way in coarse:
+            self.found += [each for each in displacements(way, pairs) if each.share_moved >= LEAST_KNOWN]
+        #: Scale of the change along each, by the best of these ways; all corrections are compared by it.
+        self.scales = [
+            max(min(_spread(_change(way, each)) for way in coarse), np.finfo(float).tiny)
+            for each in self.found
+        ]
+        self._find_detail()
+
+    def coarse(self, gain: Array, offset: Array) -> Array:
+        """The corrected frames, averaged over blocks."""
+        corrected = (self.frames - offset) / gain
+        return np.stack([averaged(*each, self.factor) for each in zip(corrected, self.usable, strict=True)])
+
+    def left(self, gain: Array, offset: Array) -> Left | None:
+        """What a correction leaves; None where the frames do not tell."""
+        if not self.found:
+            return None
+        frames, nats, spreads = self.coarse(gain, offset), 0.0, []
+        for found, scale in zip(self.found, self.scales, strict=True):
+            change = _change(frames, found)
+            nats += float(np.log1p((change / scale) ** 2).sum()) / CORRELATED
+            spreads.append(_spread(change))
+        shared, count = self._detail_shared(gain, offset)
+        detail = max(shared / count, 0.0) ** 0.5 if count else np.nan
+        fine = shared / self.deviation**2 / CORRELATED_DETAIL / 2 if count else np.nan
+        return Left(float(np.mean(spreads)) / 2**0.5, nats, detail, fine)
+
+    def _find_detail(self) -> None:
+        """Where the scene of each pair has moved by more than its detail reaches, and the detail's deviation."""
+        self.moved: dict[tuple[int, int], Array] = {}
+        if not self.independent:
+            return
+        height, width = self.frames.shape[1:]
+        for each in self.found:
+            rows, columns = np.mgrid[: each.y.shape[0], : each.y.shape[1]]
+            far = np.hypot(each.y - rows, each.x - columns) * self.factor > DETAIL_REACH
+            whole = np.zeros((height, width), bool)
+            block = (far & each.known).repeat(self.factor, 0).repeat(self.factor, 1)
+            whole[: block.shape[0], : block.shape[1]] = block
+            both = self.usable[each.first] & self.usable[each.second] & whole
+            # Where any way of finding it says that the scene stands still, it may.
+            pair = each.first, each.second
+            self.moved[pair] = self.moved.get(pair, both) & both
+        deviations = [
+            min(_spread(self._detail(*way, k)) for way in self.ways) for pair in self.moved for k in pair
+        ]
+        self.deviation = max(float(np.median(deviations)), np.finfo(float).tiny) if deviations else 1.0
+
+    def _detail(self, gain: Array, offset: Array, k: int) -> Array:
+        corrected = (self.frames[k] - offset) / gain
+        return np.asarray(corrected - ndimage.uniform_filter(corrected, DETAIL))
+
+    def _detail_shared(self, gain: Array, offset: Array) -> tuple[float, int]:
+        """Sum of products of the detail of two frames where the scene has moved, and their number."""
+        total, count, most = 0.0, 0, EDGE_LIMIT * self.deviation if self.moved else 0.0
+        for (first, second), moved in self.moved.items():
+            one, other = (self._detail(gain, offset, k)[moved].clip(-most, most) for k in (first, second))
+            total += float((one * other).sum())
+            count += int(moved.sum())
+        return total, count
+
+
+def _change(frames: Array, found: Displacement) -> Array:
+    """Changes of brightness along a displacement, where it is known, less that of the level."""
+    change = (frames[found.first] - sampled(frames[found.second], found.y, found.x))[found.known]
+    return np.asarray(change - np.median(change))
+
+
+def _spread(change: Array) -> float:
+    """Robust standard deviation about zero."""
+    return MAD * float(np.median(np.abs(change)))

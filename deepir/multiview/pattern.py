@@ -1,0 +1,256 @@
+"""The sensor's pattern from frames of different scenes, of which none can be registered to another.
+
+`deepir.multiview.gradients` has what the frames say of it; the parts of gain and offset are Gaussian, their strengths the
+likeliest. Slow slopes are common to many scenes (the sky is above): a polynomial that all frames share is taken to be
+theirs, unless the offset has a `shading`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.fft import dctn, idctn
+from torch import Tensor
+
+from deepir.closed_form.conjugate_gradient import conjugate_gradients
+from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
+from deepir.fields.sensor_maps import Column, Part, Pixel, Row
+from deepir.fields.shading import Shading
+from deepir.multiview.coloured_pixels import ColouredPixels
+from deepir.multiview.gradients import AXES, Edges, median_gradients
+from deepir.multiview.low_order_part import is_implausible, slow_part
+from deepir.multiview.low_order_pattern import slow_pattern
+from deepir.multiview.whitened_maps import WhiteParts
+
+FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
+DEGREE = 8  # of the polynomial that scenes share
+GAIN = 0.02  # what parts of the gain start with
+#: Variance of the scenes' mean slopes, in that between the scenes: 0 if they point anywhere, 1 and more under one sky.
+MEAN_SHARE = 0.5
+ISOLATED = 10.0  # median gradients by which a pixel differs from all four neighbours
+PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for those before
+
+
+@torch.no_grad()
+def find_pattern(
+    frames: Tensor, usable: Tensor, gain: Sequence[Part], offset: Sequence[Part]
+) -> tuple[Edges, Tensor, Shading]:
+    """Set the parts of gain and offset, with their strengths where those are not given.
+
+    Args:
+        frames: (N, h, w), each of a scene of its own.
+        usable: which samples count, bool, same shape.
+        gain: parts of the gain, at most one each of columns, rows, pixels; none for a known gain.
+        offset: parts of the offset, and perhaps a shading.
+
+    Returns:
+        The edges; all that the frames were found to share, of gain and level, (2, h, w); and what is slow of the
+        level, which is in no part unless a shading's strength is given.
+    """
+    isolated = isolated_pixels(frames, usable)
+    edges = Edges(frames - isolated, usable)
+    unknowns = _Unknowns(edges, gain, offset)
+    for i in range(ROUNDS):
+        unknowns.solve(edges)
+        pattern = unknowns.pattern(unknowns.white)
+        if i == FIRST:
+            for parts in unknowns.parts:
+                parts.bound(pattern[1], unknowns.unit)
+        if i >= FIRST:
+            unknowns.update_strengths(edges)
+        edges.weigh(pattern)
+    unknowns.solve(edges)
+    pattern = unknowns.finish()
+    pattern[1] += isolated
+    for part in offset:
+        if part.along == PIXEL and not isinstance(part, Shading):
+            part.assign(part.values + isolated)
+    return edges, pattern, unknowns.slow
+
+
+def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The offset (h, w), mean zero, that frames (N, h, w) share, found without registration; no gain.
+
+    Also, whether neighbouring frames show the same things displaced; these then tell what is slow of the offset. A slow
+    part that is implausibly strong for a sensor is left out.
+    """
+    maps = (1, 1, *frames.shape[1:])
+    data, good = torch.from_numpy(frames), torch.from_numpy(usable)
+    _, pattern, slow = find_pattern(data, good, (), (Column(maps), Row(maps), Pixel(maps)))
+    offset = pattern[1].numpy()
+    moved = slow_pattern(frames - offset, usable)
+    if moved.related:
+        offset = offset + moved.offset
+    else:
+        shared = slow.values[0, 0].detach().numpy()
+        shrink_shading(slow, data - pattern[1])
+        offset = offset - shared + slow.values[0, 0].detach().numpy()
+    known = np.asarray(usable.any(0))
+    if is_implausible(offset, known):
+        offset = offset - slow_part(offset, known)
+    return offset - offset[known].mean(), moved.related
+
+
+def isolated_pixels(frames: Tensor, usable: Tensor) -> Tensor:
+    """Offsets (h, w) of single pixels far off all four neighbours in most frames; zero elsewhere.
+
+    A Gaussian prior, whatever its spectrum, would take most of them away. What is given is the least of the four
+    median differences to the neighbours, where these have one sign.
+    """
+    offsets = frames.new_zeros(frames.shape[1:], dtype=torch.float64)
+    each = []
+    for axis, gradient in zip(AXES, median_gradients(frames, usable), strict=True):
+        ahead = F.pad(-gradient, (0, 1) if axis == -1 else (0, 0, 0, 1))
+        behind = F.pad(gradient, (1, 0) if axis == -1 else (0, 0, 1, 0))
+        each += [ahead, behind]
+    sides = torch.stack(each)
+    for sign in (1, -1):
+        least = (sign * sides).amin(0)
+        typical = sides.abs().median()
+        offsets += sign * torch.where(least > ISOLATED * typical, least, 0)
+    return offsets.to(frames.dtype)
+
+
+def median_pattern(frames: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """The offset (h, w), mean zero, whose gradients are the medians of those of frames (N, h, w).
+
+    Weiss 2001, "Deriving intrinsic images from image sequences".
+    """
+    gradients = median_gradients(torch.from_numpy(frames), torch.from_numpy(usable))
+    return poisson([each.numpy() for each in gradients])
+
+
+def poisson(gradients: Sequence[np.ndarray]) -> np.ndarray:
+    """The map (h, w), mean zero, whose differences are nearest to `gradients` along x and along y.
+
+    Poisson's equation with free edges, by the cosine transform.
+    """
+    score = sum(
+        -np.diff(each, axis=axis, prepend=0, append=0) for axis, each in zip(AXES, gradients, strict=True)
+    )
+    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in np.shape(score))
+    curvature = y[:, None] + x
+    curvature[0, 0] = np.inf  # the level stays zero
+    return np.asarray(idctn(dctn(score, norm="ortho") / curvature, norm="ortho"))
+
+
+@torch.no_grad()
+def shrink_shading(shading: Shading, corrected: Tensor) -> float:
+    """Leave of a shading that all frames share what is likelier the sensor's than the scenes'; the share of it.
+
+    Scenes differ from each other about as much as their mean differs from a plain one. So the polynomials' terms of
+    each degree are the sum of a Gaussian share of the scenes, of `MEAN_SHARE` times the variance between them, and one
+    of the sensor, of the variance that is then left (empirical Bayes).
+
+    `corrected` are the frames (N, h, w) without the pattern.
+    """
+    terms = shading.scales * shading.white
+    area = corrected.shape[-2] * corrected.shape[-1]
+    between = (shading.sums(corrected.to(terms)) / area).var(0) * MEAN_SHARE
+    degree, kept = shading.of_y + shading.of_x, torch.zeros_like(terms)
+    for each in degree.unique():
+        some = degree == each
+        whole, scenes = terms[some].square().mean(), between[some].mean()
+        kept[some] = ((whole - scenes) / whole.clamp(min=1e-300)).clamp(min=0)
+    shading.assign(shading.spread(kept * terms)[None, None])
+    return float((kept * terms).norm() / terms.norm().clamp(min=1e-300))
+
+
+class _Unknowns:
+    """All parts in white coordinates, and polynomials as free as the frames vary: the scenes', or a shading."""
+
+    def __init__(self, edges: Edges, gain: Sequence[Part], offset: Sequence[Part]) -> None:
+        self.level, (height, width) = edges.level, edges.frames.shape[1:]
+        typical = edges.typical
+        self.parts = []
+        for along in (PIXEL, COLUMN, ROW):
+            pair = [next((part for part in parts if part.along == along and not isinstance(part, Shading)), None)
+                for parts in (gain, offset)]  # fmt: skip
+            for part, start in zip(pair, (GAIN, typical), strict=True):
+                if part and not part.given:
+                    part.sigma.fill_(start)
+            if any(pair):
+                kind = WhiteParts if along else ColouredPixels
+                self.parts.append(kind(along, pair, edges.level, (height, width)))
+        self.shading = next((part for part in offset if isinstance(part, Shading)), None)
+        given = self.shading is not None and self.shading.given
+        free = Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
+        self.slow = self.shading if self.shading is not None and given else free
+        deviation = float(edges.frames.flatten(1).std(1).median())
+        self.unit = math.hypot(edges.level, deviation)  # counts that a gain of one is about
+        free_by = edges.scales.new_tensor([[1.0 if gain else 0.0], [deviation]])  # of gain and level
+        self.steep = free_by / (self.slow.of_y + self.slow.of_x).square()
+        self.sizes = [math.prod(parts.shape) for parts in self.parts]
+        self.white = edges.scales.new_zeros(sum(self.sizes) + self.steep.numel())
+
+    def split(self, white: Tensor) -> tuple[list[Tensor], Tensor]:
+        """The values of the parts, and the terms of the polynomial."""
+        *each, slow = white.split([*self.sizes, self.steep.numel()])
+        values = [parts.values(mine) for parts, mine in zip(self.parts, each, strict=True)]
+        return values, self.steep * slow.view_as(self.steep)
+
+    def pattern(self, white: Tensor) -> Tensor:
+        """All that the frames share, of gain and level, (2, h, w)."""
+        values, terms = self.split(white)
+        return sum(values, self.slow.spread(terms))
+
+    def adjoint(self, pattern: Tensor) -> Tensor:
+        """The adjoint of `pattern`."""
+        slow = (self.steep * self.slow.sums(pattern)).flatten()
+        return torch.cat([*(parts.adjoint(pattern) for parts in self.parts), slow])
+
+    def solve(self, edges: Edges) -> None:
+        """The optimum for the edges' weights, by conjugate gradients from where it is."""
+        known = [parts.diagonal(edges.information(parts.along)) for parts in self.parts]
+        scale, smooth = 1 / torch.cat(known), self._smooth(edges)
+
+        def near(x: Tensor) -> Tensor:
+            return torch.cat((scale * x[: len(scale)], smooth @ x[len(scale) :]))
+
+        self.white = conjugate_gradients(
+            lambda white: white + self.adjoint(edges.normal(self.pattern(white))),
+            self.adjoint(edges.score()),
+            self.white,
+            near=near,
+            precise=PRECISE,
+            steps=STEPS,
+        )
+
+    def _smooth(self, edges: Edges) -> Tensor:
+        """The inverse of the polynomials' block of the normal matrix, if all edges along an axis weighed the same."""
+        y, x, order_y, order_x = self.slow.in_y, self.slow.in_x, self.slow.of_y, self.slow.of_x
+        steep = self.steep.flatten()
+        block = torch.zeros(len(steep), len(steep)).to(steep)
+        for sums, down, across in zip(edges.sums, (y, y.diff()), (x.diff(), x), strict=True):
+            of_y, of_x = down @ down.T, across @ across.T
+            aa, ab, bb = sums[:3].mean((1, 2)).tolist()
+            weights = steep.new_tensor([[aa, ab], [ab, bb]])
+            block += torch.kron(weights, of_y[order_y][:, order_y] * of_x[order_x][:, order_x])
+        block = steep[:, None] * block * steep
+        block.diagonal().add_(1)
+        return torch.linalg.inv(block)
+
+    def update_strengths(self, edges: Edges) -> None:
+        """Strengths that are not given anew; the values stay."""
+        values, _ = self.split(self.white)
+        pattern = self.pattern(self.white)
+        each = self.white.split([*self.sizes, self.steep.numel()])
+        for parts, mine, white in zip(self.parts, values, each, strict=False):
+            parts.update_strengths(edges, pattern, mine)
+            white.copy_(parts.whiten(mine))
+
+    def finish(self) -> Tensor:
+        """Set the parts; all that the frames share, of gain and level, (2, h, w)."""
+        values, terms = self.split(self.white)
+        for parts, mine in zip(self.parts, values, strict=True):
+            for part, value in zip(parts.pair, parts.split(mine), strict=True):
+                if part:
+                    part.assign(value.reshape(part.white.shape))
+        if not self.slow.given:
+            self.slow.sigma.copy_(terms[1].square().mean().sqrt())
+        self.slow.assign(self.slow.spread(terms[1])[None, None])
+        return self.pattern(self.white)

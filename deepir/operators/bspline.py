@@ -1,0 +1,117 @@
+"""A cubic B-spline sampled at moved points: on the CPU by compiled loops, elsewhere by torch.
+
+(Unser, Aldroubi, Eden 1993, "B-spline signal processing".)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+LEAST = 4  # sides of a canvas
+#: Standard deviation of a coefficient for white noise of one in the image, 12 ** 0.5: along an axis, the inverse of the
+#: spline at the pixels, `(2 + cos w) / 3`, has the mean square 12 ** 0.5.
+NOISE_GAIN = 12**0.5
+
+
+class Pull(torch.autograd.Function):
+    """The coefficients `scene` (1 or N, C, Hc, Wc) as a motion sees them, (N, C, h, w).
+
+    `motion`: homographies (N, 3, 3), float64, or points (N, 2, h, w), x and y, of the scene's type. Origins are
+    centres: of the frame, and of the canvas.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, scene: Tensor, motion: Tensor, size: tuple[int, int]) -> Tensor:
+        """The frames.
+
+        Raises:
+            ValueError: As many scenes as neither one nor the frames.
+        """
+        from deepir.kernels import parallel_for
+        from deepir.kernels.bspline import pull
+
+        if len(scene) not in (1, len(motion)):
+            raise ValueError(f"warp: {len(scene)} scenes for {len(motion)} frames")
+        scene, motion = scene.contiguous(), motion.contiguous()
+        ctx.save_for_backward(scene, motion)
+        out = scene.new_empty(len(motion), scene.shape[1], *size)
+        parallel_for(pull, size[0], scene, motion, out)
+        return out
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
+        """The gradients that are asked for; that in a homography is summed in float64."""
+        from deepir.kernels import parallel_for
+        from deepir.kernels.bspline import shove, turn
+
+        scene, motion = ctx.saved_tensors
+        gradient, to_scene, to_motion = gradient.contiguous(), None, None
+        if ctx.needs_input_grad[0]:
+            to_scene = pushed(gradient, motion, scene.shape)
+        if ctx.needs_input_grad[1] and motion.ndim == 4:
+            to_motion = torch.empty_like(motion)
+            parallel_for(shove, gradient.shape[-2], gradient, scene, motion, to_motion)
+        elif ctx.needs_input_grad[1]:
+            height = gradient.shape[-2]
+            sums = motion.new_zeros(len(motion), height, 3, 2)
+            parallel_for(turn, height, gradient, scene, motion, sums)
+            y = torch.arange(height, dtype=motion.dtype) - (height - 1) / 2
+            one, by_x = sums.unbind(-1)
+            to_motion = torch.stack((by_x.sum(1), y @ one, one.sum(1)), -1)
+        return to_scene, to_motion, None
+
+
+def pushed(frames: Tensor, motion: Tensor, shape: Sequence[int]) -> Tensor:
+    """The adjoint of `Pull` in the coefficients, which have this shape."""
+    from deepir.kernels import parallel_for
+    from deepir.kernels.bspline import push
+
+    scene = frames.new_zeros(shape)
+    parallel_for(push, shape[-2], frames.contiguous(), motion.contiguous(), scene)
+    return scene
+
+
+def sample(scene: Tensor, points: Tensor) -> Tensor:
+    """The coefficients `scene` at `points` (N, h, w, 2), in px (x, y) from the canvas' centre.
+
+    Four bilinear samples, at the centres of mass of the weights of four coefficients each, make one of the cubic
+    spline (Sigg and Hadwiger 2005, "Fast third-order texture filtering").
+    """
+    sides = scene.shape[:-3:-1]
+    (x, y) = (_pairs(points[..., i], side) for i, side in enumerate(sides))
+    scene = scene.expand(len(points), -1, -1, -1)
+    total = torch.zeros((), dtype=scene.dtype, device=scene.device)
+    for at_y, weight_y in y:
+        for at_x, weight_x in x:
+            grid = torch.stack(
+                [(2 * at + 1) / side - 1 for at, side in zip((at_x, at_y), sides, strict=True)], -1
+            )
+            found = F.grid_sample(scene, grid, mode="bilinear", padding_mode="border", align_corners=False)
+            total = total + (weight_x * weight_y)[:, None] * found
+    return total
+
+
+def _pairs(at: Tensor, side: int) -> list[tuple[Tensor, Tensor]]:
+    """Along one axis, from the centre: where the first and the last two coefficients meet, and their weights."""
+    at = (at + (side - 1) / 2).clamp(1, side - 2)
+    second = at.detach().floor().clamp(max=side - 3)
+    f = at - second
+    first, third, last = (1 - f) ** 3 / 6, 2 / 3 - (1 - f) ** 2 * (1 + f) / 2, f**3 / 6
+    low = first + 2 / 3 - f * f * (2 - f) / 2
+    high = third + last
+    return [(second - first / low, low), (second + 1 + last / high, high)]
+
+
+def image(scene: Tensor) -> Tensor:
+    """What the coefficients `scene` (S, C, Hc, Wc) look like at the pixels' centres."""
+    along = torch.tensor([1.0, 4.0, 1.0], dtype=scene.dtype, device=scene.device) / 6
+    padded = F.pad(scene, (1, 1, 1, 1), mode="replicate")
+    channels = scene.shape[1]
+    kernel = (along[:, None] * along).expand(channels, 1, 3, 3)
+    return F.conv2d(padded, kernel, groups=channels)

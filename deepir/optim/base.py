@@ -1,0 +1,74 @@
+"""What an optimiser is: it moves the parameters of a group of fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from deepir.fields.gaussian_field import GaussianField
+from deepir.optim.preconditioner import Preconditioner
+from deepir.problem import Problem, Values
+
+Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
+#: How far a step goes, of those whose steps have a length: one number, or one for each unknown.
+Rate = float | Mapping[str, float]
+
+
+def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter]:
+    """The parameters of the group's fields that can move, and those that their penalties have."""
+    penalties = problem.penalties
+    fields = [module for name in group for module in problem.fields[name].modules()]
+    asleep = {
+        id(p) for f in fields if isinstance(f, GaussianField) and not f.sigma > 0 for p in f.parameters()
+    }
+    mine = [p for name in group for p in problem.fields[name].parameters() if id(p) not in asleep]
+    mine += [p for name in group if name in penalties for p in penalties[name].parameters()]  # type: ignore[attr-defined]
+    return [p for p in mine if p.requires_grad and p.numel()]
+
+
+class Optimiser:
+    """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields."""
+
+    def __init__(
+        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
+    ) -> None:
+        self.problem, self.average = problem, average
+        self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
+        self.parameters = free_parameters(problem, group)
+        self.value, self.done, self._count = float("nan"), False, 0
+        #: What is known of the objective's second derivatives, for those that can use it.
+        self.curvature: Preconditioner | None = None
+
+    def step(self, *, fresh: bool) -> None:
+        """One iteration, sets `value`, and `done` at rest. `fresh`: others have changed since the last."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Leave the parameters at what the stage found."""
+
+    def state(self) -> dict[str, Tensor]:
+        """All that a resumed run needs, beside the fields' parameters, to take the same steps."""
+        raise NotImplementedError
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Continue from a `state()`."""
+        raise NotImplementedError
+
+    def gradient(self) -> tuple[float, list[Tensor]]:
+        """Objective and gradient at the parameters as they are."""
+        self._count += 1
+        with torch.enable_grad():
+            loss, _ = self.evaluate(self.group)
+            if not loss.requires_grad:
+                return float(loss), [torch.zeros_like(p) for p in self.parameters]
+            found = torch.autograd.grad(loss, self.parameters, allow_unused=True)
+        return float(loss.detach()), [
+            torch.zeros_like(p) if g is None else g for g, p in zip(found, self.parameters, strict=True)
+        ]
+
+    def take_count(self) -> int:
+        """Evaluations since the last call."""
+        count, self._count = self._count, 0
+        return count

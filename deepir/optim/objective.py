@@ -1,0 +1,54 @@
+"""What a stage minimises, and the optimisers that do it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from deepir.operators import Warp
+from deepir.optim import OPTIMISERS, Optimiser, free_parameters
+from deepir.optim.degrees_of_freedom import degrees_of_freedom, moves_with_scene
+from deepir.optim.preconditioner import curvature
+from deepir.problem import Problem, Values
+from deepir.schedule import Stage, Step
+
+
+def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
+    """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
+    eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
+    group = {name for step in stage.steps for name in step.group}
+    moving, size = moves_with_scene(problem, group), (problem.data.shape[-2], problem.data.shape[-1])
+    precision = problem.precision if stage.use_held_out else problem.fitted()
+
+    awake = {name for name in group if name in eliminated or free_parameters(problem, [name])}
+    with torch.no_grad():  # once: gain and offset of several parts are not free
+        fixed = problem.values(without=awake)
+        still = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
+
+    def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
+        values = fixed | problem.values(free, without=[*eliminated, *fixed])
+        terms = [still, problem.misfit(values, eliminated, precision)]
+        terms += problem.priors({name: values[name] for name in awake}, eliminated).values()
+        if moving:
+            terms.append(degrees_of_freedom(values[problem.slots[problem.slot(Warp, "motion")]], size))
+        return torch.stack([term.double() for term in terms]).sum(), values
+
+    return evaluate
+
+
+def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
+    """Those of the steps that have something to move, each with its step."""
+    evaluate = objective(problem, stage)
+    steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
+    found = []
+    for step in steps:
+        rates = {name: step.rates.get(name, step.lr) for name in step.group}
+        optimiser = OPTIMISERS[step.method](problem, step.group, evaluate, lr=rates, average=step.average)
+        found.append((optimiser, step))
+    eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
+    for optimiser, step in found:
+        if step.method == "lbfgs":
+            optimiser.curvature = curvature(problem, optimiser.parameters, eliminated, fine=stage.fine)
+    return found

@@ -1,0 +1,73 @@
+"""Where a solve is, and how it is kept on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from deepir.errors import DataError
+from deepir.optim import Optimiser
+from deepir.optim.objective import optimisers_of
+from deepir.problem import Problem
+from deepir.schedule import Stage, Step
+from deepir.storage import checkpoint
+
+
+@dataclass
+class Position:
+    """How far a plan has come, and one row an iteration of what it did."""
+
+    stage: int = 0
+    iteration: int = 0
+    evaluations: int = 0
+    total: int = 0
+    history: list[dict[str, Any]] = field(default_factory=list)
+
+
+def keep(problem: Problem, optimisers: list[tuple[Optimiser, Step]], at: Position, path: Path) -> None:
+    """Write it with the values of all unknowns and the state of the optimisers, so that the solve can go on."""
+    tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
+    for i, (optimiser, _) in enumerate(optimisers):
+        tensors |= {f"optimiser{i}.{name}": value for name, value in optimiser.state().items()}
+    checkpoint.save(path, tensors, asdict(at))
+
+
+def restore(
+    problem: Problem, plan: Sequence[Stage], path: Path
+) -> tuple[Position, list[tuple[Optimiser, Step]] | None]:
+    """Put the problem where it was kept: the position and, within a stage, its optimisers.
+
+    Raises:
+        DataError: The file is no checkpoint, or of another problem.
+    """
+    tensors, position = checkpoint.load(path)
+    try:
+        at = Position(**position)
+        for stage in plan[: at.stage + 1]:
+            if stage.change is not None:
+                stage.change(problem)
+        for name, value in problem.state_dict().items():
+            if name != "data" or f"problem.{name}" in tensors:
+                value.copy_(tensors[f"problem.{name}"])
+        if at.stage >= len(plan):
+            return at, None
+        optimisers = optimisers_of(problem, plan[at.stage])
+        for i, (optimiser, _) in enumerate(optimisers):
+            prefix = f"optimiser{i}."
+            optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
+    except (KeyError, TypeError, RuntimeError) as error:
+        raise DataError(
+            f"{path}: the state of another problem ({error}); delete it to start again"
+        ) from error
+    return at, optimisers
+
+
+def _state(problem: Problem) -> Mapping[str, Tensor]:
+    """Parameters and buffers; the data, which a resumed run reads again, only if they have changed on the way."""
+    kept = problem.state_dict().items()
+    changed = bool((problem.contrast != 1).any()) or bool(problem.reference != 0)
+    return {name: value.detach() for name, value in kept if name != "data" or changed}

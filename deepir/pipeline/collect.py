@@ -1,0 +1,108 @@
+"""The result of a solved problem: values where a user looks for them, in the gauge, with how sure they are."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from deepir.arrays.noise_level import median_sigma
+from deepir.burst import Burst
+from deepir.effects.saturation import bounded, clipping_message
+from deepir.effects.shading import added_flux
+from deepir.estimation.uncertainty import uncertainty
+from deepir.fields.line_noise import LineNoise
+from deepir.fields.sensor_maps import Part
+from deepir.operators.geometry import Geometry
+from deepir.operators.homography import displacements, homographies
+from deepir.optim.solve import Solution
+from deepir.problem import Problem
+from deepir.result import Result, neutral, to_gauge
+
+#: Cost of the unknown pattern, in dB, from which it is worth a message.
+COSTLY = 2.0
+
+
+@torch.no_grad()
+def make_result(
+    problem: Problem,
+    geometry: Geometry,
+    solution: Solution,
+    burst: Burst,
+    used: np.ndarray,
+    taken: np.ndarray,
+    messages: list[str],
+    cost: float,
+) -> Result:
+    """The result of frames that are `taken` into the problem, though perhaps not `used` in the fit."""
+    values = {name: value.cpu().numpy() for name, value in solution.values.items()}
+    scene, clipped = bounded(problem, problem.operator.image(solution.values["scene"]))
+    result = neutral(geometry.crop(scene.cpu().numpy()), len(used), burst.size, burst.bad_pixels)
+    for slot, name in problem.slots.items():
+        value, kind = values[name], slot.rpartition(".")[2]
+        if kind in ("gain", "offset"):
+            setattr(result, kind, value[0, 0].astype(np.float64))
+        elif kind == "level":
+            result.level[taken] = value.mean((1, 2, 3))
+        elif kind == "motion":
+            result.motion[taken] = homographies(solution.values[name]).cpu().numpy()
+            result.motion[~taken] = np.nan
+            if value.ndim == 4:
+                flow = displacements(solution.values[name]).cpu().numpy()
+                result.extra["flow"] = np.full((len(used), *flow.shape[1:]), np.nan, np.float32)
+                result.extra["flow"][taken] = flow
+        else:
+            result.extra[name] = value.squeeze()
+    where = geometry.crop(clipped.cpu().numpy())
+    if where.any():
+        result.extra["clipped"] = where
+    if problem.moving.any():
+        result.extra["moving"] = np.zeros((len(used), *burst.size), bool)
+        result.extra["moving"][taken] = problem.moving[:, 0].cpu().numpy()
+    messages = messages + clipping_message(problem, where, burst.frames[taken])
+    result.frames_used, result.history, result.messages = used, solution.history, messages
+    gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
+    known = not any(name in problem.free() for name in gains)
+    to_gauge(result, known_gain=known, flux=added_flux(problem))
+    if reference := float(problem.reference):
+        result.scene = result.scene + np.float32(reference)
+        result.offset = (result.offset - (result.gain - 1) * reference).astype(np.float32)
+    maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
+    result.uncertainty = maps | {"scene": geometry.crop(maps["scene"])}
+    result.messages += cost_message(cost, len(problem.data))
+    result.metrics = {
+        "iterations": solution.iterations,
+        "evaluations": solution.evaluations,
+        "stop_reason": solution.reason,
+        "noise_sigma": median_sigma(problem.precision),
+        "held_out_rmse": solution.held_out,
+        "pattern_cost_db": None if math.isnan(cost) else cost,
+        "strengths": strengths(problem),
+        "reference_level": float(problem.reference),
+    }
+    return result
+
+
+def cost_message(cost: float, n_frames: int) -> list[str]:
+    """A line if it costs a good part of the frames that they have to tell the pattern from the scene."""
+    if not cost > COSTLY:
+        return []
+    return [
+        f"telling the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the scene: "
+        "take more frames, or move further, in x and in y"
+    ]
+
+
+def strengths(problem: Problem) -> dict[str, float]:
+    """What was given or estimated: sigma of each part, weight of each penalty."""
+    found = {}
+    for name, field in problem.fields.items():
+        for path, part in field.named_modules():
+            if isinstance(part, Part | LineNoise):
+                own = path.rpartition(".")[2] or type(part).__name__.lower()
+                found[f"{name}.{own}.sigma"] = float(part.sigma)
+    for name, each in problem.penalties.items():
+        for kind, penalty in each.items():
+            found[f"{name}.{kind}.weight"] = penalty.typical()
+    return found

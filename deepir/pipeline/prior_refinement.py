@@ -1,0 +1,119 @@
+"""A prior that is fitted to the scene once the sensor is known.
+
+Networks move the scene's contrast into the gain as total variation does, and take hundreds of iterations where
+pixels take tens. So the sensor is found with pixels under total variation, whatever the prior; then another field takes
+the pixels' place, with its own penalties, and is fitted to the same data with the sensor fixed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from deepir.arrays.fill import nearest_filled
+from deepir.config import Config
+from deepir.config.components import validate
+from deepir.config.schema import Fit
+from deepir.estimation.hyperparameters import weigh_scene
+from deepir.estimation.oversmoothing import is_oversmoothed, reduce_weight
+from deepir.fields.pixels import Pixels
+from deepir.optim.fourier_hessian import has_fourier_model
+from deepir.pipeline.build import build_scene
+from deepir.problem import Problem
+from deepir.schedule import Stage, Step
+
+ROUNDS = 30  # of the registered average
+#: Gain of ten iterations, in nats for each pixel of the scene, below which a fit that the sensor follows ends.
+SETTLED = 0.03
+
+
+class PriorRefinement:
+    """The scene's field and penalties of a configuration with `scene.fit`, and the stages in which they are fitted."""
+
+    def __init__(self, problem: Problem, config: Config) -> None:
+        self.fit = Fit(**validate(Fit, config.scene["fit"], "scene.fit"))
+        self.from_average = config.scene.get("init", "average") == "average"
+        field, penalties = build_scene(config.scene, problem.fields["scene"].shape)
+        device = problem.data.device
+        self.field = field.to(device)
+        self.penalties = {name: penalty.to(device) for name, penalty in penalties.items()}
+        together = self.fit.with_sensor and isinstance(field, Pixels) and has_fourier_model(problem)
+        #: Gain and offset, if these follow the scene; where samples are cut off it is not sure enough of itself.
+        self.follows = tuple(problem.closed_form()) if together and problem.ends is None else ()
+        self.tolerance = SETTLED / len(problem.data) if self.follows else Stage.tolerance
+
+    def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:
+        """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them.
+
+        `weigh` sets the weights of its penalties.
+        """
+        fit, stopped = self.fit, self.fit.average > 0
+        before = [dataclasses.replace(s, use_held_out=s.use_held_out and not stopped) for s in stages]
+        follow = (Step(self.follows, "eliminate"),) if self.follows else ()
+        steps = (Step(("scene",), fit.method, fit.lr, average=fit.average), *follow)
+        rounds = [f"prior {i + 1}" for i in range(fit.rounds)] if fit.rounds > 1 else ["prior"]
+        mine = [
+            Stage(
+                name,
+                steps,
+                fit.iterations,
+                prepare=weigh,
+                use_held_out=not stopped,
+                tolerance=self.tolerance,
+                fine=bool(follow),
+            )
+            for name in rounds
+        ]
+        mine[0] = dataclasses.replace(mine[0], change=self.enter)
+        if self.follows:
+            mine.append(
+                dataclasses.replace(
+                    mine[-1], name="looser", change=None, prepare=reduce_weight, needed=is_oversmoothed
+                )
+            )
+        return [*before, *mine]
+
+    @torch.no_grad()
+    def enter(self, problem: Problem) -> None:
+        """Put the prior's field in the place of the one that found the sensor."""
+        self.field.init_from(self._start(problem))
+        problem.represent("scene", self.field, self.penalties)
+
+    def _start(self, problem: Problem) -> Tensor:
+        if self.from_average:
+            return registered_average(problem)
+        found: Tensor = problem.values()["scene"]
+        return found
+
+
+@torch.no_grad()
+def registered_average(problem: Problem) -> Tensor:
+    """The scene that the samples show that are not held out, without a prior; all other unknowns as they are.
+
+    The first round averages what the frames show, which the spline blurs; the others give back what is missing
+    (Landweber 1951).
+    """
+    values: Any = problem.values()
+    seen = (problem.fitted() > 0).to(problem.data)
+    shape = tuple(values["scene"].shape)
+    slots = {slot: values[name] for slot, name in problem.slots.items()}
+
+    def shown(scene: Tensor) -> Tensor:
+        return problem.predict({**values, "scene": scene})
+
+    def back(frames: Tensor) -> Tensor:
+        return problem.operator.adjoint((seen * frames).sum_to_size(dark.shape), shape, **slots)
+
+    scene = torch.zeros_like(values["scene"])
+    dark = shown(scene)
+    weight = back(shown(torch.ones_like(scene)) - dark)
+    least = 0.3 * float(weight.max())
+    weight, known = weight.clamp(min=least), weight > least
+    scene = nearest_filled(back(problem.data - dark) / weight, known)
+    for _ in range(ROUNDS):
+        scene = scene + back(problem.data - shown(scene)) / weight
+    return scene

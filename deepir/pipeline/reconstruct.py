@@ -1,0 +1,114 @@
+"""The method `joint`: all unknowns of a problem estimated together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.diagnostics.equalised_histogram import equalised_message
+from deepir.diagnostics.residual_correlation import residual_correlation_message
+from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
+from deepir.effects.frame_gain import frame_gain_message
+from deepir.effects.frame_offset import drift_message
+from deepir.effects.line_noise import line_noise_message
+from deepir.effects.moving_objects import moving_message
+from deepir.effects.shading import shading_message
+from deepir.errors import ConfigError, DataError
+from deepir.estimation.hyperparameters import hold_out
+from deepir.estimation.uncertainty import nuc_penalty_db
+from deepir.fields.sensor_maps import Part
+from deepir.optim.solve import Progress, solve
+from deepir.pipeline.build import build
+from deepir.pipeline.collect import make_result
+from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
+from deepir.pipeline.given_noise import given_noise
+from deepir.pipeline.register import register_frames
+from deepir.pipeline.safeguard import safeguarded, unregistered
+from deepir.pipeline.schedule import plan
+from deepir.problem import Problem
+from deepir.problems.definition import Definition
+from deepir.registry import lookup, register
+from deepir.result import Result
+
+
+@register("method", "joint")
+def joint(
+    burst: Burst,
+    config: Config,
+    *,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Path | None = None,
+) -> Result:
+    """Fields for all unknowns, fitted together (the default)."""
+    definition: Definition = lookup("problem", config.problem, "problem")()
+    try:
+        motion, used, messages = register_frames(burst, config, definition)
+    except DataError as refusal:
+        if not definition.judged:
+            raise
+        return unregistered(burst, refusal)
+    taken = used
+    if definition.ordered and motion is not None:
+        motion, taken = interpolate_missing_motion(motion, used)
+        messages += interpolation_message(used, taken)
+    valid = burst.valid & used[:, None, None]
+    kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken])
+    problem, geometry = build(config, kept, None if motion is None else motion[taken])
+    problem = problem.to(config.device)
+    problem.stretched = burst.stretched
+    if burst.stretched:
+        messages += equalised_message(np.where(valid, burst.frames, np.nan)[taken])
+    if burst.clipped is not None:
+        problem.ends = torch.from_numpy(burst.clipped[taken])[:, None].to(problem.data.device)
+    messages += given_noise(problem, config)
+    given = problem.alive()
+    definition.initialise(problem, config.seed)
+    _demand_strengths(problem)
+    _demand_scene(problem)
+    stages = plan(problem, definition, config)
+    if config.scene.get("fit") and not problem.held_out.any():
+        hold_out(problem, config.seed)
+    solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
+    messages += definition.remarks(problem) + line_noise_message(problem) + moving_message(problem)
+    messages += scene_in_pattern_message(problem)
+    if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
+        messages += drift_message(problem) + shading_message(problem)
+        messages += residual_correlation_message(problem) or frame_gain_message(problem)
+    found = given & ~problem.alive()
+    burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
+    cost = nuc_penalty_db(problem, definition.weak)
+    result = make_result(problem, geometry, solution, burst, used, taken, messages, cost)
+    result.metrics |= definition.figures(problem)
+    return safeguarded(result, burst) if definition.judged else result
+
+
+def _demand_scene(problem: Problem) -> None:
+    """Raise `ConfigError` for a prior that draws nothing but one level of data that have more."""
+    with torch.no_grad():
+        drawn = problem.fields["scene"]()
+    if drawn.numel() > 1 and not drawn.std() > 0 and problem.data[problem.precision > 0].std() > 0:
+        kind = type(problem.fields["scene"]).__name__.lower()
+        raise ConfigError(
+            f"scene: '{kind}' draws nothing but one level: give its sigma, in the data's units, if it has one, or take "
+            "another prior"
+        )
+
+
+def _demand_strengths(problem: Problem) -> None:
+    """Raise `ConfigError` for a part whose sigma is neither given nor estimated: it would never leave zero."""
+    for slot, name in [("scene", "scene"), *problem.slots.items()]:
+        if slot.rpartition(".")[2] in ("gain", "offset"):
+            continue
+        for part in problem.fields[name].modules():
+            if isinstance(part, Part) and not part.given and not part.sigma > 0:
+                where = slot if slot == "scene" else f"physics.{slot}"
+                raise ConfigError(
+                    f"{where}: its part '{type(part).__name__.lower()}' needs a sigma, in the unknown's units; "
+                    "only those of gain and offset are found from the data"
+                )

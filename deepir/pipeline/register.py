@@ -1,0 +1,142 @@
+"""The motion that a problem starts from: registered frames, and what to say of how they move."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.arrays.fill import nearest_filled
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.diagnostics.interlacing import are_interlaced
+from deepir.diagnostics.shutter import one_pattern, shutter_message
+from deepir.errors import DataError
+from deepir.problems.definition import Definition
+from deepir.registration import register
+from deepir.registry import components
+
+#: Motion, in px at the frame's edge, below which a burst counts as still.
+STILL = 0.5
+#: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
+LITTLE = 3.0
+#: Share of the pixels that hold one value in all frames from which this is what the burst shows.
+MOST = 0.5
+
+
+def register_frames(
+    burst: Burst, config: Config, definition: Definition
+) -> tuple[Tensor | None, np.ndarray, list[str]]:
+    """Motion (N, 3, 3) of each frame, which frames are used, and messages; no motion if no slot wants it.
+
+    Raises:
+        DataError: Too few frames register, or the burst is still and the problem needs motion.
+    """
+    everything = np.ones(len(burst.frames), bool)
+    model = _motion_model(config)
+    if model is None or len(burst.frames) == 1:
+        return None, everything, []
+    ignore, valid = torch.from_numpy(burst.bad_pixels), torch.from_numpy(burst.valid | burst.bad_pixels)
+    frames = _whole(burst)
+    part = one_pattern(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
+    found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
+    drawn = (frames == frames[0]).all(0)
+    if _spans(found.motion[found.used], burst.size).max() < STILL and 0 < drawn.double().mean() < MOST:
+        # Before a plain scene what the camera draws over its pictures keeps all of them at rest.
+        bad = ignore | drawn
+        found = register(frames[part], model=model, ignore=bad, valid=valid[part], start=part.start)
+    if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < LITTLE:
+        part = slice(0, len(frames))  # a camera that rests here, and there: no shutter
+        found = register(frames, model=model, ignore=ignore, valid=valid)
+    used, motion = ~everything, torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    used[part], motion[part] = found.used.numpy(), found.motion
+    if used.sum() < max(definition.frames, 1):
+        raise DataError(
+            f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
+            f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
+        )
+    kept = torch.from_numpy(used)
+    messages = shutter_message(part, len(frames)) + found.messages
+    if are_interlaced(frames[kept], motion[kept], ignore):
+        messages += [
+            "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
+            "modelled. Record progressive frames, or keep every second row: frames[:, ::2]"
+        ]
+    if definition.motion:
+        messages += _demand_motion(motion[kept], burst)
+    return motion, used, messages
+
+
+def _whole(burst: Burst) -> Tensor:
+    """The frames (N, h, w), samples that are not valid like their nearest neighbour that is: zeros would stand out."""
+    frames, valid = torch.from_numpy(burst.frames), torch.from_numpy(burst.valid)
+    return frames if valid.all() else nearest_filled(frames[:, None], valid[:, None])[:, 0]
+
+
+def _motion_model(config: Config) -> str | None:
+    """The type of the first motion that starts where the frames are registered: each does, unless it says otherwise."""
+    for stage in config.physics.values():
+        slot = (stage or {}).get("motion")
+        settings = slot if isinstance(slot, dict) else {"type": slot}
+        kind = settings.get("type")
+        model = getattr(components("field").get(str(kind)), "model", None)
+        if settings.get("init", "register" if model else None) == "register":
+            return str(model or kind)
+    return None
+
+
+def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
+    """A message for each axis along which the burst moves little; `DataError` if it stands still."""
+    at = _places(motion, burst.size)
+    moved = (at - at[0]).abs().amax()
+    if moved < STILL:
+        raise DataError(
+            f"{burst.source}: the frames do not move as a whole, or show too little to tell, so that the scene and the "
+            "sensor's fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y, "
+            "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
+            "data.mask"
+        )
+    few = [
+        f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
+        "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
+        for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, burst.size), strict=True)
+        if span < LITTLE
+    ]
+    return few or _along_a_line(at)
+
+
+def _places(motion: Tensor, size: tuple[int, int]) -> Tensor:
+    """Where the corners of frames (h, w) look, (N, 4, 2), in px (x, y) from the middle of frame 0."""
+    height, width = size
+    corners = torch.tensor([(x * width / 2, y * height / 2, 1) for x in (-1, 1) for y in (-1, 1)])
+    at = corners.to(motion) @ motion.mT
+    return at[..., :2] / at[..., 2:]
+
+
+def _spans(motion: Tensor, size: tuple[int, int]) -> Tensor:
+    """Ranges of these places along x and y, where they are largest."""
+    at = _places(motion, size)
+    return (at.amax(0) - at.amin(0)).amax(0)
+
+
+def _along_a_line(at: Tensor) -> list[str]:
+    """A message if one way, straight or about a point, leads through all places (N, 4, 2) of the frames' corners."""
+    apart = (at - at.mean(0)).flatten(1)
+    ways = torch.linalg.svd(apart, full_matrices=False)[2]
+    steps = ways.view(-1, 4, 2)
+    along, beside = (
+        float(np.ptp((apart @ way).numpy()) * step.norm(dim=1).max())
+        for way, step in zip(ways[:2], steps[:2], strict=True)
+    )
+    if beside >= LITTLE / 2:
+        return []
+    shift = steps[0].mean(0)
+    if (steps[0] - shift).norm(dim=1).max() > shift.norm():  # some point of the frames rests
+        return [
+            f"the frames turn about one point, by {along:.1f} px at their corners, and do not move: what is constant "
+            "around it is hard to tell from the scene. Move the camera too, by 3 to 10 px in x and in y"
+        ]
+    return [
+        f"the frames move along one line, by {along:.1f} px: what is constant along it is hard to tell from the scene. "
+        "Move the camera at right angles to it too, by 3 to 10 px"
+    ]

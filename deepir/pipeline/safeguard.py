@@ -1,0 +1,209 @@
+"""A correction that leaves more fixed pattern than a simpler one is given up for it, part by part.
+
+First the fine part of gain and offset, then their slow part: as estimated, as an estimate that registers no frames has
+it, or none. Each is judged by frames of the same recording that the estimate did not use, where there are any, else by
+the burst's own, which judge no fine part.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepir.arrays.fill import nearest_filled
+from deepir.burst import Burst
+from deepir.errors import DataError
+from deepir.multiview.held_out_pattern import Judge, Left
+from deepir.multiview.low_order_part import is_implausible, slow_part
+from deepir.multiview.pattern import estimate_offset
+from deepir.result import Result, neutral
+
+Array = np.ndarray[Any, Any]
+
+#: Nats by which a simpler correction has to be likelier than the one that was found, for that to be given up.
+MARGIN = 10.0
+#: Pairs of the burst's own frames that are compared, and frames apart.
+OWN_PAIRS, GAPS = 4, (1, 2)
+#: Frames below which no pattern is estimated without registration.
+MINIMUM_FRAMES = 4
+UNREGISTERED = "an offset that is estimated without registration, and no gain"
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Gain and offset (h, w), what they are called, and what they leave."""
+
+    name: str
+    gain: Array
+    offset: Array
+    left: Left
+
+
+def safeguarded(result: Result, burst: Burst) -> Result:
+    """The result, or one with a simpler correction that leaves less pattern; a message says so.
+
+    It has to leave clearly less, or the result more than uncorrected frames.
+    """
+    judge = _judge(burst, [(result.gain, result.offset)], result.level)
+    found = _candidates("gain and offset as estimated", judge, burst, result.gain, result.offset)
+    one, zero = np.ones(burst.size), np.zeros(burst.size)
+    raw, shared = _candidates("no correction", judge, burst, one, zero), judge.left(one, judge.shared)
+    if found is None or raw is None or shared is None:
+        return result
+    free = None
+    if len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
+        offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
+        free = _candidates(UNREGISTERED, judge, burst, one, offset)
+    best = _best(found, free, raw, judge)
+    result.metrics["fixed_pattern_left"] = _figures(raw.whole.left, best.left)
+    if best is found.whole:
+        return result
+    message = (
+        f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.left)} in "
+        f"{'frames beside the burst' if burst.beside is not None else 'the frames'}, {best.name} "
+        f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}"
+    )
+    return _replaced(result, burst, best, message)
+
+
+def unregistered(burst: Burst, refusal: DataError) -> Result:
+    """A result for frames that do not register, but show the same things displaced; else `refusal` is raised again."""
+    usable = burst.valid & ~burst.bad_pixels
+    if len(burst.frames) < MINIMUM_FRAMES or not usable.any():
+        raise refusal
+    offset, related = estimate_offset(burst.frames, usable)
+    if not related:
+        raise refusal
+    one, zero = np.ones(burst.size), np.zeros(burst.size)
+    judge = _judge(burst, [(one, offset)], np.zeros(len(burst.frames)))
+    found = _candidates(UNREGISTERED, judge, burst, one, offset)
+    raw = _candidates("no correction", judge, burst, one, zero)
+    if found is None or raw is None:
+        raise refusal
+    best = _best(found, None, raw, judge)
+    result = neutral(burst.frames[0], len(burst.frames), burst.size, burst.bad_pixels)
+    result.metrics = {
+        "iterations": 0,
+        "evaluations": 0,
+        "stop_reason": "the frames do not register as a whole",
+        "fixed_pattern_left": _figures(raw.whole.left, best.left),
+    }
+    message = (
+        f"the frames do not register as a whole, but their parts move: the result has {best.name}. It leaves a fixed "
+        f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}"
+    )
+    return _replaced(result, burst, best, message)
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """A correction, the same without its slow part, and that part at the frames' level, (h, w).
+
+    `plausible`: whether a sensor may have so strong a slow part.
+    """
+
+    whole: Correction
+    fine: Correction
+    slow: Array
+    plausible: bool
+
+    @property
+    def fine_nats(self) -> float:
+        """Nats of the fine part; of the whole or the fine part where no fine part is judged."""
+        judged = self.fine.left.detail_nats
+        return judged if not np.isnan(judged) else min(self.whole.left.nats, self.fine.left.nats)
+
+
+def _candidates(name: str, judge: Judge, burst: Burst, gain: Array, offset: Array) -> _Candidates | None:
+    """None where the frames do not judge."""
+    level = float(np.median(burst.frames[burst.valid]))
+    pattern, good = offset + (gain - 1) * level, ~burst.bad_pixels
+    slow = slow_part(pattern, good)
+    whole, fine = judge.left(gain, offset), judge.left(gain, offset - slow)
+    if whole is None or fine is None:
+        return None
+    short = Correction(f"{name}, without its slow part", gain, offset - slow, fine)
+    return _Candidates(Correction(name, gain, offset, whole), short, slow, not is_implausible(pattern, good))
+
+
+def _doubtful(found: _Candidates, raw: _Candidates, shared: Left) -> bool:
+    """Whether half the fine pattern is left, or more of what is slow than the median gradients leave."""
+    half = found.fine.left.detail > raw.fine.left.detail / 2
+    return half or shared.nats < min(found.whole.left.nats, found.fine.left.nats)
+
+
+def _best(found: _Candidates, free: _Candidates | None, raw: _Candidates, judge: Judge) -> Correction:
+    """The fine part of the one or the other, or none; with the slow part of the one or the other, or none."""
+    fine = found
+    if free and free.fine_nats < found.fine_nats - MARGIN:
+        fine = free
+    if fine.fine_nats > raw.fine_nats:
+        fine = raw
+    best = raw.whole if fine is raw else fine.fine
+    for each in filter(None, (found, free)):
+        other = each.whole if each is fine else _mixed(fine, each, judge)
+        margin = -MARGIN
+        if each is fine and each.plausible:
+            margin = MARGIN if each is found and each.whole.left.nats <= raw.whole.left.nats else 0.0
+        if other.left.nats <= best.left.nats + margin:
+            best = other
+    return raw.whole if best.left.nats > raw.whole.left.nats + MARGIN else best
+
+
+def _mixed(fine: _Candidates, slow: _Candidates, judge: Judge) -> Correction:
+    """The fine part of one with the slow part of another."""
+    gain, offset = fine.fine.gain, fine.fine.offset + slow.slow
+    name = f"{fine.whole.name}, with the slow part of {slow.whole.name}"
+    left = judge.left(gain, offset)
+    assert left is not None  # the same frames have judged both
+    return Correction(name, gain, offset, left)
+
+
+def _figures(raw: Left, corrected: Left) -> dict[str, float]:
+    """What uncorrected and corrected frames leave, slow and fine, for `metrics.json`."""
+    found = {"raw": raw.change, "corrected": corrected.change}
+    fine = {"raw_detail": raw.detail, "corrected_detail": corrected.detail}
+    return found if np.isnan(raw.detail) else found | fine
+
+
+def _said(left: Left) -> str:
+    return f"{left.change:.3g}" + ("" if np.isnan(left.detail) else f" (fine {left.detail:.3g})")
+
+
+def _judge(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) -> Judge:
+    """Compares corrections by the frames beside the burst, or else by its own less their `level`, (N,)."""
+    if burst.beside is not None:
+        finite = np.isfinite(burst.beside)
+        pairs = [(k, k + 1) for k in range(0, len(burst.beside), 2)]
+        return Judge(np.where(finite, burst.beside, 0), finite & ~burst.bad_pixels, pairs, corrections)
+    count = len(burst.frames)
+    pairs = [(k, k + gap) for gap in GAPS for k in range(count - gap)]
+    pairs = pairs[:: max(1, -(-len(pairs) // OWN_PAIRS))]
+    frames = burst.frames - np.nan_to_num(level).astype(np.float32)[:, None, None]
+    return Judge(frames, burst.valid & ~burst.bad_pixels, pairs, corrections, independent=False)
+
+
+def _replaced(result: Result, burst: Burst, correction: Correction, message: str) -> Result:
+    """The result with another correction; its scene is the corrected first frame, or of each frame its own."""
+    good = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None]
+    corrected = torch.from_numpy((burst.frames - correction.offset) / correction.gain)[:, None]
+    own = result.scene.ndim == 3
+    frames = corrected if own else corrected[:1]
+    scene = torch.cat([nearest_filled(each[None], ok[None]) for each, ok in zip(frames, good, strict=False)])[
+        :, 0
+    ]
+    new = neutral((scene if own else scene[0]).numpy(), len(burst.frames), burst.size, burst.bad_pixels)
+    if not own:
+        new.frames_used[1:], new.motion[1:] = False, np.nan
+    return dataclasses.replace(
+        new,
+        gain=correction.gain.astype(np.float32),
+        offset=correction.offset.astype(np.float32),
+        metrics=result.metrics,
+        history=result.history,
+        messages=[message, *result.messages],
+    )

@@ -1,0 +1,55 @@
+"""The stages that a problem is solved in, checked against its unknowns."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from deepir.config import Config
+from deepir.errors import ConfigError, nearest
+from deepir.pipeline.prior_refinement import PriorRefinement
+from deepir.problem import Problem
+from deepir.problems.definition import Definition
+from deepir.schedule import Stage, Step
+
+
+def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
+    """The stages of `solver.plan`, or else the problem's own; `ConfigError` where they do not fit the unknowns."""
+    given, cap = config.solver.plan, config.solver.max_iterations
+    contest = PriorRefinement(problem, config) if config.scene.get("fit") else None
+    if given is None:
+        stages, where = definition.plan(problem), f"problem '{config.problem}' (or take problem=generic)"
+    else:
+        where = "solver.plan"
+        stages = [
+            Stage(
+                s.name,
+                tuple(Step(**p.model_dump() | {"group": tuple(p.group)}) for p in s.steps),
+                s.iterations,
+            )
+            for s in given
+        ]
+    if contest is not None:
+        problem.follows = bool(contest.follows)
+        stages = contest.after(stages, definition.weigh)
+    for stage in stages:
+        _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
+    return [
+        dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap))
+        for s in stages
+    ]
+
+
+def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
+    if all(step.method == "eliminate" for step in stage.steps):
+        raise ConfigError(f"{where}: a stage needs a step that is not 'eliminate'")
+    for step in stage.steps:
+        if unknown := set(step.rates) - set(step.group):
+            other = unknown.pop()
+            raise ConfigError(f"{where}: rates: no '{other}' in the group; {nearest(other, step.group)}")
+        for name in step.group:
+            if name not in problem.fields:
+                raise ConfigError(f"{where}: no unknown '{name}'; {nearest(name, problem.fields)}")
+            if step.method == "eliminate" and name not in problem.closed_form():
+                raise ConfigError(
+                    f"{where}: '{name}' has no closed form; {nearest(name, problem.closed_form())}"
+                )

@@ -1,0 +1,124 @@
+"""The skip network: an hourglass of convolutions with narrow skip connections.
+
+(Ulyanov, Vedaldi, Lempitsky 2018, "Deep image prior".)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from deepir.priors.networks.fused_upsampling import risen
+
+Pad = Literal["reflect", "zeros"]
+SLOPE = 0.2  # of the leaky rectifier
+WIDE, LARGE = 128, 1024  # channels and px from which on, on a CPU, fewer products are worth what they cost
+
+
+class Padded(nn.Conv2d):
+    """A convolution that does not change the size; what is reflected beyond the edges stays in the input's precision.
+
+    Autocast would make float32 of it.
+    """
+
+    def __init__(self, inputs: int, outputs: int, size: int, stride: int, pad: Pad) -> None:
+        self.beyond = (size - 1) // 2
+        mode = pad if self.beyond else "zeros"
+        super().__init__(inputs, outputs, size, stride, self.beyond, padding_mode=mode)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs, H, W) -> (B, outputs, H / stride, W / stride)."""
+        if self.padding_mode == "zeros":
+            return super().forward(x)
+        with torch.autocast(x.device.type, enabled=False):
+            x = F.pad(x, [self.beyond] * 4, mode=self.padding_mode)
+        return F.conv2d(x, self.weight, self.bias, self.stride)
+
+
+class Convolution(nn.Sequential):
+    """Padded convolution, batch normalisation with the batch's statistics, leaky rectifier."""
+
+    def __init__(
+        self, inputs: int, outputs: int, size: int, *, stride: int = 1, pad: Pad = "reflect"
+    ) -> None:
+        super().__init__(
+            Padded(inputs, outputs, size, stride, pad),
+            nn.BatchNorm2d(outputs, track_running_stats=False),
+            nn.LeakyReLU(SLOPE, inplace=True),
+        )
+
+
+class Skip(nn.Module):
+    """(B, inputs, H, W) -> (B, 1, H, W); H and W are multiples of `2 ** len(widths)`.
+
+    Args:
+        inputs: Channels of the input.
+        widths: Channels of each scale, the finest first.
+        skip: Channels of each skip connection.
+        up: `bilinear` or `nearest`.
+        pad: `reflect` or `zeros`.
+    """
+
+    def __init__(
+        self, inputs: int, widths: Sequence[int], *, skip: int = 4, up: str = "bilinear", pad: Pad = "reflect"
+    ) -> None:
+        super().__init__()
+        self.up, self.pad = up, pad
+        below = [*widths[1:], widths[-1]]
+        before = [inputs, *widths[:-1]]
+        self.down = nn.ModuleList(
+            nn.Sequential(Convolution(a, w, 3, stride=2, pad=pad), Convolution(w, w, 3, pad=pad))
+            for a, w in zip(before, widths, strict=True)
+        )
+        self.skips = nn.ModuleList(Convolution(a, skip, 1) for a in before)
+        self.join = nn.ModuleList(nn.BatchNorm2d(b + skip, track_running_stats=False) for b in below)
+        self.rise = nn.ModuleList(
+            nn.Sequential(Convolution(b + skip, w, 3, pad=pad), Convolution(w, w, 1))
+            for b, w in zip(below, widths, strict=True)
+        )
+        self.last = nn.Conv2d(widths[0], 1, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The picture, not yet through a sigmoid."""
+        levels = [x]
+        for down in self.down:
+            levels.append(down(levels[-1]))
+        deep = levels.pop()
+        for i in reversed(range(len(levels))):
+            deep = self._risen(i, self.skips[i](levels[i]), deep)
+        picture: Tensor = self.last(deep)
+        return picture
+
+    def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
+        """What the scale `i` makes of the one below, doubled, with its own skip connection beside it."""
+        first, mixed = self.rise[i].children()
+        convolution, *after = first.children()
+        if self._is_worth_it(deep):
+            x = risen(beside, deep, self.join[i], convolution)  # type: ignore[arg-type]
+        else:
+            x = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
+        for layer in (*after, mixed):
+            x = layer(x)
+        return x
+
+    def _is_worth_it(self, deep: Tensor) -> bool:
+        published = self.up == "bilinear" and self.pad == "reflect"
+        large = deep.shape[1] >= WIDE and deep[0, 0].numel() >= LARGE
+        return published and large and deep.device.type == "cpu"
+
+    def _doubled(self, x: Tensor) -> Tensor:
+        """`x` with twice the height and width, in its own precision."""
+        with torch.autocast(x.device.type, enabled=False):
+            doubled = F.interpolate(x, scale_factor=2, mode=self.up)
+        # Its gradient is a slice of that of what it is joined with, and takes nine times as long if it is not packed.
+        if doubled.requires_grad:
+            doubled.register_hook(_packed)
+        return doubled
+
+
+def _packed(gradient: Tensor) -> Tensor:
+    return gradient.contiguous(memory_format=torch.channels_last)

@@ -1,0 +1,149 @@
+"""Fields of experts."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from deepir import weights
+from deepir.fields.base import Shape
+from deepir.priors.penalties.smoothed_norm import SmoothedNorm
+from deepir.registry import register
+
+SIDE = 5  # px: of a filter
+#: Where training starts: with first, diagonal, second and mixed differences.
+DIFFERENCES = (
+    ((0, 0, 0), (0, -1, 1), (0, 0, 0)),
+    ((0, 0, 0), (0, -1, 0), (0, 1, 0)),
+    ((0, 0, 0), (0, -1, 0), (0, 0, 1)),
+    ((0, 0, 0), (0, -1, 0), (1, 0, 0)),
+    ((0, 0, 0), (1, -2, 1), (0, 0, 0)),
+    ((0, 1, 0), (0, -2, 0), (0, 1, 0)),
+    ((0, 0, 0), (0, 1, -1), (0, -1, 1)),
+    ((1, -2, 1), (-2, 4, -2), (1, -2, 1)),
+)
+THIN = 3  # px from one place to the next where one in so many does
+FLAT = 0.3
+
+
+class Experts(nn.Module):
+    """Filters, what their answers cost, and where that grows more slowly; trained by `deepir train foe`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        start = F.pad(torch.tensor(DIFFERENCES, dtype=torch.float32), (1, 1, 1, 1))
+        self.taps = nn.Parameter(start + 0.03 * torch.randn(start.shape))
+        self.costs = nn.Parameter(torch.full((len(start),), -1.6))
+        self.tails = nn.Parameter(torch.full((len(start),), 1.8))
+
+    def forward(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Filters (C, k, k), blind to a constant and as long as a difference, weights (C) and tails (C)."""
+        taps = self.taps - self.taps.mean((1, 2), keepdim=True)
+        filters = taps * (2 / taps.square().sum((1, 2), keepdim=True)).sqrt()
+        return filters, self.costs.exp(), self.tails.exp()
+
+
+@register("penalty", "foe")
+class FoE(SmoothedNorm):
+    """Fields of experts: what small filters answer, `Σ w_c φ(f_c * x)`, is mostly small and now and then large.
+
+    (Roth and Black 2009; filters and weights learned so that the minimum is the best estimate, Samuel and Tappen
+    2009.) Fine texture and slopes cost less than with total variation.
+    """
+
+    scale = 1.0  # in whose units the experts are
+    clear = 2.0  # skies: it knows noise better than edges
+    filters: Tensor
+    costs: Tensor
+    tails: Tensor
+
+    def __init__(
+        self, shape: Shape | None = None, *, weight: float | None = None, rounding: float = 0.09
+    ) -> None:
+        super().__init__(shape, weight=weight, rounding=rounding)
+        for name, value in zip(("filters", "costs", "tails"), _shipped()(), strict=True):
+            self.register_buffer(name, value.clone(), persistent=False)
+
+    def energy(self, value: Tensor) -> Tensor:
+        """`Σ share Σ_c w_c 2 t_c (sqrt(1 + l / t_c) - 1)` of `l = sqrt((f_c * x)² + e²) - e`, in units of `1 / weight`.
+
+        As long as the total variation where `l` is small, as its root where it is large.
+        """
+        tails = self.tails / self.weight.clamp(min=1e-12)
+        if value.device.type == "cpu":
+            energy: Tensor = _OnCPU.apply(
+                value, self.share, self.filters, self.costs, tails, float(self.edge)
+            )
+            return energy
+        return counted(value, self.share, self.filters, self.costs, tails, self.edge)
+
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """The mean of `weight share Σ w_c |f_c|² φ' / 4 |f_c * x|`: a filter's share of the gradient's waves."""
+        long = lengths(value, self.filters, self.edge, THIN)
+        bent = (1 + long * (self.weight / self.tails)[:, None, None]).rsqrt() / (long + self.edge)
+        stiff = middles(self.share, value.shape)[..., ::THIN, ::THIN] * (self.costs[:, None, None] * bent)
+        return 0.0, float(self.weight * stiff.mean((-2, -1)).sum(-1).mean() / 2)  # |f_c|² is two
+
+    def flat(self, value: Tensor) -> float:
+        """The share of the filters' answers that are less than `FLAT` of the noise that the weight is for."""
+        return float((lengths(value, self.filters, self.edge, THIN) * self.weight < FLAT).float().mean())
+
+
+def counted(
+    value: Tensor, share: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, edge: Tensor | float
+) -> Tensor:
+    """The energy of values (..., H, W), with slopes for whatever asks for them; share: (..., H, W), or one number."""
+    long = lengths(value, filters, edge)
+    tails, costs = (each[:, None, None].to(long) for each in (tails, costs))
+    each = costs * 2 * long / (1 + (1 + long / tails).sqrt())
+    return (middles(share, value.shape) * each).sum(dtype=torch.float64)
+
+
+def lengths(value: Tensor, filters: Tensor, edge: Tensor | float, step: int = 1) -> Tensor:
+    """`sqrt((f_c * x)² + e²) - e`, (..., C, H - 4, W - 4), without its cancellation."""
+    flat = value.reshape(-1, 1, *value.shape[-2:])
+    squared = F.conv2d(flat, filters[:, None].to(flat), stride=step).square()
+    long = squared / ((squared + edge**2).sqrt() + edge)
+    return long.reshape(*value.shape[:-2], *long.shape[1:])
+
+
+def middles(share: Tensor, shape: Shape) -> Tensor:
+    """How much the places count in whose middle a filter can lie, (..., 1, H - 4, W - 4)."""
+    inside = slice(SIDE // 2, -(SIDE // 2))
+    return share.expand(*share.shape[:-2], *shape[-2:])[..., None, inside, inside]
+
+
+class _OnCPU(torch.autograd.Function):
+    """The same in one pass, which finds the gradient as well."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, value: Tensor, share: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, e: float
+    ) -> Tensor:
+        from deepir.kernels import parallel_for
+        from deepir.kernels.fields_of_experts import experts
+
+        pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
+        share = share.to(pictures).expand(pictures.shape[-2:]).contiguous()
+        learned = tuple(each.to(pictures).contiguous() for each in (filters, costs, tails))
+        gradient = torch.empty_like(pictures)
+        energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
+        for i, picture in enumerate(pictures):
+            parallel_for(experts, len(picture), picture, share, *learned, e, energy[i], gradient[i])
+        ctx.save_for_backward(gradient.reshape(value.shape))
+        return energy.sum()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        (found,) = ctx.saved_tensors
+        return gradient.to(found) * found, None, None, None, None, None
+
+
+@functools.cache
+def _shipped() -> Experts:
+    return weights.load(Experts(), weights.SHIPPED / "foe.safetensors")

@@ -1,0 +1,26 @@
+"""Closeness to a value, in squares."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.priors.penalties.base import Penalty
+from deepir.registry import register
+
+
+@register("penalty", "ridge")
+class Ridge(Penalty):
+    """Half the squared distance from `center`, `½ Σ (x - center)²`: a Gaussian of variance `1 / weight`."""
+
+    def __init__(self, *, weight: float | None = None, center: float = 0.0) -> None:
+        super().__init__(weight=weight)
+        self.center = center
+
+    def energy(self, value: Tensor) -> Tensor:
+        """`½ Σ (x - center)²`."""
+        return (value - self.center).square().sum(dtype=torch.float64) / 2
+
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """The weight."""
+        return float(self.weight), 0.0

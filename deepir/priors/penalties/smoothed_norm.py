@@ -1,0 +1,40 @@
+"""What penalties of a length have in common."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from deepir.fields.base import Shape
+from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
+
+
+class SmoothedNorm(SpatiallyWeighted):
+    """A sum of lengths, rounded at `rounding`, in units of `1 / weight`, so that it is smooth enough for L-BFGS."""
+
+    #: The step or kink, in standard deviations of the noise, that costs one nat.
+    scale: ClassVar[float]
+
+    def __init__(
+        self, shape: Shape | None = None, *, weight: float | None = None, rounding: float = 0.1
+    ) -> None:
+        super().__init__(shape, weight=weight)
+        if not 0 < rounding < float("inf"):
+            raise ValueError(f"rounding must be a positive number, not {rounding}")
+        self.rounding = rounding
+
+    @property
+    def edge(self) -> Tensor:
+        """The length `e` below which it is round."""
+        return self.rounding / self.weight.clamp(min=1e-12)
+
+    def natural(self, noise: float) -> float:
+        """One nat for `scale` standard deviations."""
+        return 1 / (self.scale * noise)
+
+    def lengths(self, squared: Tensor) -> Tensor:
+        """`Σ share (sqrt(|v|² + e²) - e)` of squared lengths: the same as the difference, without its cancellation."""
+        rounded = squared / (torch.sqrt(squared + self.edge.square()) + self.edge)
+        return (self.share * rounded).sum(dtype=torch.float64)

@@ -1,0 +1,56 @@
+"""Total variation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from deepir.arrays.differences import squared_gradient
+from deepir.priors.penalties.smoothed_norm import SmoothedNorm
+from deepir.registry import register
+
+
+@register("penalty", "tv")
+class TV(SmoothedNorm):
+    """Isotropic total variation, `Σ |∇x|`, with forward differences (Rudin, Osher, Fatemi 1992); rounded."""
+
+    #: The best on the truth was 1 to 3 on eight pictures with 3, 5 and 10 frames.
+    scale = 1.6
+
+    def energy(self, value: Tensor) -> Tensor:
+        """`Σ share (sqrt(|∇x|² + e²) - e)`, with `e = rounding / weight`."""
+        if value.device.type == "cpu":
+            energy: Tensor = _OnCPU.apply(value, self.share, float(self.edge))
+            return energy
+        return self.lengths(squared_gradient(value))
+
+    def stiffness(self, value: Tensor) -> tuple[float, float]:
+        """The mean of `weight share / sqrt(|∇x|² + e²)`, of the gradient."""
+        steep = (squared_gradient(value) + self.edge.square()).rsqrt()
+        return 0.0, float((self.weight * self.share * steep).mean())
+
+
+class _OnCPU(torch.autograd.Function):
+    """The same in one pass, which finds the gradient as well."""
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor, share: Tensor, rounding: float) -> Tensor:
+        from deepir.kernels import parallel_for
+        from deepir.kernels.tv import total_variation
+
+        pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
+        share = share.to(pictures).expand(pictures.shape[-2:]).contiguous()
+        gradient = torch.empty_like(pictures)
+        energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
+        for i, picture in enumerate(pictures):
+            parallel_for(total_variation, len(picture), picture, share, rounding, energy[i], gradient[i])
+        ctx.save_for_backward(gradient.reshape(value.shape))
+        return energy.sum()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        (found,) = ctx.saved_tensors
+        return gradient.to(found) * found, None, None

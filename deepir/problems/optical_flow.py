@@ -1,0 +1,127 @@
+"""Dense motion of corrected frames against the first, from coarse pictures to fine: where a flow starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy import ndimage
+from torch import Tensor
+
+from deepir.arrays.median import MAD
+from deepir.fields.constant import Constant
+from deepir.fields.dense_motion import Flow
+from deepir.likelihoods import Huber
+from deepir.operators import Chain, Warp
+from deepir.optim.solve import solve
+from deepir.problem import Problem
+from deepir.schedule import Stage, Step
+
+FACTORS = (8, 4, 2)  # by which the pictures are coarser
+LEAST = 16  # px of a picture's shorter side
+SPACING = 4  # of the control points on each picture, in its px
+LOOSER = 0.3  # weight of the displacements' penalty, to the flow's own: a start has far to go
+ITERATIONS = 40
+ROUNDS = 3  # at each factor, with new weights
+
+
+class Pictures(NamedTuple):
+    """The frames (N, h, w), `factor` times coarser, and where they are known."""
+
+    factor: int
+    frames: Tensor
+    known: Tensor
+
+
+def optical_flow(frames: Tensor, known: Tensor, flow: Flow) -> Tensor:
+    """Displacements (N, 2, h, w), x and y in px, beside where a flow starts.
+
+    Each frame begins as the one before it that explains it best has ended, or without displacements: of a camera that
+    drives on, the last frames show near things far from where the first does.
+
+    frames: (N, h, w), without the sensor's pattern. known: the same shape, bool, where they show something. All on the
+    CPU, in float32.
+    """
+    height, width = frames.shape[1:]
+    coarse = [averaged(frames, known, factor) for factor in FACTORS if min(height, width) // factor >= LEAST]
+    found = torch.zeros(len(frames), 2, height, width)
+    for k in range(1, len(frames)):
+        beside = found[:k]
+        for pictures in coarse:
+            beside = _fitted(pictures, k, flow, beside)
+        found[k] = beside[-1]
+    return found
+
+
+def averaged(frames: Tensor, known: Tensor, factor: int) -> Pictures:
+    """Means of the known of `factor` x `factor` px, about the centre; known themselves where at least half are."""
+    top, left = ((side % factor) // 2 for side in frames.shape[1:])
+    counts = known[:, top:, left:].to(frames)
+    share = F.avg_pool2d(counts, factor)
+    mean = F.avg_pool2d(counts * frames[:, top:, left:], factor) / share.clamp(min=1e-6)
+    return Pictures(factor, mean, share > 0.5)
+
+
+def _fitted(pictures: Pictures, k: int, flow: Flow, guesses: Tensor) -> Tensor:
+    """Displacements (1, 2, h, w) of frame `k`, from the best of the guesses (M, 2, h, w)."""
+    factor, data, seen = pictures.factor, pictures.frames[[0, k]], pictures.known[[0, k]]
+    size = (data.shape[1], data.shape[2])
+    spacing = max(factor * SPACING, flow.spacing)
+    field = Flow((2,), size=size, ratio=1 / factor, spacing=spacing, weight=LOOSER * float(flow.weight))
+    field.start = resized(flow.start[[0, k]].permute(0, 3, 1, 2) / factor, size).permute(0, 2, 3, 1)
+    problem = _problem(field, data, seen)
+
+    def misfit(guess: Tensor) -> float:
+        field.init_from(field.start + resized(guess[None] / factor, size).permute(0, 2, 3, 1))
+        residual = _residual(problem, seen)
+        return float(residual.abs().mean()) if len(residual) else math.inf
+
+    best = min(guesses, key=misfit)
+    if misfit(best) == math.inf:  # they share nothing
+        return best[None]
+    least = 1e-4 * float(data[seen].std())  # of pictures without noise
+
+    def weigh(problem: Problem) -> None:
+        residual = _residual(problem, seen)
+        spread = max(MAD * float(residual.abs().median()) if len(residual) else 0.0, least)
+        counts = problem.valid(problem.values()) & seen[:, None]
+        problem.precision.copy_(counts * (factor / spread) ** 2)  # a mean stands for factor² px
+
+    step = (Step(("motion",)),)
+    solve(problem, [Stage(f"{i}", step, ITERATIONS, prepare=weigh) for i in range(ROUNDS)])
+    with torch.no_grad():
+        beside = (field() - field.start).permute(0, 3, 1, 2)[1:]
+    return factor * resized(beside, flow.size)
+
+
+def _problem(field: Flow, data: Tensor, known: Tensor) -> Problem:
+    """Two pictures, the first of which is the scene."""
+    size = (data.shape[1], data.shape[2])
+    first = torch.where(known[0], data[0], data[0][known[0]].median())
+    scene = Constant((1, 1, *size))
+    spline = ndimage.spline_filter(first.numpy().astype(np.float64), order=3, mode="mirror")
+    scene.values.copy_(torch.from_numpy(spline))
+    return Problem(
+        Chain({"warp": Warp(size, size, (0, 0))}),
+        {"scene": scene, "motion": field},
+        data[:, None],
+        known[:, None].to(data),
+        fidelity=Huber(),
+    )
+
+
+@torch.no_grad()
+def _residual(problem: Problem, known: Tensor) -> Tensor:
+    """What the second picture is above its prediction, where both show something."""
+    values = problem.values()
+    seen = (problem.valid(values) & known[:, None])[1]
+    return (problem.predict(values) - problem.data)[1][seen]
+
+
+def resized(maps: Tensor, size: Sequence[int]) -> Tensor:
+    """Maps (N, C, h, w) of another size, about the same centre."""
+    return F.interpolate(maps, size=tuple(size), mode="bilinear", align_corners=False)

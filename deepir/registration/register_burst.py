@@ -1,0 +1,152 @@
+"""The registration of a whole burst: which frames show one scene, and how each has moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from deepir.errors import DataError, nearest
+from deepir.operators.motion_models import AUTO, PARAMETERS, identity, relative
+from deepir.registration.alternating_alignment import Aligned, standing
+from deepir.registration.frame_groups import FAILED, agreement, at_rest, left
+from deepir.registration.model_selection import bent
+from deepir.registration.motion_search import ROUNDS, fine, place, search_level
+from deepir.registration.moving_object_masks import blanked
+from deepir.registration.moving_objects import CLEAR, beside_walker, every
+from deepir.registration.preprocess import preprocess
+from deepir.registration.robust_score import log_likelihood_ratio
+from deepir.registration.shutter_frames import FEWEST, shutter_frames
+
+UNSURE = 0.85  # confidence below which a frame's motion may be wrong
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The motions of a burst.
+
+    motion: `(N, 3, 3)` float64 pull homographies about the frame's centre, `frame_k(p) = frame_r(T_k p)` with r
+    the first frame that is used, in px; NaN where a frame is left out. confidence: `(N,)` in [0, 1], how well
+    the frame agrees with the others, once aligned. used: `(N,)` bool. messages: what the user should know.
+    """
+
+    motion: Tensor
+    confidence: Tensor
+    used: Tensor
+    messages: list[str] = field(default_factory=list)
+
+
+@torch.no_grad()
+def register(
+    frames: Tensor,
+    *,
+    model: str = "rigid",
+    ignore: Tensor | None = None,
+    valid: Tensor | None = None,
+    start: int = 0,
+) -> Registration:
+    """Motion of every frame of a burst `(N, H, W)` relative to the first that is used, under strong fixed patterns.
+
+    model: shift, rigid, affine, homography, or auto: rigid, and a homography where the frames bend. ignore:
+    `(H, W)` bool, True where a pixel must not be used. valid: `(N, H, W)` bool, False where a sample is made up, of
+    something finite. start: the number of the first frame, for messages.
+    Raises DataError where the shapes or the model's name are wrong.
+    """
+    check(frames, model, ignore)
+    frames = frames.detach().cpu()
+    holes = None if valid is None or valid.all() else ~valid.cpu()
+    if holes is not None:
+        frames = blanked(frames, holes, torch.ones(frames.shape[1:]))
+    flat, weight = preprocess(frames, None if ignore is None else ignore.cpu())
+    first = "rigid" if model == AUTO else model
+    n = len(frames)
+    why = dict.fromkeys(copies(frames), "is the same as the one before it")
+    if n > FEWEST:
+        shut = shutter_frames(search_level(flat, weight), first).nonzero()[:, 0].tolist()
+        why |= dict.fromkeys(shut, "shows the pattern and no scene, as where a shutter closes")
+    motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
+    confidence = torch.zeros(n, dtype=torch.float64)
+    some = [k for k in range(n) if k not in why] if why else slice(None)  # no copy of all
+    motion[some], confidence[some] = moved(
+        frames[some], flat[some], weight, model, None if holes is None else holes[some]
+    )
+    return verdict(motion, confidence, start, why)
+
+
+def copies(frames: Tensor) -> list[int]:
+    """Frames `(N, H, W)` that are the one before them once more, as where a camera is read faster than it looks.
+
+    None if all are: then nothing moves.
+    """
+    found = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
+    return found if len(found) < len(frames) - 1 else []
+
+
+def moved(
+    frames: Tensor, flat: Tensor, weight: Tensor, model: str, holes: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """Motions `(N, 3, 3)` of frames and how well they agree `(N,)`, on which `verdict` decides."""
+    first = "rigid" if model == AUTO else model
+    placed = beside_walker(place(frames, flat, weight, first), weight, first, holes)
+    coarse, used, found, motion = placed.coarse, placed.used, placed.found, placed.motion
+    if used.sum() > 1:
+        if model == AUTO:
+            level = fine(placed.flat[used], weight, coarse.factor)[-1]
+            motion = bent(placed.frames[used], weight, level, motion, ROUNDS)
+        found = min(found, Aligned(motion, *standing(coarse.of(used), motion)), key=left)
+    if (still := at_rest(coarse, found)).any():
+        # Unless most of the frame moves: somebody changes the frames as much, whether the camera moves or rests.
+        rest, moves = (every(replace(placed, motion=each)) for each in (identity(len(motion)), motion))
+        if log_likelihood_ratio(coarse, rest, moves) < CLEAR:
+            return identity(len(frames)), still.double()
+    found_at = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    confidence = 0.5 * FAILED * placed.clear.clamp_max(1)
+    if used.sum() > 1:
+        found_at[used], confidence[used] = motion, agreement(coarse.of(used), found.pattern, motion)
+    return found_at, confidence
+
+
+def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, str]) -> Registration:
+    """Confidence and messages; frames that fail are left out by name, some of which it is known why."""
+    confidence = confidence.clamp(0, 1)
+    used = confidence >= FAILED
+    if used.sum() < 2:  # nothing agrees: the first frame stands for itself
+        first = next(k for k in range(len(used)) if k not in why)
+        used = torch.arange(len(used)) == first
+        confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * FAILED))
+        motion[first] = torch.eye(3, dtype=torch.float64)
+    messages = []
+    for k in range(len(used)):
+        if k in why:
+            messages.append(f"frame {start + k} {why[k]}: left out")
+        elif not used[k]:
+            messages.append(
+                f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
+            )
+        elif confidence[k] < UNSURE:
+            messages.append(
+                f"frame {start + k} shows little that registers (confidence {float(confidence[k]):.2f}): "
+                "its motion may be wrong"
+            )
+    first = int(used.nonzero()[0])
+    if first:
+        messages.append(
+            f"frame {start + first} is the first that registers: motions and results are relative to it"
+        )
+    motion = torch.where(used[:, None, None], relative(motion, first), torch.nan)
+    motion[first] = torch.eye(3, dtype=torch.float64)
+    return Registration(motion, confidence, used, messages)
+
+
+def check(frames: Tensor, model: str, ignore: Tensor | None) -> None:
+    """Raise DataError where the arguments of `register` cannot be used."""
+    if frames.ndim != 3:
+        raise DataError(f"registration wants frames (N, height, width), not {tuple(frames.shape)}")
+    if model not in (known := [*PARAMETERS, AUTO]):
+        raise DataError(f"motion model '{model}' is not known; {nearest(model, known)}")
+    if ignore is not None and ignore.shape != frames.shape[1:]:
+        raise DataError(
+            f"the bad-pixel mask is {tuple(ignore.shape)}, the frames are {tuple(frames.shape[1:])}"
+        )

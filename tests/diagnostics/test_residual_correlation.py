@@ -1,0 +1,62 @@
+"""What is left of the frames is noise, or it is told."""
+
+import numpy as np
+import pytest
+import torch
+
+import deepir
+from deepir.diagnostics.residual_correlation import correlation, trailing
+from deepir.simulate import Settings, simulate
+
+CAMERA = {"n_frames": 6, "shape": (96, 128), "counts": True, "shading": 0.0, "dead_pixels": 0.0}
+
+
+def said(frames):
+    return [
+        m
+        for m in deepir.run("nuc", frames=frames, threads=1).messages
+        if "neither scene" in m or "trail" in m
+    ]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_noise_is_no_message(seed):
+    assert said(simulate(None, Settings(**CAMERA), seed=seed).frames) == []
+
+
+def test_a_cloud_that_moves_by_itself_is_told():
+    frames = simulate(None, Settings(**CAMERA), seed=3).frames.astype(float)
+    y, x = np.mgrid[:96, :128]
+    for k in range(len(frames)):
+        frames[k] += 60 * np.exp(-((x - 20 - 12 * k) ** 2 + (y - 40) ** 2) / 800)
+    (message,) = said(frames)
+    assert "neither scene nor pattern" in message
+
+
+def test_slow_pixels_are_told_as_such():
+    frames = simulate(None, Settings(**CAMERA), seed=3).frames.astype(float)
+    for k in range(1, len(frames)):
+        frames[k] = 0.75 * frames[k] + 0.25 * frames[k - 1]
+    (message,) = said(frames)
+    assert "the frames trail" in message
+    assert "deepir run deblur_lag" in message
+
+
+def test_white_noise_is_not_alike_and_a_wave_is():
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.randn(4, 1, 90, 120, generator=generator)
+    precision = torch.ones_like(noise)
+    precision[:, :, ::7] = 0
+    assert abs(correlation(noise * precision, precision)) < 0.01
+    wave = (torch.arange(120) * (2 * torch.pi / 60)).sin().expand_as(noise)
+    assert correlation(wave * precision, precision) > 0.8
+
+
+def test_a_tail_is_the_frame_before():
+    generator = torch.Generator().manual_seed(0)
+    flux = torch.randn(4, 1, 90, 120, generator=generator)
+    noise = torch.randn(4, 1, 90, 120, generator=generator)
+    late = torch.cat([torch.zeros(1, 1, 90, 120), 0.5 * (flux[:-1] - flux[1:])])
+    assert abs(trailing(noise, flux, torch.ones_like(flux))) < 0.03
+    # A tail of half the difference has the power of half the noise's: a correlation of 1 / sqrt(3).
+    assert trailing(noise + late, flux, torch.ones_like(flux)) == pytest.approx(3**-0.5, abs=0.02)

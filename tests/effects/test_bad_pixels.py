@@ -1,0 +1,166 @@
+"""Bad pixels and moving things are told by what they do beside the model."""
+
+import numpy as np
+import torch
+
+import deepir
+from deepir.effects.bad_pixels import (
+    dead_pixels,
+    defective_pixels,
+    neighbourhood_doubt,
+    overlay_mask,
+    pattern_outliers,
+    static_pixels,
+)
+from deepir.simulate import Settings, simulate
+
+KNOWN = torch.ones(1, 1, 40, 50, dtype=torch.bool)
+
+
+def pattern(sigma=3.0):
+    torch.manual_seed(0)
+    return sigma * torch.randn(1, 1, 40, 50) + 20 * torch.randn(1, 1, 1, 50) + 20 * torch.randn(1, 1, 40, 1)
+
+
+def test_a_pixel_far_from_its_neighbours_is_found_under_strong_columns_and_rows():
+    bad = pattern()
+    bad[0, 0, 5, 6], bad[0, 0, 20, 30] = 400.0, -300.0
+    found = pattern_outliers(bad, KNOWN)
+    assert found[0, 0, 5, 6]
+    assert found[0, 0, 20, 30]
+    assert found.sum() == 2
+
+
+def test_a_pattern_of_zeros_has_no_bad_pixels():
+    assert not pattern_outliers(torch.zeros(1, 1, 40, 50), KNOWN).any()
+
+
+def test_a_saturated_half_is_not_dead():
+    half = pattern()
+    half[..., :25] = 0
+    assert not pattern_outliers(half, KNOWN).any()
+
+
+def test_dead_lines_and_blocks_are_found_live_pixels_that_hardly_change_are_not():
+    frames, usable = 8000 + pattern() + 3 * torch.randn(6, 1, 40, 50), torch.ones(6, 1, 40, 50) > 0
+    frames[..., 7], frames[:, :, 21], frames[:, :, 30:36, 30:36] = 50.0, 16383.0, 0.0
+    found = dead_pixels(static_pixels(frames, usable, 3.0), frames.mean(0, keepdim=True) - 8000, KNOWN)
+    expected = torch.zeros_like(found)
+    expected[..., 7] = expected[:, :, 21] = expected[:, :, 30:36, 30:36] = True
+    assert torch.equal(found, expected)
+
+
+def test_what_is_saturated_as_the_scene_is_lives():
+    frames, usable = 8000 + pattern() + 3 * torch.randn(6, 1, 40, 50), torch.ones(6, 1, 40, 50) > 0
+    frames[:, :, :20] = 16383.0
+    left = frames.mean(0, keepdim=True) - torch.where(torch.arange(40)[:, None] < 20, 16383.0, 8000.0)
+    assert not dead_pixels(static_pixels(frames, usable, 3.0), left, KNOWN).any()
+
+
+def moving():
+    """Frames of a scene that moves two pixels from one to the next, plain at its right."""
+    torch.manual_seed(0)
+    scene = 100 + 40 * torch.randn(1, 40, 80)
+    scene[..., 40:] = 120.0
+    return torch.stack([scene[..., 2 * k : 2 * k + 50] for k in range(6)])
+
+
+def test_a_box_drawn_over_moving_pictures_is_found_to_its_middle_that_expects_itself():
+    expected, usable = moving(), torch.ones(6, 1, 40, 50) > 0
+    frames = expected + torch.randn(6, 1, 40, 50)
+    box = torch.zeros(1, 1, 40, 50, dtype=torch.bool)
+    box[..., 5:15, 3:24] = True
+    frames[:, 0, box[0, 0]] = 50.0
+    expected[..., 8:12, 6:20] = 50.0
+    assert torch.equal(overlay_mask(static_pixels(frames, usable, 1.0), expected, usable, 1.0), box)
+
+
+def test_a_plain_sky_without_noise_lives_though_a_ghost_is_expected_in_it():
+    expected, usable = moving(), torch.ones(6, 1, 40, 50) > 0
+    frames = expected.clone()
+    expected[2, 0, 10:14, 44:46] = 160.0
+    found = overlay_mask(static_pixels(frames, usable, 1.0), expected, usable, 1.0)
+    assert found.sum() == 8
+
+
+def test_a_scale_drawn_over_pictures_of_eight_bits_costs_nothing_but_its_place():
+    camera = Settings(n_frames=6, shape=(64, 80), shading=0.0, dead_pixels=0.0)
+    frames = simulate(None, camera, seed=5).frames
+    frames = np.round(255 * (frames - frames.min()) / np.ptp(frames))
+    drawn, hidden = frames.copy(), np.zeros((64, 80), bool)
+    hidden[8:-8, -7:-3] = True
+    drawn[:, hidden] = np.linspace(250, 5, 48).round().repeat(4)
+    frames[:, hidden] = np.nan
+    cut, found = (deepir.run("nuc", frames=each, threads=1) for each in (frames, drawn))
+    assert found.bad_pixels[hidden].all()
+    apart = np.abs(found.scene - cut.scene)[:, :-14]
+    assert np.median(apart) < 0.2
+
+
+def test_a_burst_with_dead_columns_and_a_dead_block_is_as_good_as_without():
+    camera = Settings(n_frames=5, shape=(64, 80), counts=True, shading=0.0, dead_pixels=0.0)
+    sim = simulate(None, camera, seed=5)
+    frames = sim.frames.copy()
+    frames[:, :, [20, 21, 60]], frames[:, 30:36, 40:46] = 57, 0
+    errors = [
+        deepir.run("nuc", frames=each, threads=1).scene - sim.truth.scene for each in (sim.frames, frames)
+    ]
+    whole, holed = (np.abs(error - np.median(error)).mean() for error in errors)
+    assert holed < 1.3 * whole
+
+
+def test_a_pixel_that_misfits_in_all_frames_is_given_up_one_that_does_so_once_is_not():
+    misfit = torch.ones(4, 1, 40, 50)
+    misfit[:, 0, 3, 4] = 60.0
+    misfit[1, 0, 8, 9] = 40.0
+    found = defective_pixels(misfit, torch.ones_like(misfit) > 0)
+    assert found.nonzero()[:, 2:].tolist() == [[3, 4]]
+
+
+def test_a_region_that_misfits_is_no_defect_but_is_doubted():
+    misfit = torch.ones(4, 1, 40, 50)
+    misfit[2, 0, 10:20, 10:20] = 9.0
+    usable = torch.ones_like(misfit) > 0
+    assert not defective_pixels(misfit, usable).any()
+    doubt = neighbourhood_doubt(misfit, usable)
+    assert (doubt[2, 0, 12:18, 12:18] > 5).all()
+    assert not doubt[0].any()
+
+
+def test_dead_and_flickering_pixels_of_a_burst_are_found_and_filled():
+    camera = Settings(n_frames=6, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.005)
+    sim = simulate(None, camera, seed=5)
+    result = deepir.run("nuc", frames=sim.frames, threads=1)
+    truth, found = sim.truth.bad_pixels, result.bad_pixels
+    assert (found & truth).sum() >= 0.9 * truth.sum()
+    assert (found & ~truth).sum() <= 0.002 * truth.size
+    error = np.abs(result.scene - sim.truth.scene - (result.scene - sim.truth.scene).mean())
+    assert np.median(error[truth]) < 0.05 * sim.settings.contrast
+
+
+def test_a_plain_scene_in_coarse_steps_has_no_dead_pixels():
+    camera = Settings(n_frames=5, shape=(64, 80), counts=True, shading=0.0, dead_pixels=0.0, contrast=600)
+    sim = simulate(None, camera, seed=5)
+    steps = [deepir.run("nuc", frames=sim.frames // step * step, threads=1) for step in (1, 64)]
+    fine, coarse = (
+        np.abs(each.scene - np.median(each.scene - sim.truth.scene) - sim.truth.scene) for each in steps
+    )
+    assert steps[1].bad_pixels.mean() < 0.002
+    assert np.median(coarse) < 20
+    assert np.median(fine) < np.median(coarse)
+
+
+def test_a_logo_before_a_plain_scene_does_not_keep_the_frames_at_rest():
+    rng, (y, x) = np.random.default_rng(19), np.mgrid[:480, :640]
+    scene = np.zeros((480, 640))
+    for _ in range(14):
+        width, height = rng.uniform(8, 40), rng.uniform(0.1, 0.6)
+        off = (x - rng.uniform(0, 640)) ** 2 + (y - rng.uniform(0, 480)) ** 2
+        scene += height * np.exp(-off / 2 / width**2)
+    camera = Settings(n_frames=5, shape=(96, 128), shading=0.0, dead_pixels=0.0, max_shift=4.0)
+    sim = simulate((scene - scene.min()) / np.ptp(scene), camera, seed=5)
+    frames = np.round(60 + 120 * (sim.frames - sim.frames.min()) / np.ptp(sim.frames))
+    frames[:, ((x[:96, :128] - 65) / 26) ** 2 + ((y[:96, :128] - 48) / 20) ** 2 < 1] = 20
+    frames[:, 40:56, 50:80:4] = 250
+    result = deepir.run("nuc", frames=frames, threads=1)
+    assert np.abs(result.motion - sim.truth.motion).max() < 0.3

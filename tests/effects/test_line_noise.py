@@ -1,0 +1,135 @@
+"""Rows and columns that jump from frame to frame: found where they do, left alone where they do not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+import deepir
+from deepir.closed_form.weighted_least_squares import of_sensor
+from deepir.errors import ConfigError
+from deepir.fields.line_noise import ColumnNoise, RowNoise
+from deepir.simulate import Settings, simulate
+from deepir.simulate.scenes import procedural
+
+CAMERA = Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0)
+NOISE = CAMERA.read_noise * CAMERA.contrast
+WITHOUT = "physics.sensor.level=drift"
+
+
+def burst(seed=3, **effects):
+    return simulate(None, dataclasses.replace(CAMERA, **effects), seed=seed)
+
+
+def run(sim, *overrides):
+    return deepir.run("nuc", *overrides, frames=sim.frames, threads=1)
+
+
+def error(result, sim):
+    apart = result.scene - sim.truth.scene
+    return (apart - apart.mean()).std()
+
+
+@pytest.mark.parametrize(("lines", "truth"), [("row", "rows"), ("column", "columns")])
+def test_lines_that_jump_are_found_and_taken_out(lines, truth):
+    errors = []
+    for seed in (5, 4, 3):
+        sim = burst(seed, **{f"{lines}_noise": 2 * CAMERA.read_noise})
+        result, without = run(sim), run(sim, WITHOUT)
+        errors.append((error(result, sim), error(without, sim)))
+    found = result.metrics["strengths"]
+    other = {"row": "column", "column": "row"}[lines]
+    assert found[f"level.{lines}_noise.sigma"] == pytest.approx(2 * NOISE, rel=0.4)
+    assert found[f"level.{other}_noise.sigma"] == 0
+    assert np.mean([taken / left for taken, left in errors]) < 0.8
+    assert any(message.startswith(f"{truth} jump by") for message in result.messages)
+    # Level and noise of the frames are not taken for what the lines do.
+    assert result.metrics["noise_sigma"] == pytest.approx(NOISE, rel=0.3)
+    assert without.metrics["noise_sigma"] > 1.5 * NOISE
+
+
+@pytest.mark.parametrize("effects", [{}, {"gain_row": 0.05, "offset_row": 0.05}, {"max_rotation": 4.0}])
+def test_where_no_line_jumps_nothing_changes(effects):
+    sim = burst(**effects)
+    result = run(sim)
+    assert not any("jump" in message for message in result.messages)
+    np.testing.assert_array_equal(result.scene, run(sim, WITHOUT).scene)
+
+
+@pytest.mark.parametrize(
+    ("scene", "camera"),
+    [
+        (2, {"shape": (24, 32), "max_shift": 4.0, "offset_pixel": 0.04, "offset_row": 0.03}),
+        (1, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}),
+        (4, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}),
+    ],
+)
+def test_edges_as_long_as_a_short_line_do_not_make_it_jump(scene, camera):
+    for seed in range(4):
+        settings = dataclasses.replace(CAMERA, **camera)
+        sim = simulate(procedural(scene, (430, 500)), settings, seed=seed)
+        assert not any("jump" in message for message in run(sim).messages)
+
+
+def test_two_frames_leave_no_jump_to_be_seen():
+    sim = burst(n_frames=2, row_noise=2 * CAMERA.read_noise)
+    assert run(sim).metrics["strengths"]["level.row_noise.sigma"] == 0
+
+
+def test_what_is_given_is_not_estimated():
+    sim = burst(row_noise=2 * CAMERA.read_noise)
+    given = run(sim, "physics.sensor.level.row_noise.sigma=7.5")
+    assert given.metrics["strengths"]["level.row_noise.sigma"] == 7.5
+    with pytest.raises(ConfigError, match="sigma must be a number of at least 0"):
+        run(sim, "physics.sensor.level.row_noise.sigma=-1")
+
+
+def test_jumps_of_rows_are_neither_a_drift_nor_a_shading():
+    result = run(burst(row_noise=2 * CAMERA.read_noise))
+    found = result.metrics["strengths"]
+    assert found["gain.shading.sigma"] == found["offset.shading.sigma"] == 0
+    assert np.abs(result.level).max() < NOISE  # the mean of a frame's jumps, which is one, too
+    assert not any("drifts" in message for message in result.messages)
+
+
+def test_a_run_whose_rows_jump_repeats_to_the_bit():
+    sim = burst(row_noise=2 * CAMERA.read_noise)
+    np.testing.assert_array_equal(run(sim).scene, run(sim).scene)
+
+
+def test_a_simulated_line_jumps_as_the_truth_says():
+    still, jumping = burst(counts=False), burst(counts=False, row_noise=0.1, column_noise=0.05)
+    truth = jumping.truth
+    np.testing.assert_allclose(
+        jumping.frames - still.frames, truth.rows[..., None] + truth.columns[:, None], atol=1e-5
+    )
+    assert truth.rows.std() == pytest.approx(0.1, rel=0.1)
+    assert truth.columns.std() == pytest.approx(0.05, rel=0.1)
+    assert not still.truth.rows.any()
+    assert not still.truth.columns.any()
+
+
+def test_the_prior_is_gaussian_and_without_strength_there_is_one_value_a_frame():
+    for kind, shape in ((RowNoise, (3, 1, 4, 1)), (ColumnNoise, (3, 1, 1, 5))):
+        field = kind((3, 1, 1, 1), size=(4, 5), sigma=0.5)
+        value = torch.randn(shape)
+        field.init_from(value.expand(3, 1, 4, 5))
+        torch.testing.assert_close(field.penalty().detach(), value.square().sum() / (2 * 0.25))
+        asleep = kind((3, 1, 1, 1), size=(4, 5))
+        assert asleep().shape == (3, 1, 1, 1)
+        assert asleep.penalty() is None
+
+
+@pytest.mark.parametrize("lines", [(4, 1), (1, 5), (4, 5)])
+def test_the_gradient_in_levels_of_lines_is_that_of_autograd(lines):
+    generator = torch.Generator().manual_seed(0)
+    shape = (3, 1, 4, 5)
+    flux, data, precision = (torch.rand(shape, generator=generator, dtype=torch.float64) for _ in range(3))
+    gain, offset = (torch.rand((1, 1, 4, 5), generator=generator, dtype=torch.float64) for _ in range(2))
+    level = torch.rand((3, 1, *lines), generator=generator, dtype=torch.float64, requires_grad=True)
+    wanted = (precision * (gain * flux + offset + level - data).square()).sum() / 2
+    found = of_sensor(flux, data, precision, (gain, offset, level))
+    torch.testing.assert_close(found.detach(), wanted.detach())
+    slopes = [torch.autograd.grad(each, level)[0] for each in (found, wanted)]
+    torch.testing.assert_close(*slopes)

@@ -1,0 +1,103 @@
+"""Who walks through a burst is told from the scene, also where most frames show him."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from skimage.data import camera
+
+import deepir
+from deepir.burst import Burst
+from deepir.config import load
+from deepir.effects.moving_objects import _trust, down_weight_moving
+from deepir.metrics import scores
+from deepir.optim.solve import solve
+from deepir.pipeline.build import build
+from deepir.problems.nuc import NUC
+from deepir.simulate import Settings, simulate
+from deepir.simulate.scenes import procedural
+
+TONES = Settings(shape=(96, 128), shading=0.0, dead_pixels=0.0, photons=1000.0, read_noise=0.002)
+WALKER = {"walker": 0.5, "walker_contrast": 0.3}
+COUNTS = Settings(shape=(96, 128), shading=0.0, dead_pixels=0.0, counts=True)
+
+
+def after_the_first_round(sim):
+    """The problem of a burst, its motion known, as the second round of the sensor finds it."""
+    valid = np.ones(sim.frames.shape, bool)
+    burst = Burst(sim.frames.astype(np.float32), valid, np.zeros(valid.shape[1:], bool))
+    problem, _ = build(load("nuc"), burst, torch.from_numpy(sim.truth.motion))
+    nuc = NUC()
+    nuc.initialise(problem, 0)
+    solve(problem, nuc.plan(problem)[:1])
+    return problem
+
+
+def doubted(sim):
+    """Samples (N, H, W) that are found to show something that moves."""
+    problem = after_the_first_round(sim)
+    before = problem.precision.clone()
+    down_weight_moving(problem, settled=False)
+    return (problem.precision < before)[:, 0].numpy()
+
+
+@pytest.mark.parametrize("settings", [TONES, COUNTS], ids=["tones", "counts"])
+def test_where_nothing_moves_nothing_is_doubted(settings):
+    assert doubted(simulate(procedural(3, (300, 380)), settings, seed=4)).mean() < 1e-3
+
+
+@pytest.mark.parametrize("speed", [4.0, 8.0])
+def test_a_walker_is_found_though_his_ways_overlap(speed):
+    """He is 10 px wide and more: at 4 px from frame to frame some places show him in three frames of five and more."""
+    sim = simulate(camera() / 255, dataclasses.replace(TONES, walker_speed=speed, **WALKER), seed=13)
+    found = doubted(sim)
+    assert found[sim.truth.moving].mean() > 0.7  # edges count as moving, too
+    assert found[~sim.truth.moving].mean() < 0.02
+
+
+def test_who_walks_through_five_frames_costs_little():
+    """Left to the robust weights, he cost the first of these bursts 7 dB."""
+    costs = []
+    picture, walked = procedural(2, (300, 380)), dataclasses.replace(TONES, walker_speed=4.0, **WALKER)
+    for seed in (13, 14, 15):
+        walker, quality = simulate(picture, walked, seed=seed).truth.moving[0], []
+        for settings in (TONES, walked):
+            sim = simulate(picture, settings, seed=seed)
+            found = deepir.run("nuc", frames=sim.frames, threads=1).scene
+            quality.append(scores(found, np.where(walker, np.nan, sim.truth.scene))["psnr_aligned"])
+        costs.append(quality[0] - quality[1])
+    assert np.mean(costs) < 1.8
+
+
+def test_who_alone_sees_the_scene_is_not_doubted_for_that():
+    problem = after_the_first_round(simulate(procedural(1, (300, 380)), TONES, seed=3))
+    problem.precision[0, :, 10, 10:13] = torch.tensor([0.0, 0.01, 1e9])
+    before, usual = problem.precision.clone(), float(problem.precision.median())
+    samples = torch.zeros_like(before, dtype=torch.bool)
+    samples[0, :, 10, 10:13] = True
+    _trust(problem, samples)
+    assert problem.precision[0, 0, 10, [10, 12]].tolist() == before[0, 0, 10, [10, 12]].tolist()
+    assert 0.9 * usual < float(problem.precision[0, 0, 10, 11]) < 1.1 * usual
+    assert torch.equal(problem.precision.where(~samples, 0), before.where(~samples, 0))
+
+
+def test_who_walks_is_said_and_shown():
+    walks = simulate(procedural(3, (300, 380)), dataclasses.replace(TONES, **WALKER), seed=4)
+    result = deepir.run("nuc", frames=walks.frames, threads=1)
+    assert any("moves by itself" in message for message in result.messages)
+    assert (result.extra["moving"] & walks.truth.moving).sum() > 0.7 * walks.truth.moving.sum()
+    nobody = deepir.run("nuc", frames=simulate(procedural(3, (300, 380)), TONES, seed=4).frames, threads=1)
+    assert "moving" not in nobody.extra
+    assert not any("moves" in message for message in nobody.messages)
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+def test_who_is_far_above_the_noise_is_not_built_into_scene_and_pattern(seed):
+    """He covers half of his way in three frames of five; gains there had come to zero before he was found: 25 dB."""
+    settings = Settings(shape=(240, 320), n_frames=5, walker=0.5, walker_speed=8.0, read_noise=0.001)
+    sim = simulate(procedural(1, (700, 900)), settings, seed=seed)
+    result = deepir.run("nuc", frames=sim.frames, threads=1)
+    truth = np.where(sim.truth.moving[0], np.nan, sim.truth.scene)
+    assert scores(result.scene, truth)["psnr_aligned"] > 45
+    assert (result.gain < 0.5).mean() < 1e-3

@@ -1,0 +1,79 @@
+"""The search for the scene's weights."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deepir.estimation.cross_validation import (
+    MOST,
+    TRIALS,
+    best_power,
+    cross_validation_stages,
+    next_power,
+    start_trials,
+    weight_from_cross_validation,
+)
+from deepir.estimation.hyperparameters import hold_out
+from deepir.optim.solve import solve
+from deepir.priors.penalties.tv import TV
+
+
+def search(misfit):
+    tried = {}
+    for _ in range(TRIALS):
+        power = next_power(tried)
+        tried[power] = misfit(power)
+    return best_power(tried)
+
+
+@given(st.floats(-6, MOST - 0.6), st.floats(0.1, 100))
+def test_the_least_of_a_parabola_is_found(least, bend):
+    assert search(lambda power: bend * (power - least) ** 2) == pytest.approx(least, abs=1e-6)
+
+
+def test_the_scene_is_never_made_too_smooth():
+    assert search(lambda power: -power) == MOST
+
+
+def test_the_search_stays_where_all_neighbours_are_worse():
+    tried = {-1.0: 2.0, 0.0: 1.0, 1.0: 3.0, 2.0: 4.0, -2.0: 5.0}
+    assert next_power(tried) == 0
+    assert -0.5 < best_power(tried) < 0
+
+
+def test_a_weight_that_is_given_is_not_searched_for(small_nuc):
+    problem = small_nuc()  # TV of weight 2
+    start_trials(problem)
+    assert cross_validation_stages(problem) == []
+    weight_from_cross_validation(problem)
+    assert problem.penalties["scene"]["prior"].weight == 2
+
+
+def test_a_search_that_was_interrupted_goes_on_as_if_it_had_not_been(small_nuc, tmp_path):
+    def searched(**how):
+        torch.manual_seed(0)
+        problem = small_nuc(n_frames=4, size=(20, 24))
+        problem.penalties["scene"]["prior"] = TV().double()
+        hold_out(problem, 0)
+        start_trials(problem)
+        solve(problem, cross_validation_stages(problem), **how)
+        return problem.get_buffer("trials")
+
+    def stop(progress):
+        if progress.stage == "weight 3":
+            raise KeyboardInterrupt
+
+    state = tmp_path / "state.safetensors"
+    with pytest.raises(KeyboardInterrupt):
+        searched(callbacks=[stop], checkpoint=state)
+    resumed, whole = searched(checkpoint=state), searched()
+    assert whole[:-1].isfinite().all()
+    assert torch.equal(resumed.nan_to_num(), whole.nan_to_num())
+
+
+def test_the_search_for_a_weight_ends_at_the_least_that_is_allowed():
+    tried = {0.0: 5.0, -2.0: 4.0, -4.0: 3.0, -6.0: 2.0}
+    assert next_power(tried) == -8
+    assert next_power(tried, least=-6.0) == -5
+    assert next_power({0.0: 5.0, -2.0: 4.0}, least=-3.0) == -3

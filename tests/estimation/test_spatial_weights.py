@@ -1,0 +1,77 @@
+"""The scene's prior is stronger where the scene is plain, and where samples are less sure, than where it is rich."""
+
+import numpy as np
+import pytest
+import torch
+
+from deepir.burst import Burst
+from deepir.config import load
+from deepir.estimation.hyperparameters import weigh_scene
+from deepir.estimation.spatial_weights import adapt_weight_map
+from deepir.pipeline.build import build
+from deepir.priors.penalties.tv import TV
+
+NOISE = 0.01
+
+
+def problem_of(scene, *settings):
+    """Five frames that do not move, of which the scene is known to `NOISE`."""
+    whole = np.ones((5, *scene.shape), bool)
+    found, _ = build(
+        load("nuc", settings), Burst(np.stack([scene] * 5), whole, ~whole[0]), torch.eye(3).repeat(5, 1, 1)
+    )
+    found.precision.fill_(1 / (5 * NOISE**2))
+    margin = [
+        (each - side) // 2 for each, side in zip(found.fields["scene"].shape[-2:], scene.shape, strict=True)
+    ]
+    with torch.no_grad():
+        found.fields["scene"].init_from(
+            torch.from_numpy(np.pad(scene, [(m, m) for m in margin], "edge"))[None, None]
+        )
+    weigh_scene(found)
+    return found, tuple(slice(m, m + side) for m, side in zip(margin, scene.shape, strict=True))
+
+
+def weights(scene, *settings, dark=None):
+    problem, inside = problem_of(scene.astype(np.float32), *settings)
+    if dark is not None:
+        problem.precision[..., dark] *= 0.5
+    adapt_weight_map(problem)
+    (penalty,) = problem.penalties["scene"].values()
+    return (penalty.weight * penalty.share[inside]).numpy()
+
+
+@pytest.mark.parametrize("prior", ["tv", "huber_tv"])
+def test_half_a_frame_of_texture_is_smoothed_less_than_the_plain_half(prior):
+    rng = np.random.default_rng(0)
+    scene = 1 + NOISE * rng.normal(size=(48, 64))
+    scene[:, 32:] += 20 * NOISE * rng.normal(size=(48, 32))
+    weight = weights(scene, f"scene.penalties={{{prior}: auto}}")
+    assert weight[8:-8, 8:24].min() > 2 * weight[8:-8, 40:56].max()
+
+
+def test_a_lone_edge_is_less_of_a_texture_than_many():
+    rng = np.random.default_rng(0)
+    scene = 1 + NOISE * rng.normal(size=(48, 64))
+    lone, many = scene.copy(), scene.copy()
+    lone[:, 32:] += 20 * NOISE
+    many[:, ::4] += 20 * NOISE
+    assert np.median(weights(lone)[8:-8, 32]) > 1.3 * np.median(weights(many)[8:-8, 32])
+
+
+def test_samples_half_as_sure_are_held_less():
+    """A nat is for a step in standard deviations, which is 1.4 times as large."""
+    rng = np.random.default_rng(0)
+    scene = 1 + 20 * NOISE * rng.normal(size=(48, 64))
+    weight = weights(scene, dark=slice(48, None))
+    assert np.median(weight[8:-8, 52:60]) / np.median(weight[8:-8, 8:40]) == pytest.approx(0.5**0.5, rel=0.1)
+
+
+def test_a_weight_that_is_given_is_the_same_everywhere():
+    scene = np.linspace(0, 1, 48)[:, None] * np.ones(64)
+    assert (weights(scene, "prior=tv", "scene.penalties.tv=3.0") == 3).all()
+
+
+def test_a_penalty_of_no_shape_is_the_same_everywhere():
+    value = torch.rand(1, 1, 9, 12, dtype=torch.float64)
+    assert torch.equal(TV(weight=2.0)(value), TV((1, 1, 9, 12), weight=2.0)(value))

@@ -1,0 +1,83 @@
+"""Displacements under a fixed pattern, the slow pattern that they show, and corrections that they judge."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from skimage import data
+
+from deepir.multiview.held_out_pattern import Judge
+from deepir.multiview.low_order_pattern import slow_pattern
+from deepir.registration.texture_flow import displacements
+
+SIZE = (120, 160)
+ONE = np.ones(SIZE)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Eight frames of a camera that drives forward: each is 3 % larger than the one before."""
+    scene = ndimage.zoom(data.camera().astype(float), 0.7, order=1)
+    middle = (np.array(scene.shape) - 1) / 2
+    y, x = (np.arange(side) - (side - 1) / 2 for side in SIZE)
+    return np.stack(
+        [
+            ndimage.map_coordinates(
+                scene, np.meshgrid(middle[0] + y / 1.03**k, middle[1] + x / 1.03**k, indexing="ij"), order=3
+            )
+            for k in range(8)
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def shading():
+    """A bowl and a slope, of mean zero."""
+    y, x = np.mgrid[-1 : 1 : SIZE[0] * 1j, -1 : 1 : SIZE[1] * 1j]
+    shading = 30 * (x**2 + y**2) + 20 * y
+    return shading - shading.mean()
+
+
+def test_displacements_are_those_of_the_zoom_and_do_not_follow_a_shading(drive, shading):
+    (found,) = displacements(drive[[0, 2]] + shading, [(0, 1)])
+    rows = np.arange(SIZE[0])[:, None] - (SIZE[0] - 1) / 2
+    error = np.abs(found.y - np.arange(SIZE[0])[:, None] - rows * (1.03**2 - 1))
+    assert found.known.mean() > 0.3
+    assert np.median(error[found.known]) < 0.2
+
+
+def test_a_moving_scene_shows_the_slow_pattern(drive, shading):
+    found = slow_pattern(drive + shading, np.ones(drive.shape, bool))
+    assert found.related
+    assert np.corrcoef(found.offset.ravel(), shading.ravel())[0, 1] > 0.9
+    assert abs(slow_pattern(drive, np.ones(drive.shape, bool)).offset.std()) < 0.3 * shading.std()
+
+
+def test_scenes_that_have_nothing_in_common_show_none(shading):
+    pictures = [data.camera(), data.coins(), data.moon(), data.brick(), data.grass(), data.gravel()]
+    frames = np.stack([each[: SIZE[0], : SIZE[1]].astype(float) for each in pictures]) + shading
+    found = slow_pattern(frames, np.ones(frames.shape, bool))
+    assert not found.related
+    assert not found.offset.any()
+
+
+def judged(frames, correction, *others):
+    pairs = [(k, k + 2) for k in range(6)]
+    judge = Judge(frames, np.ones(frames.shape, bool), pairs, [correction])
+    return [judge.left(*each) for each in (correction, *others)]
+
+
+def test_the_true_correction_is_likelier_than_none_and_than_one_with_a_false_slope(drive, shading):
+    stripes = 10 * np.random.default_rng(0).standard_normal(SIZE[1])
+    frames = drive + shading + stripes
+    true, none = (ONE, shading + stripes), (ONE, 0 * ONE)
+    false = (ONE, shading + stripes + np.linspace(-150, 150, SIZE[0])[:, None])
+    for correction in (true, false):
+        _, *left = judged(frames, correction, true, none, false)
+        assert left[0].nats < left[1].nats - 100
+        assert left[0].nats < left[2].nats - 100
+        assert left[0].change < 0.5 * left[1].change
+
+
+def test_frames_without_motion_judge_nothing(shading):
+    frames = np.repeat(data.camera()[None, :120, :160].astype(float), 8, 0)
+    assert judged(frames, (ONE, shading)) == [None]

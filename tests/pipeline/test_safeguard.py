@@ -1,0 +1,83 @@
+"""Corrections that leave more pattern than simpler ones are given up, and frames that do not register are not."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from skimage import data
+
+from deepir.burst import Burst
+from deepir.errors import DataError
+from deepir.pipeline.safeguard import safeguarded, unregistered
+from deepir.result import neutral
+
+SIZE = (120, 160)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """Twelve frames that grow by 3 % each, with stripes; the first eight are the burst, the others beside it."""
+    scene = ndimage.zoom(data.brick().astype(float), 0.8, order=1)
+    middle = (np.array(scene.shape) - 1) / 2
+    y, x = (np.arange(side) - (side - 1) / 2 for side in SIZE)
+    frames = [
+        ndimage.map_coordinates(
+            scene, np.meshgrid(middle[0] + y / 1.03**k, middle[1] + x / 1.03**k, indexing="ij"), order=3
+        )
+        for k in range(12)
+    ]
+    return np.array(frames, np.float32)
+
+
+STRIPES = 8 * np.random.default_rng(0).standard_normal(SIZE[1]).astype(np.float32)
+
+
+def burst(frames, *, beside=True):
+    valid = np.ones((8, *SIZE), bool)
+    return Burst(frames[:8], valid, np.zeros(SIZE, bool), beside=frames[8:] if beside else None)
+
+
+def result(frames, offset):
+    found = neutral(frames[0] - offset, 8, SIZE, np.zeros(SIZE, bool))
+    found.offset = np.broadcast_to(offset, SIZE).astype(np.float32)
+    return found
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_good_correction_stays(drive, beside):
+    frames = drive + STRIPES
+    found = result(frames, STRIPES)
+    kept = safeguarded(found, burst(frames, beside=beside))
+    assert kept is found
+    assert kept.messages == []
+    left = kept.metrics["fixed_pattern_left"]
+    assert left["corrected"] < 0.5 * left["raw"]
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_false_slope_is_taken_out(drive, beside):
+    frames = drive + STRIPES
+    slope = np.linspace(-300, 300, SIZE[0])[:, None]
+    kept = safeguarded(result(frames, STRIPES + slope), burst(frames, beside=beside))
+    assert np.corrcoef(kept.offset.ravel(), np.broadcast_to(STRIPES, SIZE).ravel())[0, 1] > 0.8
+    assert "uncorrected frames" in kept.messages[0]
+
+
+def test_where_nothing_is_to_be_corrected_a_wrong_correction_is_given_up(drive):
+    scene = drive[0] - ndimage.gaussian_filter(drive[0], 20)
+    kept = safeguarded(result(drive, scene), burst(drive))
+    assert np.abs(kept.offset).max() == 0
+    assert "the result has no correction" in kept.messages[0]
+    assert np.array_equal(kept.scene, drive[0])
+
+
+def test_frames_whose_parts_move_get_an_offset_without_registration(drive):
+    refusal = DataError("they do not register")
+    found = unregistered(burst(drive + STRIPES), refusal)
+    assert np.corrcoef(np.diff(found.offset.mean(0)), np.diff(STRIPES))[0, 1] > 0.9
+    assert found.frames_used.tolist() == [True] + 7 * [False]
+
+
+def test_frames_that_stand_still_are_refused_as_before(drive):
+    still = drive[:1].repeat(12, 0) + np.random.default_rng(1).standard_normal((12, *SIZE)).astype(np.float32)
+    with pytest.raises(DataError, match="they do not register"):
+        unregistered(burst(still), DataError("they do not register"))
