@@ -41,7 +41,7 @@ class DeblurLag(NUC):
     frames = 3
     ordered = True
     operators: ClassVar[tuple[str, ...]] = ("warp", "lag", "sensor")
-    apply_lag: ClassVar[tuple[str, ...]] = ("motion", "tau")
+    late: ClassVar[tuple[str, ...]] = ("motion", "tau")
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """As in `nuc`, from where the camera was as each frame was read."""
