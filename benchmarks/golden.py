@@ -1,7 +1,8 @@
 """Results that a change of the code must keep: `make golden` compares them with `golden.json`.
 
 Small bursts of all problems, cameras and failures. Each is kept by a hash of its arrays (the same bits, on one kind of
-machine and with a warm cache of compiled kernels), the error of its scene against the truth, the stages that ran, and its messages. `--record` writes them anew.
+machine and with a warm cache of compiled kernels), the error of its scene against the truth, the stages that ran, and
+its messages. `--record` writes them anew.
 """
 
 from __future__ import annotations

@@ -11,11 +11,11 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config, load
 from deepir.metrics import scores
 from deepir.optim.solve import solve
-from deepir.pipeline.build import build
 from deepir.problems.definition import start_scene
 from deepir.schedule import Stage, Step
 from deepir.simulate import Settings, Simulation, render

@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from nuc_oracle import aligned, climb, noise_variance
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.estimation.hyperparameters import weigh_scene
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.estimation.spatial_weights import adapt_weight_map
 from deepir.fields.shading import Shading
 from deepir.optim.solve import solve
-from deepir.pipeline.build import build
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import Problem
 from deepir.problems.definition import start_scene

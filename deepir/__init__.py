@@ -15,11 +15,11 @@ os.environ.setdefault("GOMP_SPINCOUNT", "3000")
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "12")  # the logarithm of cycles
 
 if TYPE_CHECKING:
+    from deepir.api import run
     from deepir.errors import DeepIRError
     from deepir.io import read_frames
     from deepir.problem import Problem
     from deepir.result import Result
-    from deepir.runner import run
 
 # Looked up on first use: `import deepir` and `deepir --help` do without torch.
 _HOMES = {
@@ -27,7 +27,7 @@ _HOMES = {
     "Problem": "problem",
     "Result": "result",
     "read_frames": "io",
-    "run": "runner",
+    "run": "api",
 }
 __all__ = ["DeepIRError", "Problem", "Result", "read_frames", "run"]
 

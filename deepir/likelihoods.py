@@ -97,3 +97,6 @@ class Poisson(Fidelity):
         deviance = p - y + torch.xlogy(y, y) - y * p.log()
         beyond = (y / floor - 1) * below + (y / floor + 1) * below.square() / (2 * floor)
         return photons * (counts * (deviance + beyond)).sum(dtype=torch.float64)
+
+
+CAUCHY_SCALE = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)

@@ -7,7 +7,7 @@ import platform
 import resource
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -18,13 +18,14 @@ import torch
 
 import deepir
 from deepir import burst as bursts
+from deepir.build.problem import build
 from deepir.comparison import compared
-from deepir.config import Config, load
+from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.kernels import memory, threads
 from deepir.metrics import roughness
+from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress
-from deepir.pipeline.build import build
 from deepir.pipeline.frame_order import demand_order
 from deepir.pipeline.method import chosen
 from deepir.pipeline.schedule import plan
@@ -32,37 +33,6 @@ from deepir.registry import lookup
 from deepir.result import Result
 
 Callbacks = Sequence[Callable[[Progress], None]]
-
-
-def run(
-    config: str | Path | Mapping[str, Any] | Config,
-    *overrides: str,
-    frames: np.ndarray[Any, Any] | None = None,
-    callbacks: Callbacks = (),
-    overwrite: bool = False,
-    **options: Any,
-) -> Result:
-    """Correct a burst: `run("nuc", frames=array, prior="tv")`.
-
-    Nothing is written unless the configuration names a folder: `output={"dir": "runs/mine"}`.
-
-    Args:
-        config: A shipped name, a path, a mapping, or a configuration already loaded.
-        overrides: `key=value`, as on the command line: `"scene.penalties.foe.weight=50"`.
-        frames: (N, h, w) in place of `data.path`.
-        callbacks: Called with a `Progress` after each iteration.
-        overwrite: Replace a former run in the output folder.
-        options: Top-level keys of the configuration: `prior="tv"`, `seed=1`, `data={"path": ...}`.
-
-    Raises:
-        DeepIRError: The configuration or the data are wrong; the message says what and where.
-    """
-    from deepir.storage.stored import run_into
-
-    checked = config if isinstance(config, Config) else load(config, overrides, options)
-    if checked.output.dir is not None:
-        return run_into(checked, Path(checked.output.dir), frames, overwrite=overwrite, callbacks=callbacks)
-    return execute(checked, prepare(checked, frames), callbacks=callbacks)
 
 
 def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> bursts.Burst:
@@ -102,7 +72,7 @@ def check_components(config: Config, data: bursts.Burst) -> None:
 
 
 def execute(
-    config: Config, data: bursts.Burst, *, callbacks: Callbacks = (), checkpoint: Path | None = None
+    config: Config, data: bursts.Burst, *, callbacks: Callbacks = (), checkpoint: Checkpoint | None = None
 ) -> Result:
     """Run the method on data in memory; adds time, memory and scores to the metrics."""
     torch.manual_seed(config.seed)

@@ -39,7 +39,7 @@ SECTIONS = {
 }
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
-    "Running": ["runner", "config", "burst", "result", "storage", "errors"],
+    "Running": ["api", "runner", "config", "burst", "result", "storage", "errors"],
     "Solving": ["problem", "schedule", "optim", "pipeline", "closed_form", "registered_average"],
     "Estimating": ["effects", "estimation", "diagnostics", "multiview"],
     "Operators": ["operators"],

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.fields.sensor_maps import Pixel
 from deepir.likelihoods import Gaussian
 from deepir.operators import Add, Blur, Chain, Downsample, Sensor, Warp
 from deepir.operators.geometry import MARGIN, footprint
-from deepir.pipeline.build import build
 from deepir.priors.penalties.tv import TV
 from deepir.registry import components
 from deepir.result import Result, to_gauge

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.denoisers.unit_range import unit_range
-from deepir.estimation.hyperparameters import weigh_scene
-from deepir.pipeline.build import build
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.priors.penalties.red import RED
 from deepir.registry import components
 

@@ -48,7 +48,7 @@ def test_links_lead_to_pages_and_headings_that_are_there(site):
 def test_the_reference_says_what_a_docstring_says(site):
     text = (site / "reference/running/index.html").read_text()
     assert "Correct a burst" in text
-    assert 'id="deepir.runner.run"' in text
+    assert 'id="deepir.api.run"' in text
 
 
 def test_a_page_asks_other_servers_for_nothing(site):

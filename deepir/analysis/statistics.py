@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import fft
+
+from deepir.arrays.autocorrelation import autocorrelation
 
 Array = np.ndarray[Any, Any]
 
 ALIKE = 0.1  # autocorrelation below which two pixels are strangers (the paper's)
 HOLDS = 0.8  # autocorrelation down to which a pattern is the same (the paper's)
-FARTHEST = 50  # px
 STRIPES = 0.05  # share of the variance from which lines are worth mentioning
 
 
@@ -87,18 +87,6 @@ def of_flat(frames: Array, good: Array | None = None) -> Statistics:
         in_time=in_time,
         holds=length(in_time, HOLDS),
     )
-
-
-def autocorrelation(pattern: Array, twin: Array, good: Array) -> Array:
-    """Of maps (h, w), zero where not good, at lags up to a quarter of the shorter side and at most 50 px."""
-    farthest = min(FARTHEST, min(pattern.shape) // 4)
-    size = [fft.next_fast_len(side + farthest) for side in pattern.shape]
-    one, other, seen = (fft.rfft2(each, size) for each in (pattern, twin, good.astype(float)))
-    products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (seen, seen)))
-    lags = np.arange(-farthest, farthest + 1)
-    found = (products / pairs.clip(min=1))[np.ix_(lags, lags)]
-    found = (found + found[::-1, ::-1]) / 2
-    return np.asarray(found / max(found[farthest, farthest], 1e-300))
 
 
 def smooth(pattern: Array, good: Array) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deepir.analysis.statistics import HOLDS, STRIPES, Array, Statistics
-from deepir.pipeline.register import LITTLE
+from deepir.operators.geometry import MIN_MOTION_SPAN
 
 SHARED = 1.5  # px, across a line, below which a burst moves along one line
 LOOKS = 3.0  # independent looks at the pattern that are wanted
@@ -59,7 +59,7 @@ def _too_little(statistics: Statistics, moves: Array) -> list[str]:
                 f"the burst moves along {across} only ({span:.1f} px along {axis}): "
                 f"the {lines}' pattern is the scene's as well"
             )
-        elif span < max(want, LITTLE):
+        elif span < max(want, MIN_MOTION_SPAN):
             found.append(f"the burst moves by {span:.1f} px along {axis}: {_px(want)} are wanted")
     across_it = np.linalg.svd(moves - moves.mean(1, keepdims=True), full_matrices=False)
     beside = np.ptp(np.einsum("pnj,pj->pn", moves, across_it[2][:, -1]), axis=1).mean()
@@ -132,4 +132,4 @@ def _shares(statistics: Statistics) -> str:
 
 def _px(value: float) -> str:
     """A motion that is wanted: what registration and interpolation want at least."""
-    return "any number of px" if value == math.inf else f"{math.ceil(max(value, LITTLE)):.0f} px"
+    return "any number of px" if value == math.inf else f"{math.ceil(max(value, MIN_MOTION_SPAN)):.0f} px"

@@ -13,7 +13,7 @@ def median(values: Tensor) -> float:
     """The lower one of two middle values, as torch has it; NaN of none. Values may not be NaN."""
     if values.device.type != "cpu" or values.dtype != torch.float32 or values.numel() < MANY:
         return float(values.median())
-    from deepir.kernels import parallel_for
+    from deepir.kernels.compile import parallel_for
     from deepir.kernels.median import median as of_bits
 
     found = torch.empty(1)

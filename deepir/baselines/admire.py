@@ -9,12 +9,12 @@ import torch
 from pydantic import Field
 from scipy import ndimage
 
+from deepir.arrays.noise_level import flat_noise
 from deepir.baselines.average import Array, averaged, whole
 from deepir.baselines.mire import WIDTHS, midway
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.denoisers.dct import dct
-from deepir.noise.typical import flat_noise
 from deepir.registry import register
 from deepir.result import Result
 

@@ -10,10 +10,10 @@ import torch
 from scipy import ndimage
 
 from deepir.arrays.fill import nearest_filled
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.operators.homography import homographies
-from deepir.pipeline.build import build
 from deepir.pipeline.register import register_frames
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge

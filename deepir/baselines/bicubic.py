@@ -10,9 +10,9 @@ from scipy import ndimage
 
 from deepir.arrays.fill import nearest_filled
 from deepir.baselines.average import Array
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.pipeline.build import build
 from deepir.registry import register
 from deepir.result import Result, neutral
 

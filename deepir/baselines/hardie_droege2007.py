@@ -14,11 +14,11 @@ from torch import Tensor
 
 from deepir.arrays.noise_level import sample_noise
 from deepir.baselines.average import find
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.operators import Chain, Sensor
-from deepir.pipeline.build import build
 from deepir.problems.definition import start_scene
 from deepir.registry import register
 from deepir.result import Result, neutral, to_gauge

@@ -149,7 +149,7 @@ class PixelsOnCPU(Pixels):
     """The same, each in one pass by a compiled loop."""
 
     def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
-        from deepir.kernels import parallel_for
+        from deepir.kernels.compile import parallel_for
         from deepir.kernels.normal_equations import BAND, reduce
 
         (_, height, width), u, v = flux.shape, *self.sigma.square().tolist()
@@ -166,7 +166,7 @@ class PixelsOnCPU(Pixels):
         self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
     ) -> Tensor:
         """See `Pixels`."""
-        from deepir.kernels import parallel_for
+        from deepir.kernels.compile import parallel_for
         from deepir.kernels.normal_equations import solve
 
         x, maps, tolerance = rhs.clone(), self.maps[:3], TOLERANCE
@@ -185,7 +185,7 @@ class PixelsOnCPU(Pixels):
         white: tuple[Tensor, Tensor],
     ) -> tuple[Tensor, Tensor]:
         """See `Pixels`."""
-        from deepir.kernels import parallel_for
+        from deepir.kernels.compile import parallel_for
         from deepir.kernels.normal_equations import finish
 
         errors, values = (

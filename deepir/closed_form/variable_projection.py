@@ -60,7 +60,7 @@ class Elimination:
         return pixels.information().flatten(1), pixels.sigma[:, None] * white
 
     def freedom(self) -> tuple[Tensor, Tensor, Tensor]:
-        """What it adds to the objective that each pixel has parts of its own; see `deepir.closed_form.weighted_least_squares`."""
+        """Half the log-determinant of the pixels' systems and its gradient; see `weighted_least_squares`."""
         pixels = self.solved[PIXEL]
         assert isinstance(pixels, Pixels)
         return pixels.nats, pixels.sigma.square(), pixels.maps

@@ -94,7 +94,7 @@ def weighted(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tenso
 
 def weighted_on_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
     """The same in one pass."""
-    from deepir.kernels import parallel_for
+    from deepir.kernels.compile import parallel_for
     from deepir.kernels.weighted_least_squares import half_squares
 
     prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
@@ -115,7 +115,7 @@ def weighted_sensor(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The same in one pass."""
-    from deepir.kernels import parallel_for
+    from deepir.kernels.compile import parallel_for
     from deepir.kernels.weighted_least_squares import of_sensor
 
     flux, data, precision, gain, offset, level, variances, system = given

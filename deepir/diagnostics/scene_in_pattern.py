@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.analysis.statistics import autocorrelation
+from deepir.arrays.autocorrelation import autocorrelation
 from deepir.arrays.median import MAD, median
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity

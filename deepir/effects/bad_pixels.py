@@ -27,7 +27,6 @@ MOVES = 9.0  # variance over the frames, in units of the noise's, expected of a 
 RIM = 0.5  # share of the rim of what hangs together
 OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
 ENOUGH = 128  # pixels of a line are enough for its median
-OUTLIER = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)
 CROWD = 2.0  # mean squared misfit of a neighbourhood from which it shows something else
 
 
@@ -58,8 +57,8 @@ def static_pixels(frames: Tensor, usable: Tensor, noise: float) -> Tensor:
 def dead_pixels(calm: Tensor, pattern: Tensor, known: Tensor) -> Tensor:
     """Pixels (1, 1, h, w), bool, of those that are `calm`, whose pattern is far from that of the others known.
 
-    Whole lines and blocks of them too, which `pattern_outliers` takes for columns, or for something in the scene. What is
-    saturated or zero because the scene is has no pattern.
+    Whole lines and blocks too, which `pattern_outliers` takes for columns or for scene. Pixels of a saturated or zero
+    scene have no pattern.
     """
     live = known & ~calm
     far = torch.zeros_like(calm)

@@ -11,8 +11,8 @@ from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.subsample import masked_values
 from deepir.effects.frame_offset import level_names
+from deepir.estimation.line_levels import line_noise_fields, lines_jump
 from deepir.fields.line_noise import LineNoise
-from deepir.fields.shading import Shading
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 
@@ -22,23 +22,12 @@ SHORT = 80  # px: lines that are shorter must by more, as their square, for the 
 LITTLE = 0.1  # standard deviation of jumps, in that of a sample's noise, up to which they cost nothing
 
 
-def line_noises(problem: Problem) -> list[LineNoise]:
-    """Those that the problem knows of."""
-    fields = [problem.fields[name] for name in problem.free()]
-    return [module for field in fields for module in field.modules() if isinstance(module, LineNoise)]
-
-
-def lines_jump(problem: Problem) -> bool:
-    """Whether any do, as far as is known."""
-    return any(field.sigma > 0 for field in line_noises(problem))
-
-
 def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
     """The stage of the scene; or, where lines jump, one in which the jumps follow the scene.
 
     What all frames' jumps in a line of the scene have in common, these do not tell from the scene: its penalties do.
     """
-    if not line_noises(problem):
+    if not line_noise_fields(problem):
         return [scene]
     levels = [name for name in level_names(problem) if name in problem.free()]
     step = Step((*scene.steps[0].group, *levels))
@@ -52,7 +41,7 @@ def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
 def line_noise_message(problem: Problem) -> list[str]:
     """Say so if lines jump."""
     noise = median_sigma(problem.precision)
-    found = [(field.lines, float(field.sigma)) for field in line_noises(problem) if field.sigma > 0]
+    found = [(field.lines, float(field.sigma)) for field in line_noise_fields(problem) if field.sigma > 0]
     return [
         f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
         "estimated and taken out"
@@ -68,7 +57,7 @@ def estimate_line_noise(problem: Problem) -> list[LineNoise]:
     explain two of the n values of a line, whatever these are: of the variance of jumps `(n - 2) / n` is left. Returns
     those that are found to jump for the first time.
     """
-    fields, new = line_noises(problem), list[LineNoise]()
+    fields, new = line_noise_fields(problem), list[LineNoise]()
     if not fields or len(problem.data) < ENOUGH:
         return new
     residual, precision = problem.data - problem.predict(problem.values()), problem.fitted()
@@ -109,22 +98,3 @@ def _variance(values: Tensor, known: Tensor, across: int) -> float:
     count = known.shape[across] - 1
     both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
     return (MAD * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2
-
-
-def in_polynomials(problem: Problem, frame: Shading) -> Tensor:
-    """The variance that jumps have in each frame's level and polynomials, (terms + 1,)."""
-    level = torch.zeros_like(frame.of_y[:1])
-    of_y, of_x = torch.cat((level, frame.of_y)), torch.cat((level, frame.of_x))
-    found = torch.zeros(len(of_y), dtype=torch.float64, device=of_y.device)
-    for field in line_noises(problem):
-        constant = (of_x if field.across == -2 else of_y) == 0
-        found += constant * field.in_level
-    return found
-
-
-def less_lines(problem: Problem, values: Tensor) -> Tensor:
-    """Values (..., h, w) less their means along lines that jump: these tell nothing."""
-    for field in line_noises(problem):
-        if field.sigma > 0:
-            values = values - values.mean(-3 - field.across, keepdim=True)
-    return values

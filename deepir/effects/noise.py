@@ -12,7 +12,8 @@ from torch import Tensor
 from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import ROUNDED, quantisation_step
 from deepir.arrays.subsample import masked_values, subsample
-from deepir.effects.bad_pixels import OUTLIER, defective_pixels, neighbourhood_doubt
+from deepir.effects.bad_pixels import defective_pixels, neighbourhood_doubt
+from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
 
 BINS = 10  # of the signal, in which the noise is measured
@@ -47,7 +48,7 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         usable &= ~defective_pixels(misfit, bounds)
     for k, variance_k in enumerate(signal):
         doubt = neighbourhood_doubt(misfit[k : k + 1], usable[k : k + 1])[0]
-        doubt.add_(misfit[k], alpha=OUTLIER**-2).add_(1).mul_(variance_k)
+        doubt.add_(misfit[k], alpha=CAUCHY_SCALE**-2).add_(1).mul_(variance_k)
         torch.div(usable[k], doubt, out=problem.precision[k])
 
 

@@ -14,7 +14,7 @@ import torch
 from scipy.optimize import minimize_scalar
 from torch import Tensor
 
-from deepir.estimation.hyperparameters import update_parts
+from deepir.effects.sensor_pattern import update_parts
 from deepir.estimation.variance_components import marginal
 from deepir.operators import Sensor
 from deepir.problem import Problem, Values

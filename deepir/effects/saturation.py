@@ -7,38 +7,14 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.median import robust_std
-from deepir.arrays.noise_level import median_sigma
-from deepir.effects.bad_pixels import OFF, OUTLIER
+from deepir.effects.bad_pixels import OFF
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.io.saturated_samples import Array
 from deepir.problem import Problem
 
-SHORT = 2.0  # standard deviations of the noise by which a prediction is short of a bound
 OTHERS = 0.5  # share of a place's samples that are cut off, if it is beyond the range
 SAID = 0.001  # of the samples: fewer are worth a message only if the result is bounded by them
 SEEN = 0.3  # frames that must show a pixel of the scene at least
-
-
-@torch.no_grad()
-def deactivate_bounds(problem: Problem) -> None:
-    """Let no sample count that is cut off: as long as strengths are estimated, which want to know."""
-    if problem.ends is not None:
-        problem.precision.masked_fill_(problem.ends != 0, 0)
-
-
-@torch.no_grad()
-def activate_bounds(problem: Problem) -> None:
-    """Let samples count that are cut off where the prediction is short of the bound, and so pull it there.
-
-    The others leave the scene as free as the range does. (The active set of a least-squares problem with bounds.)
-    """
-    if problem.ends is None:
-        return
-    deactivate_bounds(problem)
-    noise = median_sigma(problem.precision)
-    short = problem.ends * (problem.data - problem.predict(problem.values())) / noise
-    doubt = 1 + (short / OUTLIER).square()
-    problem.precision.add_((short > SHORT) / (doubt * noise**2))
 
 
 @torch.no_grad()

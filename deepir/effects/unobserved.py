@@ -5,9 +5,8 @@ from __future__ import annotations
 import torch
 
 from deepir.arrays.fill import pull_push_filled
+from deepir.optim.preconditioner import MIN_FRAMES_SEEN
 from deepir.problem import Problem
-
-SEEN = 0.2  # frames that must show a pixel of the scene, for it to be known
 
 
 @torch.no_grad()
@@ -21,6 +20,6 @@ def fill_unobserved(problem: Problem) -> None:
     slots = {slot: values[name] for slot, name in problem.slots.items()}
     usable = (problem.precision > 0).to(problem.data)
     weight = problem.operator.adjoint(usable, tuple(values["scene"].shape), **slots)
-    known = weight > SEEN * weight.max() / len(problem.data)
+    known = weight > MIN_FRAMES_SEEN * weight.max() / len(problem.data)
     if not known.all():
         problem.fields["scene"].init_from(pull_push_filled(values["scene"], known))

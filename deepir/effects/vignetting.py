@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from deepir.effects.line_noise import lines_jump
 from deepir.effects.shading import doubt, low_order_unknowns
 from deepir.estimation.gain_offset_evidence import GainOffsetEvidence, gain_and_offset
+from deepir.estimation.line_levels import lines_jump
 from deepir.fields.shading import Shading
 from deepir.problem import Problem
 

@@ -19,7 +19,7 @@ from torch import Tensor
 from deepir.arrays.median import median
 from deepir.arrays.subsample import masked_values
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
-from deepir.effects.line_noise import less_lines, lines_jump
+from deepir.estimation.line_levels import lines_jump, subtract_line_means
 from deepir.estimation.low_order_evidence import RARE, jumps
 from deepir.estimation.marginal_likelihood import MarginalLikelihood, normal_matrix
 from deepir.fields.base import Field
@@ -107,7 +107,7 @@ class GainOffsetEvidence:
             pattern = terms, levels[k][:, None] * one, terms * zk, wrong.flatten(0, 1)
             columns = torch.cat((*scene, *own, *pattern, residual[k][None]))
             if jump:  # all of the frame is there
-                columns = less_lines(self.slow.problem, columns.unflatten(1, self.shape)).flatten(1)
+                columns = subtract_line_means(self.slow.problem, columns.unflatten(1, self.shape)).flatten(1)
             yield columns
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from deepir.arrays.median import median
 from deepir.arrays.subsample import masked_values, subsample
 from deepir.closed_form.variable_projection import COLUMN, ROW
-from deepir.effects.line_noise import in_polynomials
+from deepir.estimation.line_levels import line_noise_in_polynomials
 from deepir.estimation.marginal_likelihood import MarginalLikelihood
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import WOBBLE, Drift
@@ -58,7 +58,7 @@ class LowOrderEvidence:
         self.count, self.strays = len(residual), strays
         seen = self.slow.seen((residual - middle).clamp(-limit, limit))
         self.contrast = float(contrast(problem))
-        known, chance = in_polynomials(problem, self.slow.frame), self._chance(variance)
+        known, chance = line_noise_in_polynomials(problem, self.slow.frame), self._chance(variance)
         doubts = [known + share * chance for share in SHARES]
         wrong = () if strays else WRONG  # stray flux, before it is known, is as much
         doubts += [known + chance + (share * self.contrast) ** 2 for share in wrong]

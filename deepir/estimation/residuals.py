@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.arrays.median import robust_std
+from deepir.arrays.subsample import masked_values, subsample
+from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
 from deepir.registered_average import RegisteredAverage
 
@@ -29,3 +32,20 @@ def temporal_mean(rest: Tensor, weight: Tensor) -> Tensor:
         total.addcmul_(rest_k, weight_k)
         share += weight_k
     return total.div_(share.clamp_(min=1e-6))
+
+
+@torch.no_grad()
+def down_weight_outliers(problem: Problem, rest: Tensor) -> None:
+    """Let samples count less that neither the scene as it is nor a pattern explains.
+
+    They are badly registered, or what they show moves by itself.
+    """
+    if problem.noise is not None:
+        return
+    most = problem.precision.amax()
+    rest = rest - temporal_mean(rest, problem.precision / most)
+    some, known = subsample(rest, problem.precision)
+    if (usual := robust_std(masked_values(some, known > 0))) > 0:  # one frame leaves nothing
+        for rest_k, precision_k in zip(rest, problem.precision, strict=True):
+            doubt = rest_k.div_(CAUCHY_SCALE * usual).square_().add_(1)
+            torch.div(precision_k > 0, doubt, out=precision_k).mul_(most)

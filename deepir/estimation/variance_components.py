@@ -17,6 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepir.fields.sensor_maps import Part
+
 ENOUGH = 8_000  # of the pixels are asked
 #: Squared prior standard deviations, and medians of them, beyond which a value is an outlier, and is not asked.
 OUTLIER, MEDIANS = 20.0, 12.0
@@ -94,7 +96,7 @@ def marginal(information: Tensor, means: Tensor, sigma: Tensor, level: float) ->
 
 def _nats(values: Tensor, typical: Tensor, sigma: np.ndarray) -> Known:
     """Twice minus the mean logarithm of the likelihood of strengths, with what is known before; in their logarithms."""
-    from deepir.kernels import parallel_for
+    from deepir.kernels.compile import parallel_for
     from deepir.kernels.marginal_likelihood import nats
 
     sums, (u, v) = torch.empty(6, dtype=torch.float64), sigma**2
@@ -138,3 +140,19 @@ def _typical(values: Tensor, u: float, v: float) -> Tensor:
     x, y = (s + v * (bb * s - ab * t)) / system, (t + u * (aa * t - ab * s)) / system
     squares = u * x * x + v * y * y
     return squares <= max(OUTLIER, MEDIANS * float(squares.median()))
+
+
+#: A part is at most so many times as strong as the frames' average shows it: where the scene is not quite the same in
+#: all frames (parallax), gain and offset would otherwise grow to explain it, and cancel each other.
+MAX_SIGMA_RATIO = 2.0
+
+
+def high_pass(pattern: Tensor, part: Part) -> Tensor:
+    """The part's own share of a pattern: differences of neighbours, of the same variance.
+
+    A part's values are independent, what the scene leaves in the pattern is mostly smooth.
+    """
+    own = pattern.mean(part.along, keepdim=True) if part.along else pattern
+    for axis in {-2, -1} - set(part.along):
+        own = own.diff(dim=axis) / 2**0.5
+    return own

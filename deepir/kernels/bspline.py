@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.kernels import compiled
-from deepir.operators.warp import NEAR
+from deepir.kernels.compile import compiled
+from deepir.kernels.constants import MIN_DEPTH
 
 #: Not Python's integers, which with float32 make float64.
 ONE, TWO, THREE, FOUR = np.float32(1), np.float32(2), np.float32(3), np.float32(4)
@@ -21,7 +21,7 @@ ONE, TWO, THREE, FOUR = np.float32(1), np.float32(2), np.float32(3), np.float32(
 def _project(t, x, y):
     """The point of homography `t`, its depth, and one over it."""
     depth = t[2, 0] * x + (t[2, 1] * y + t[2, 2])
-    nearness = 1 / max(depth, NEAR)
+    nearness = 1 / max(depth, MIN_DEPTH)
     px = (t[0, 0] * x + (t[0, 1] * y + t[0, 2])) * nearness
     py = (t[1, 0] * x + (t[1, 1] * y + t[1, 2])) * nearness
     return px, py, depth, nearness
@@ -105,7 +105,7 @@ def _reach(t, y, count, height):
         return low, high
     _, y0, z0, _ = _project(t, -(count - 1) / 2, y)
     _, y1, z1, _ = _project(t, (count - 1) / 2, y)
-    if not min(z0, z1) > NEAR:
+    if not min(z0, z1) > MIN_DEPTH:
         return high, low
     middle = (height - 1) / 2
     return min(max(min(y0, y1) + middle, 1.0), low), max(min(max(y0, y1) + middle, low), 1.0)
@@ -272,7 +272,7 @@ def turn(first, last, gradient, scene, motion, sums):
                     # Beyond the edge the scene is flat.
                     gx = row[j] * slope_x[j] * nearness if abs(px) < (width - 3) / 2 else 0.0
                     gy = row[j] * slope_y[j] * nearness if abs(py) < (height - 3) / 2 else 0.0
-                    gz = gx * px + gy * py if depth >= NEAR else 0.0
+                    gz = gx * px + gy * py if depth >= MIN_DEPTH else 0.0
                     ax, ay, az = ax + gx, ay + gy, az - gz
                     bx, by, bz = bx + gx * x, by + gy * x, bz - gz * x
                 into = sums[k, i]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.kernels import compiled
+from deepir.kernels.compile import compiled
 
 DIGIT, DIGITS = 11, 3  # bits that are told apart at a time, of 33
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.kernels import compiled
+from deepir.kernels.compile import compiled
 
 BAND = 32
 BLOCK = 512  # pixels whose sums stay in the cache

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.kernels import compiled
+from deepir.kernels.compile import compiled
 
 #: Least depth, and by how many px a point may lie beyond the outermost, by rounding.
 NEAR, BESIDE = np.float32(1e-3), np.float32(1e-3)

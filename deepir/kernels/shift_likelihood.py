@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from deepir.kernels import compiled
+from deepir.kernels.compile import compiled
 
 HUGE = 1e200  # a product of determinants, or its inverse, of which a logarithm is taken while it is a number
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.kernels import compiled
+from deepir.kernels.compile import compiled
 
 
 @compiled

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from deepir.kernels import compiled
+from deepir.kernels.compile import compiled
 
 
 @compiled

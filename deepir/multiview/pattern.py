@@ -1,8 +1,8 @@
 """The sensor's pattern from frames of different scenes, of which none can be registered to another.
 
-`deepir.multiview.gradients` has what the frames say of it; the parts of gain and offset are Gaussian, their strengths the
-likeliest. Slow slopes are common to many scenes (the sky is above): a polynomial that all frames share is taken to be
-theirs, unless the offset has a `shading`.
+`deepir.multiview.gradients` holds the statistics of the frames. The parts of gain and offset are Gaussian, with
+standard deviations of maximum marginal likelihood. Slow slopes are common to many scenes (the sky is above): a
+polynomial that all frames share is attributed to the scenes, unless the offset has a `shading`.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.median import robust_std
-from deepir.estimation.hyperparameters import MOST, share
-from deepir.estimation.variance_components import likeliest
+from deepir.estimation.variance_components import MAX_SIGMA_RATIO, high_pass, likeliest
 from deepir.fields.sensor_maps import Part
 from deepir.multiview.gradients import Edges
 
@@ -67,7 +66,7 @@ class WhiteParts:
         """
         for part, size in zip(self.pair, (unit, 1.0), strict=True):
             if part:
-                part.most.fill_(MOST * robust_std(share(level, part)) / max(size, 1e-30))
+                part.most.fill_(MAX_SIGMA_RATIO * robust_std(high_pass(level, part)) / max(size, 1e-30))
 
     def update_strengths(self, edges: Edges, pattern: Tensor, values: Tensor) -> None:
         """The likeliest, all other parts held; `pattern` (2, h, w) is that of all of them."""

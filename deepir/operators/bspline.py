@@ -32,8 +32,8 @@ class Pull(torch.autograd.Function):
         Raises:
             ValueError: As many scenes as neither one nor the frames.
         """
-        from deepir.kernels import parallel_for
         from deepir.kernels.bspline import pull
+        from deepir.kernels.compile import parallel_for
 
         if len(scene) not in (1, len(motion)):
             raise ValueError(f"warp: {len(scene)} scenes for {len(motion)} frames")
@@ -47,8 +47,8 @@ class Pull(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
         """The gradients that are asked for; that in a homography is summed in float64."""
-        from deepir.kernels import parallel_for
         from deepir.kernels.bspline import shove, turn
+        from deepir.kernels.compile import parallel_for
 
         scene, motion = ctx.saved_tensors
         gradient, to_scene, to_motion = gradient.contiguous(), None, None
@@ -69,8 +69,8 @@ class Pull(torch.autograd.Function):
 
 def pushed(frames: Tensor, motion: Tensor, shape: Sequence[int]) -> Tensor:
     """The adjoint of `Pull` in the coefficients, which have this shape."""
-    from deepir.kernels import parallel_for
     from deepir.kernels.bspline import push
+    from deepir.kernels.compile import parallel_for
 
     scene = frames.new_zeros(shape)
     parallel_for(push, shape[-2], frames.contiguous(), motion.contiguous(), scene)

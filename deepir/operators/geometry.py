@@ -10,8 +10,8 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
+from deepir.kernels.constants import MIN_DEPTH
 from deepir.operators import Chain, Warp
-from deepir.operators.warp import NEAR
 
 MARGIN = 8  # px that the canvas reaches beyond the registered footprints
 
@@ -53,7 +53,7 @@ def footprint(
     y, x = ((side - 1) / 2 for side in size)
     corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64)
     moved = scaled(motion, ratio).double() @ corners
-    points = moved[:, :2] / moved[:, 2:].clamp(min=NEAR) + corners.new_tensor([[x], [y]])
+    points = moved[:, :2] / moved[:, 2:].clamp(min=MIN_DEPTH) + corners.new_tensor([[x], [y]])
     low, high = points.amin((0, 2)), points.amax((0, 2))  # straight lines stay straight
     x0, y0 = (MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
     x1, y1 = (
@@ -71,3 +71,7 @@ def scaled(motion: Tensor, ratio: float) -> Tensor:
     """A motion in px of a grid that is `ratio` times finer; the centres coincide."""
     s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
     return motion * (s[:, None] / s)
+
+
+#: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
+MIN_MOTION_SPAN = 3.0

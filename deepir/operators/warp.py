@@ -5,13 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.kernels.constants import MAX_ENTRY, MIN_DEPTH
 from deepir.operators.base import Operator, Shape
 from deepir.operators.bspline import LEAST, NOISE_GAIN, Pull, image, pushed, sample
 from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
-#: Entries of a homography are kept below `FAR`, and depths above `NEAR`, so that no coordinate overflows.
-FAR, NEAR = 1e6, 1e-3
 EVERY_FRAME = Trajectory()
 ALL = slice(None)
 
@@ -118,7 +117,7 @@ class Warp(Operator):
         corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64).to(motion)
         moved = self.place.to(motion) @ _finite(motion) @ corners
         points = moved[:, :2] / moved[:, 2:]
-        return bool((moved[:, 2] > NEAR).all() and (points.abs() <= reach[:, None]).all())
+        return bool((moved[:, 2] > MIN_DEPTH).all() and (points.abs() <= reach[:, None]).all())
 
     def _valid(self, mask: Tensor, motion: Tensor, reach: Tensor) -> Tensor:
         inside = (self.points(motion).abs() <= reach).all(-1)[:, None]
@@ -152,7 +151,7 @@ def _finite(motion: Tensor) -> Tensor:
 
     A line search can produce one, and must see a bad loss instead.
     """
-    return motion.nan_to_num(nan=FAR).clamp(-FAR, FAR)
+    return motion.nan_to_num(nan=MAX_ENTRY).clamp(-MAX_ENTRY, MAX_ENTRY)
 
 
 def coords(motion: Tensor, size: tuple[int, int], rows: slice = ALL, columns: slice = ALL) -> Tensor:
@@ -165,5 +164,5 @@ def coords(motion: Tensor, size: tuple[int, int], rows: slice = ALL, columns: sl
     x = torch.arange(width, dtype=motion.dtype, device=motion.device)[columns] - (width - 1) / 2
     t = motion[..., None, None]
     px, py, pz = (t[:, i, 0] * x + (t[:, i, 1] * y[:, None] + t[:, i, 2]) for i in range(3))
-    nearness = pz.clamp(min=NEAR).reciprocal()
+    nearness = pz.clamp(min=MIN_DEPTH).reciprocal()
     return torch.stack((px * nearness, py * nearness), 1).permute(0, 2, 3, 1)

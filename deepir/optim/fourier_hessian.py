@@ -64,8 +64,8 @@ def along_waves(
 ) -> Iterator[Tensor]:
     """Curvature along each wave of a real Fourier transform, (H, W / 2 + 1), in units of the scene.
 
-    For samples of this `precision`, and each of what the frames may share, see `pattern_coupling`; None where no pattern is
-    free.
+    For samples of this `precision`, and each of what the frames may share, see `pattern_coupling`; None without a free
+    pattern.
     """
     scene, count = problem.fields["scene"](), len(problem.data)
     y, x = frequencies(scene.shape[-2:], scene.device)

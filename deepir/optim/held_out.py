@@ -18,3 +18,13 @@ def held_out_error(problem: Problem) -> float:
         return math.nan
     residual = masked_values(problem.predict(problem.values()) - problem.data, held)
     return float(residual.square().mean().sqrt())
+
+
+HELD_OUT = 0.02  # share of the samples that no fit sees
+
+
+def hold_out(problem: Problem, seed: int, share: float = HELD_OUT) -> None:
+    """Choose the samples that are held out, about so many of all."""
+    generator = torch.Generator().manual_seed(seed)
+    chosen = torch.rand(problem.data.shape, generator=generator) < share
+    problem.held_out.copy_(chosen.to(problem.held_out.device))

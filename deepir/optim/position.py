@@ -1,11 +1,10 @@
-"""Where a solve is, and how it is kept on disk."""
+"""Where a solve is, and how its state is kept."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from torch import Tensor
 
@@ -14,7 +13,19 @@ from deepir.optim import Optimiser
 from deepir.optim.objective import optimisers_of
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
-from deepir.storage import checkpoint
+
+
+class Checkpoint(Protocol):
+    """Where the state of a solve is kept: tensors, and what fits into JSON. Its `str` names it in messages."""
+
+    def exists(self) -> bool:
+        """Whether there is a state to go on from."""
+
+    def save(self, tensors: dict[str, Tensor], position: dict[str, Any]) -> None:
+        """Replace the state, whole."""
+
+    def load(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """The state that was saved; `DataError` if it cannot be read."""
 
 
 @dataclass
@@ -28,23 +39,25 @@ class Position:
     history: list[dict[str, Any]] = field(default_factory=list)
 
 
-def keep(problem: Problem, optimisers: list[tuple[Optimiser, Step]], at: Position, path: Path) -> None:
+def keep(
+    problem: Problem, optimisers: list[tuple[Optimiser, Step]], at: Position, checkpoint: Checkpoint
+) -> None:
     """Write it with the values of all unknowns and the state of the optimisers, so that the solve can go on."""
     tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
     for i, (optimiser, _) in enumerate(optimisers):
         tensors |= {f"optimiser{i}.{name}": value for name, value in optimiser.state().items()}
-    checkpoint.save(path, tensors, asdict(at))
+    checkpoint.save(tensors, asdict(at))
 
 
 def restore(
-    problem: Problem, plan: Sequence[Stage], path: Path
+    problem: Problem, plan: Sequence[Stage], checkpoint: Checkpoint
 ) -> tuple[Position, list[tuple[Optimiser, Step]] | None]:
     """Put the problem where it was kept: the position and, within a stage, its optimisers.
 
     Raises:
         DataError: The file is no checkpoint, or of another problem.
     """
-    tensors, position = checkpoint.load(path)
+    tensors, position = checkpoint.load()
     try:
         at = Position(**position)
         for stage in plan[: at.stage + 1]:
@@ -61,7 +74,7 @@ def restore(
             optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
     except (KeyError, TypeError, RuntimeError) as error:
         raise DataError(
-            f"{path}: the state of another problem ({error}); delete it to start again"
+            f"{checkpoint}: the state of another problem ({error}); delete it to start again"
         ) from error
     return at, optimisers
 

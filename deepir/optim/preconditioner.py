@@ -24,7 +24,6 @@ from torch import Tensor, nn
 
 from deepir.arrays.differences import squared_gradient
 from deepir.arrays.noise_level import median_sigma
-from deepir.effects.unobserved import SEEN
 from deepir.fields.base import Field
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.dense_motion import Flow
@@ -84,7 +83,9 @@ class Preconditioner:
     def _hold_slow(self, problem: Problem) -> None:
         """No step along slow waves, nor where hardly a frame looks: what is done there is made up for elsewhere."""
         found = self.tensors
-        seen = _information(problem, median_sigma(problem.precision) ** -2) > SEEN / len(problem.data)
+        seen = _information(problem, median_sigma(problem.precision) ** -2) > MIN_FRAMES_SEEN / len(
+            problem.data
+        )
         for name in {"waves", "lines"} & found.keys():
             found[name] *= ~slow_waves(self.shape, found[name].device)
         for name in {"even", "bright"} & found.keys():
@@ -229,3 +230,6 @@ def _measured(problem: Problem, parameter: nn.Parameter) -> float:
     slope = problem.predict(problem.values()).sub_(before).div_(change)
     parameter.sub_(change)
     return 1 + float((problem.fitted() * slope.square()).sum()) / parameter.numel()
+
+
+MIN_FRAMES_SEEN = 0.2  # frames that must show a pixel of the scene, for it to be known

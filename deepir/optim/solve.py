@@ -6,18 +6,17 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from deepir.effects.saturation import activate_bounds, deactivate_bounds
 from deepir.errors import SolverError
 from deepir.optim import Optimiser
+from deepir.optim.active_set import activate_bounds, deactivate_bounds
 from deepir.optim.held_out import held_out_error
 from deepir.optim.objective import objective, optimisers_of
-from deepir.optim.position import Position, keep, restore
+from deepir.optim.position import Checkpoint, Position, keep, restore
 from deepir.problem import Problem, Values
 from deepir.schedule import Stage, Step
 
@@ -60,7 +59,7 @@ def solve(
     plan: Sequence[Stage],
     *,
     callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Path | None = None,
+    checkpoint: Checkpoint | None = None,
     every: float = 2.0,
 ) -> Solution:
     """Minimise `problem.losses` as `plan` says; the problem's fields hold the result.
@@ -69,7 +68,7 @@ def solve(
         problem: Its fields' parameters are changed in place.
         plan: Stages, run in order.
         callbacks: Called after each iteration. One that raises stops the solve; the state is saved first.
-        checkpoint: File for the state: read at the start if it is there, so that an interrupted solve goes on
+        checkpoint: Keeps the state: read at the start if it is there, so that an interrupted solve goes on
             with the same steps, and written every `every` seconds.
         every: Seconds between checkpoints.
 

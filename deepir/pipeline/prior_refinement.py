@@ -15,14 +15,14 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.fill import nearest_filled
+from deepir.build.problem import build_scene
 from deepir.config import Config
 from deepir.config.components import validate
 from deepir.config.schema import Fit
-from deepir.estimation.hyperparameters import weigh_scene
 from deepir.estimation.oversmoothing import is_oversmoothed, reduce_weight
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.fields.pixels import Pixels
 from deepir.optim.fourier_hessian import has_fourier_model
-from deepir.pipeline.build import build_scene
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 import torch
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.diagnostics.equalised_histogram import equalised_message
@@ -20,11 +20,11 @@ from deepir.effects.line_noise import line_noise_message
 from deepir.effects.moving_objects import moving_message
 from deepir.effects.shading import shading_message
 from deepir.errors import ConfigError, DataError
-from deepir.estimation.hyperparameters import hold_out
 from deepir.estimation.uncertainty import nuc_penalty_db
 from deepir.fields.sensor_maps import Part
+from deepir.optim.held_out import hold_out
+from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress, solve
-from deepir.pipeline.build import build
 from deepir.pipeline.collect import make_result
 from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
 from deepir.pipeline.given_noise import given_noise
@@ -43,7 +43,7 @@ def joint(
     config: Config,
     *,
     callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Path | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Result:
     """Fields for all unknowns, fitted together (the default)."""
     definition: Definition = lookup("problem", config.problem, "problem")()

@@ -12,14 +12,13 @@ from deepir.config import Config
 from deepir.diagnostics.interlacing import are_interlaced
 from deepir.diagnostics.shutter import one_pattern, shutter_message
 from deepir.errors import DataError
+from deepir.operators.geometry import MIN_MOTION_SPAN
 from deepir.problems.definition import Definition
 from deepir.registration import register
 from deepir.registry import components
 
 #: Motion, in px at the frame's edge, below which a burst counts as still.
 STILL = 0.5
-#: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
-LITTLE = 3.0
 #: Share of the pixels that hold one value in all frames from which this is what the burst shows.
 MOST = 0.5
 
@@ -45,7 +44,7 @@ def register_frames(
         # Before a plain scene what the camera draws over its pictures keeps all of them at rest.
         bad = ignore | drawn
         found = register(frames[part], model=model, ignore=bad, valid=valid[part], start=part.start)
-    if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < LITTLE:
+    if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < MIN_MOTION_SPAN:
         part = slice(0, len(frames))  # a camera that rests here, and there: no shutter
         found = register(frames, model=model, ignore=ignore, valid=valid)
     used, motion = ~everything, torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
@@ -100,7 +99,7 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
         f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
         "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
         for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, burst.size), strict=True)
-        if span < LITTLE
+        if span < MIN_MOTION_SPAN
     ]
     return few or _along_a_line(at)
 
@@ -128,7 +127,7 @@ def _along_a_line(at: Tensor) -> list[str]:
         float(np.ptp((apart @ way).numpy()) * step.norm(dim=1).max())
         for way, step in zip(ways[:2], steps[:2], strict=True)
     )
-    if beside >= LITTLE / 2:
+    if beside >= MIN_MOTION_SPAN / 2:
         return []
     shift = steps[0].mean(0)
     if (steps[0] - shift).norm(dim=1).max() > shift.norm():  # some point of the frames rests

@@ -7,9 +7,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.pipeline.build import build
 from deepir.problem import Problem
 from deepir.problems.motion_step import motion_of
 

@@ -8,12 +8,12 @@ from typing import ClassVar
 
 import torch
 
+from deepir.build.problem import PIXELS_WITH_TV, build_scene
 from deepir.fields.scalar import Scalar
 from deepir.operators import Lag, Warp
 from deepir.operators.trajectory import Trajectory
 from deepir.optim.low_order_model import apply_lag
 from deepir.optim.solve import solve
-from deepir.pipeline.build import PIXELS_WITH_TV, build_scene
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.registry import register

@@ -6,6 +6,7 @@ import torch
 
 from deepir.effects.frame_gain import normalise_frame_gain
 from deepir.effects.noise import update_noise
+from deepir.effects.sensor_pattern import update_strengths
 from deepir.effects.shading import estimate_low_order
 from deepir.errors import ConfigError
 from deepir.estimation.cross_validation import (
@@ -14,8 +15,7 @@ from deepir.estimation.cross_validation import (
     start_trials,
     weight_from_cross_validation,
 )
-from deepir.estimation.hyperparameters import HELD_OUT as LEAST
-from deepir.estimation.hyperparameters import hold_out, update_strengths, weigh_scene
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
 from deepir.fields.psf.airy import Airy
 from deepir.fields.psf.base import PSF
@@ -23,6 +23,8 @@ from deepir.fields.psf.defocus import Defocus
 from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.fields.psf.simplex import Simplex
+from deepir.optim.held_out import HELD_OUT as LEAST
+from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene, start_scene_and_parts
 from deepir.registry import register

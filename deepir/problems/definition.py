@@ -15,9 +15,10 @@ from deepir.effects.bad_pixels import mask_dead_pixels, static_pixels
 from deepir.effects.frame_gain import GROSS, normalise_frame_gain
 from deepir.effects.frame_offset import start_line_levels
 from deepir.effects.saturation import mask_stuck_pixels
+from deepir.effects.sensor_pattern import start_parts
 from deepir.effects.shading import estimate_low_order
-from deepir.estimation.hyperparameters import down_weight_outliers, start_parts, weigh_scene
-from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
+from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.residuals import down_weight_outliers, fixed_pattern_residual, temporal_mean
 from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem
 from deepir.registered_average import RegisteredAverage

@@ -13,7 +13,7 @@ from deepir.closed_form.variable_projection import PIXEL
 from deepir.effects.bad_pixels import isolated_pixels
 from deepir.effects.frame_gain import divide_frame_gain
 from deepir.errors import ConfigError, DataError
-from deepir.estimation.hyperparameters import weigh_scene
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.fields.sensor_maps import Part
 from deepir.fields.shading import Shading
 from deepir.multiview.frame_gains import frame_gains

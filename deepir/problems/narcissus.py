@@ -7,16 +7,18 @@ from dataclasses import replace
 
 import torch
 
+from deepir.effects.sensor_pattern import start_parts
 from deepir.effects.shading import estimate_low_order, strays
 from deepir.errors import ConfigError
-from deepir.estimation.hyperparameters import down_weight_outliers, hold_out, start_parts, weigh_scene
-from deepir.estimation.residuals import fixed_pattern_residual
+from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.residuals import down_weight_outliers, fixed_pattern_residual
 from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.constant import Constant
 from deepir.operators import Add, Warp
 from deepir.operators.geometry import MARGIN
 from deepir.operators.motion_models import PARAMETERS
+from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
 from deepir.problems.definition import start_precision, start_scene
 from deepir.problems.nuc import NUC, WEAK, finish, update

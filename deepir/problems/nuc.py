@@ -14,14 +14,16 @@ from deepir.effects.line_noise import with_jumps
 from deepir.effects.moving_objects import LITTLE, detect_moving_objects, down_weight_moving
 from deepir.effects.noise import update_noise
 from deepir.effects.reference_level import refine_reference_level, take_reference_level
+from deepir.effects.sensor_pattern import pattern_to_noise, update_strengths
 from deepir.effects.shading import estimate_low_order
 from deepir.effects.unobserved import fill_unobserved
 from deepir.effects.vignetting import detect_vignetting, estimate_vignetting, unknown_gain_shadings
-from deepir.estimation.hyperparameters import hold_out, pattern_to_noise, update_strengths, weigh_scene
 from deepir.estimation.oversmoothing import store_reference_misfit
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.estimation.spatial_weights import adapt_weight_map
 from deepir.estimation.uncertainty import nuc_penalty_db
 from deepir.optim.fourier_hessian import has_fourier_model
+from deepir.optim.held_out import hold_out
 from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.coarse_to_fine import half_resolution, upsample_motion, upsample_moving_mask

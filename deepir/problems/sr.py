@@ -7,13 +7,15 @@ import math
 from deepir.effects.frame_gain import normalise_frame_gain
 from deepir.effects.noise import update_noise
 from deepir.effects.reference_level import take_reference_level
+from deepir.effects.sensor_pattern import update_strengths
 from deepir.estimation.cross_validation import (
     cross_validation_stages,
     start_trials,
     weight_from_cross_validation,
 )
-from deepir.estimation.hyperparameters import hold_out, update_strengths, weigh_scene
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.operators import Downsample
+from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
 from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
 from deepir.registry import register

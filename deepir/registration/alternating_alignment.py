@@ -82,8 +82,8 @@ def fixed_pattern(level: Level, picture: Tensor, motion: Tensor) -> tuple[Tensor
     n-th part of the residual's variance (James & Stein 1961). Two frames with a free pattern for each pixel would
     fit any motion: they have lines only.
     """
-    from deepir.kernels import parallel_for
     from deepir.kernels import registration as loops
+    from deepir.kernels.compile import parallel_for
 
     count, mean, rest = (torch.empty_like(level.weight) for _ in range(3))
     power = torch.empty(len(mean), dtype=torch.float64)

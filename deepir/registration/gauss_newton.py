@@ -24,8 +24,8 @@ def step(pulled: Pulled, level: Level, model: str) -> Tensor:
 
 def sums(pulled: Pulled, level: Level, model: str) -> Tensor:
     """What `step` solves, `(rows, N, P + 2, P + 3)`: of each row, the normal equations and their right side."""
-    from deepir.kernels import parallel_for
     from deepir.kernels import registration as loops
+    from deepir.kernels.compile import parallel_for
 
     stride = 2 if level.weight.numel() > DENSE else 1
     ax, ay = generators(model, level.points(stride), max(level.shape) / 2)

@@ -111,8 +111,8 @@ def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
 
 def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]:
     """Images `(1 or N, h, w)` at the level's pixels moved by `(N, 3, 3)`, and where they are known."""
-    from deepir.kernels import parallel_for
     from deepir.kernels import registration as loops
+    from deepir.kernels.compile import parallel_for
 
     values, known = (torch.empty(len(motion), *level.weight.shape) for _ in range(2))
     parallel_for(

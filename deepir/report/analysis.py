@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from deepir.analysis import Statistics, Verdict
-from deepir.analysis.statistics import ALIKE, HOLDS
+from deepir.analysis.statistics import ALIKE, HOLDS, Array
 from deepir.io import replace
 from deepir.report.summary import DEVIATION, draw_map
-from deepir.result import Array
 
 
 def write_analysis(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,31 +12,50 @@ from torch import Tensor
 from deepir.errors import DataError
 
 
-def save(path: Path, tensors: dict[str, Tensor], position: dict[str, Any]) -> None:
-    """Replace `path` whole: a kill at any moment leaves the old state or the new one.
+@dataclass(frozen=True)
+class FileCheckpoint:
+    """A file for the state of a solve, see `deepir.optim.position.Checkpoint`."""
 
-    Raises `DataError` where it cannot be written (a full disk, say).
-    """
-    from safetensors import SafetensorError
-    from safetensors.torch import save_file
+    path: Path
 
-    part = path.with_suffix(".part")
-    contiguous = {name: tensor.detach().contiguous().cpu().clone() for name, tensor in tensors.items()}
-    try:
-        save_file(contiguous, part, metadata={"position": json.dumps(position)})
-        part.replace(path)
-    except (SafetensorError, OSError) as error:
-        raise DataError(f"{path}: the state cannot be written: {error}") from error
+    def __str__(self) -> str:
+        return str(self.path)
 
+    def exists(self) -> bool:
+        """Whether there is a state to go on from."""
+        return self.path.exists()
 
-def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and position; `DataError` if the file is not a checkpoint."""
-    from safetensors import SafetensorError, safe_open
+    def save(self, tensors: dict[str, Tensor], position: dict[str, Any]) -> None:
+        """Replace the file whole: a kill at any moment leaves the old state or the new one.
 
-    try:
-        with safe_open(path, framework="pt") as file:
-            position = json.loads((file.metadata() or {})["position"])
-            # Cloned: in the file they lie unaligned, and sums would round differently from the interrupted run.
-            return {name: file.get_tensor(name).clone() for name in file.keys()}, position  # noqa: SIM118
-    except (SafetensorError, KeyError, ValueError, OSError) as error:
-        raise DataError(f"{path}: not a readable checkpoint ({error}); delete it to start again") from error
+        Raises:
+            DataError: It cannot be written (a full disk, say).
+        """
+        from safetensors import SafetensorError
+        from safetensors.torch import save_file
+
+        part = self.path.with_suffix(".part")
+        contiguous = {name: tensor.detach().contiguous().cpu().clone() for name, tensor in tensors.items()}
+        try:
+            save_file(contiguous, part, metadata={"position": json.dumps(position)})
+            part.replace(self.path)
+        except (SafetensorError, OSError) as error:
+            raise DataError(f"{self.path}: the state cannot be written: {error}") from error
+
+    def load(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors and position.
+
+        Raises:
+            DataError: The file is not a checkpoint.
+        """
+        from safetensors import SafetensorError, safe_open
+
+        try:
+            with safe_open(self.path, framework="pt") as file:
+                position = json.loads((file.metadata() or {})["position"])
+                # Cloned: in the file they lie unaligned, and sums would round differently from the interrupted run.
+                return {name: file.get_tensor(name).clone() for name in file.keys()}, position  # noqa: SIM118
+        except (SafetensorError, KeyError, ValueError, OSError) as error:
+            raise DataError(
+                f"{self.path}: not a readable checkpoint ({error}); delete it to start again"
+            ) from error

@@ -22,7 +22,7 @@ from deepir.paths import expanded
 from deepir.report.progress import Lines
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, machine, prepare, versions
-from deepir.storage import checkpoint
+from deepir.storage.checkpoint import FileCheckpoint
 from deepir.storage.folder import FILES, Folder
 
 log = logging.getLogger("deepir")
@@ -108,7 +108,9 @@ class _Work:
         log.info("input %s, %s, sha256 %s", data.source, data.frames.shape, data.sha256)
         try:
             callbacks: Callbacks = [self._first, Lines(log.info), *self.callbacks]
-            result = execute(self.config, data, callbacks=callbacks, checkpoint=folder.checkpoint)
+            result = execute(
+                self.config, data, callbacks=callbacks, checkpoint=FileCheckpoint(folder.checkpoint)
+            )
             self._first()
             for message in result.messages:
                 log.warning(message)
@@ -206,7 +208,7 @@ def _check_state(folder: Folder) -> None:
     """A checkpoint that cannot be read is left out: the run starts again."""
     try:
         if folder.checkpoint.exists():
-            checkpoint.load(folder.checkpoint)
+            FileCheckpoint(folder.checkpoint).load()
     except DataError as error:
         log.warning("%s; starting again", error)
         folder.checkpoint.unlink()

@@ -8,8 +8,8 @@ from contextlib import contextmanager, nullcontext
 import numpy as np
 import pytest
 
+from deepir.api import run
 from deepir.cli.signals import Interrupted, Interruptible
-from deepir.runner import run
 
 RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=8")
 

@@ -154,7 +154,7 @@ def test_options_from_python_may_hold_paths(tmp_path):
 
 
 def test_no_import_path_is_a_type():
-    from deepir.runner import run
+    from deepir.api import run
 
     frames = np.random.default_rng(0).random((3, 32, 32))
     for key in ("scene.type", "physics.warp.motion.type", "method", "problem"):

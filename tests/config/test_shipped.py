@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import SHIPPED, headline, load, priors, shipped_names
 from deepir.optim.solve import solve
-from deepir.pipeline.build import build
 from deepir.pipeline.schedule import plan
 from deepir.registry import lookup
 

@@ -8,12 +8,12 @@ import torch
 from skimage.data import camera
 
 import deepir
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.moving_objects import _trust, down_weight_moving
 from deepir.metrics import scores
 from deepir.optim.solve import solve
-from deepir.pipeline.build import build
 from deepir.problems.nuc import NUC
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural

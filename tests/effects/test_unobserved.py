@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 import deepir
 from deepir.arrays.fill import pull_push_filled
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.unobserved import fill_unobserved
-from deepir.pipeline.build import build
 from deepir.simulate import Settings, simulate
 
 

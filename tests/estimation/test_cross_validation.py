@@ -14,9 +14,10 @@ from deepir.estimation.cross_validation import (
     start_trials,
     weight_from_cross_validation,
 )
-from deepir.estimation.hyperparameters import hold_out
+from deepir.optim.held_out import hold_out
 from deepir.optim.solve import solve
 from deepir.priors.penalties.tv import TV
+from deepir.storage.checkpoint import FileCheckpoint
 
 
 def search(misfit):
@@ -66,8 +67,8 @@ def test_a_search_that_was_interrupted_goes_on_as_if_it_had_not_been(small_nuc, 
 
     state = tmp_path / "state.safetensors"
     with pytest.raises(KeyboardInterrupt):
-        searched(callbacks=[stop], checkpoint=state)
-    resumed, whole = searched(checkpoint=state), searched()
+        searched(callbacks=[stop], checkpoint=FileCheckpoint(state))
+    resumed, whole = searched(checkpoint=FileCheckpoint(state)), searched()
     assert whole[:-1].isfinite().all()
     assert torch.equal(resumed.nan_to_num(), whole.nan_to_num())
 

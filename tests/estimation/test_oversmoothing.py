@@ -6,8 +6,8 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 import deepir
-from deepir.estimation.hyperparameters import weigh_scene
 from deepir.estimation.oversmoothing import LOOSER, is_oversmoothed, reduce_weight, store_reference_misfit
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.priors.penalties.foe import FoE
 from deepir.priors.penalties.tv import TV
 from deepir.simulate import Settings, simulate

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.estimation.hyperparameters import weigh_scene
+from deepir.estimation.penalty_weights import weigh_scene
 from deepir.estimation.spatial_weights import adapt_weight_map
-from deepir.pipeline.build import build
 from deepir.priors.penalties.tv import TV
 
 NOISE = 0.01

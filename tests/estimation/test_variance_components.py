@@ -4,9 +4,9 @@ import pytest
 import torch
 from torch.autograd.functional import hessian, jacobian
 
-from deepir.estimation.hyperparameters import less_slow
+from deepir.effects.sensor_pattern import high_order
 from deepir.estimation.variance_components import likeliest
-from deepir.kernels import parallel_for
+from deepir.kernels.compile import parallel_for
 from deepir.kernels.marginal_likelihood import nats
 
 COUNT = 4000
@@ -83,6 +83,6 @@ def test_a_slope_of_the_scene_is_no_strength_of_its_rows(count):
     generator = torch.Generator().manual_seed(count)
     white = 0.01 * torch.randn(2, count, dtype=torch.float64, generator=generator)
     slope = 0.3 * torch.linspace(-1, 1, count, dtype=torch.float64)
-    left = less_slow(white + slope)
-    assert torch.allclose(left, less_slow(white), atol=1e-12)
+    left = high_order(white + slope)
+    assert torch.allclose(left, high_order(white), atol=1e-12)
     assert float(left.std()) == pytest.approx(float(white.std()), rel=0.2)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from deepir.arrays.differences import squared_gradient
 from deepir.closed_form import weighted_least_squares
 from deepir.closed_form.normal_equations import Pixels, PixelsOnCPU
-from deepir.kernels import parallel_for
+from deepir.kernels.compile import parallel_for
 from deepir.priors.penalties.tv import TV
 
 sizes = st.tuples(st.integers(1, 6), st.integers(1, 50))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.closed_form.variable_projection import COLUMN
 from deepir.config import load
 from deepir.optim.objective import objective
 from deepir.optim.preconditioner import Preconditioner, slow_waves
 from deepir.optim.solve import solve
-from deepir.pipeline.build import build
 from deepir.priors.penalties.ridge import Ridge
 from deepir.problems.definition import start_scene
 from deepir.schedule import Stage, Step

@@ -16,7 +16,7 @@ from deepir.optim.solve import solve
 from deepir.priors.penalties.ridge import Ridge
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
-from deepir.storage import checkpoint as store
+from deepir.storage.checkpoint import FileCheckpoint
 
 EVERYTHING = ("gain", "offset")
 ELIMINATE = Step(EVERYTHING, "eliminate")
@@ -240,10 +240,14 @@ def test_nan_ends_the_solve_with_a_reason_and_the_last_good_state(method, tmp_pa
     # Two groups: an alternating one evaluates anew before each step.
     steps = (Step(("scene",), method), Step(("scene",), method))
     with pytest.raises(SolverError, match=r"not a number at iteration .* of stage 'joint'"):
-        solve(problem, [Stage("joint", steps, 50, tolerance=0.0)], checkpoint=tmp_path / "state.safetensors")
+        solve(
+            problem,
+            [Stage("joint", steps, 50, tolerance=0.0)],
+            checkpoint=FileCheckpoint(tmp_path / "state.safetensors"),
+        )
     scene = problem.fields["scene"]().detach()
     assert scene.isfinite().all()
-    tensors, _ = store.load(tmp_path / "state.safetensors")
+    tensors, _ = FileCheckpoint(tmp_path / "state.safetensors").load()
     assert torch.equal(tensors["problem.fields.scene.values"], problem.fields["scene"].values)
 
 
@@ -252,7 +256,7 @@ def test_divergence_ends_the_solve_where_the_stage_began(small_nuc, tmp_path):
     before = problem.fields["scene"]().detach().clone()
     stage = Stage("joint", (Step(("scene",), "adam", lr=1e4),), 50)
     with pytest.raises(SolverError, match=r"rose from .* lower the step \(lr\)"):
-        solve(problem, [stage], checkpoint=tmp_path / "state.safetensors")
+        solve(problem, [stage], checkpoint=FileCheckpoint(tmp_path / "state.safetensors"))
     assert torch.equal(problem.fields["scene"](), before)
 
 
@@ -275,10 +279,10 @@ def test_a_resumed_solve_is_the_uninterrupted_one_to_the_bit(small_nuc, tmp_path
     assert same(start, state(broken))
     path = tmp_path / "state.safetensors"
     with pytest.raises(InterruptedSolveError):
-        solve(broken, stages(broken), callbacks=[stop_after(count)], checkpoint=path)
+        solve(broken, stages(broken), callbacks=[stop_after(count)], checkpoint=FileCheckpoint(path))
     torch.manual_seed(5)
     fresh = small_nuc()
-    found = solve(fresh, stages(fresh), checkpoint=path)
+    found = solve(fresh, stages(fresh), checkpoint=FileCheckpoint(path))
     assert same(state(whole), state(fresh))
     assert found.history == wanted.history
     assert (found.iterations, found.evaluations, found.reason) == (
@@ -294,25 +298,25 @@ def test_a_solve_interrupted_where_it_came_to_rest_does_not_go_on(small_nuc, tmp
     torch.manual_seed(5)
     broken, path = small_nuc(), tmp_path / "state.safetensors"
     with pytest.raises(InterruptedSolveError):
-        solve(broken, stages, callbacks=[stop_after(wanted.iterations)], checkpoint=path)
+        solve(broken, stages, callbacks=[stop_after(wanted.iterations)], checkpoint=FileCheckpoint(path))
     torch.manual_seed(5)
     fresh = small_nuc()
-    assert solve(fresh, stages, checkpoint=path).history == wanted.history
+    assert solve(fresh, stages, checkpoint=FileCheckpoint(path)).history == wanted.history
     assert same(state(whole), state(fresh))
 
 
 def test_checkpoints_are_written_on_the_way(small_nuc, tmp_path):
     path = tmp_path / "state.safetensors"
-    solve(small_nuc(), plan(iterations=3), checkpoint=path, every=0.0)
-    _, position = store.load(path)
+    solve(small_nuc(), plan(iterations=3), checkpoint=FileCheckpoint(path), every=0.0)
+    _, position = FileCheckpoint(path).load()
     assert position["iteration"] == 3
 
 
 def test_the_state_of_another_problem_is_refused(small_nuc, tmp_path):
     path = tmp_path / "state.safetensors"
-    solve(small_nuc(), plan(iterations=2), checkpoint=path, every=0.0)
+    solve(small_nuc(), plan(iterations=2), checkpoint=FileCheckpoint(path), every=0.0)
     with pytest.raises(DataError, match="another problem"):
-        solve(small_nuc(size=(11, 13)), plan(iterations=2), checkpoint=path)
+        solve(small_nuc(size=(11, 13)), plan(iterations=2), checkpoint=FileCheckpoint(path))
     path.write_bytes(b"no checkpoint")
     with pytest.raises(DataError, match="not a readable checkpoint"):
-        solve(small_nuc(), plan(iterations=2), checkpoint=path)
+        solve(small_nuc(), plan(iterations=2), checkpoint=FileCheckpoint(path))

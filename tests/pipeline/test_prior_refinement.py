@@ -5,11 +5,11 @@ import pytest
 import torch
 
 import deepir
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DeepIRError
 from deepir.optim.solve import solve
-from deepir.pipeline.build import build
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.pipeline.schedule import plan
 from deepir.problems.definition import Generic

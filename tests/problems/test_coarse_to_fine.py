@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import deepir
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.metrics import scores
-from deepir.pipeline.build import build
 from deepir.problems.coarse_to_fine import half_resolution, upsample_motion, upsample_moving_mask
 from deepir.problems.definition import start_scene
 from deepir.problems.motion_step import gauss_newton_motion_step

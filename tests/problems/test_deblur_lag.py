@@ -7,11 +7,11 @@ import pytest
 import torch
 
 import deepir
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError
 from deepir.metrics import scores
-from deepir.pipeline.build import build
 from deepir.problems.deblur_lag import speed_message, start_motion
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural

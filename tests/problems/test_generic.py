@@ -5,9 +5,9 @@ import pytest
 import torch
 
 import deepir
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.pipeline.build import build
 from deepir.simulate.scenes import procedural
 
 BLUR = {"radius": 2, "psf": {"type": "gaussian", "sigma": 0.8, "fixed": True}}

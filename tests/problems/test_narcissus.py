@@ -5,6 +5,7 @@ import pytest
 import torch
 
 import deepir
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError
@@ -12,7 +13,6 @@ from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.estimation.spatial_weights import adapt_weight_map
 from deepir.fields.basis_expansion import DCT, Radial
 from deepir.metrics import scores
-from deepir.pipeline.build import build
 from deepir.problems import narcissus as module
 from deepir.problems import nuc
 from deepir.problems.definition import start_scene

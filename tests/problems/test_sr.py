@@ -6,13 +6,13 @@ import torch
 from scipy.interpolate import BSpline
 
 import deepir
+from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.metrics import scores
 from deepir.operators import Downsample, Warp
 from deepir.operators.geometry import scaled
-from deepir.pipeline.build import build
 from deepir.problems.sr import few_frames
 from deepir.simulate import Settings, simulate
 

@@ -124,7 +124,7 @@ class _OnCPU(torch.autograd.Function):
     def forward(
         ctx: Any, value: Tensor, share: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, e: float
     ) -> Tensor:
-        from deepir.kernels import parallel_for
+        from deepir.kernels.compile import parallel_for
         from deepir.kernels.fields_of_experts import experts
 
         pictures = value.reshape(-1, *value.shape[-2:]).contiguous()

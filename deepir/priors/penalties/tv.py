@@ -37,7 +37,7 @@ class _OnCPU(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, value: Tensor, share: Tensor, rounding: float) -> Tensor:
-        from deepir.kernels import parallel_for
+        from deepir.kernels.compile import parallel_for
         from deepir.kernels.tv import total_variation
 
         pictures = value.reshape(-1, *value.shape[-2:]).contiguous()

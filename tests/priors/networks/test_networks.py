@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import nn
 
+from deepir.build.problem import build_scene
 from deepir.config import load
-from deepir.pipeline.build import build_scene
 from deepir.priors.networks.base import Network
 from deepir.priors.networks.dip import DIP
 from deepir.priors.networks.fused_upsampling import risen

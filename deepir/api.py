@@ -1,0 +1,43 @@
+"""Correct a burst from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.config import Config, load
+from deepir.result import Result
+from deepir.runner import Callbacks, execute, prepare
+from deepir.storage.stored import run_into
+
+
+def run(
+    config: str | Path | Mapping[str, Any] | Config,
+    *overrides: str,
+    frames: np.ndarray[Any, Any] | None = None,
+    callbacks: Callbacks = (),
+    overwrite: bool = False,
+    **options: Any,
+) -> Result:
+    """Correct a burst: `run("nuc", frames=array, prior="tv")`.
+
+    Nothing is written unless the configuration names a folder: `output={"dir": "runs/mine"}`.
+
+    Args:
+        config: A shipped name, a path, a mapping, or a configuration already loaded.
+        overrides: `key=value`, as on the command line: `"scene.penalties.foe.weight=50"`.
+        frames: (N, h, w) in place of `data.path`.
+        callbacks: Called with a `Progress` after each iteration.
+        overwrite: Replace a former run in the output folder.
+        options: Top-level keys of the configuration: `prior="tv"`, `seed=1`, `data={"path": ...}`.
+
+    Raises:
+        DeepIRError: The configuration or the data are wrong; the message says what and where.
+    """
+    checked = config if isinstance(config, Config) else load(config, overrides, options)
+    if checked.output.dir is not None:
+        return run_into(checked, Path(checked.output.dir), frames, overwrite=overwrite, callbacks=callbacks)
+    return execute(checked, prepare(checked, frames), callbacks=callbacks)

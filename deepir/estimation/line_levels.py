@@ -1,0 +1,40 @@
+"""Levels of the rows and columns of each frame."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from deepir.fields.line_noise import LineNoise
+from deepir.fields.shading import Shading
+from deepir.problem import Problem
+
+
+def line_noise_fields(problem: Problem) -> list[LineNoise]:
+    """Those that the problem knows of."""
+    fields = [problem.fields[name] for name in problem.free()]
+    return [module for field in fields for module in field.modules() if isinstance(module, LineNoise)]
+
+
+def lines_jump(problem: Problem) -> bool:
+    """Whether any do, as far as is known."""
+    return any(field.sigma > 0 for field in line_noise_fields(problem))
+
+
+def line_noise_in_polynomials(problem: Problem, frame: Shading) -> Tensor:
+    """The variance that jumps have in each frame's level and polynomials, (terms + 1,)."""
+    level = torch.zeros_like(frame.of_y[:1])
+    of_y, of_x = torch.cat((level, frame.of_y)), torch.cat((level, frame.of_x))
+    found = torch.zeros(len(of_y), dtype=torch.float64, device=of_y.device)
+    for field in line_noise_fields(problem):
+        constant = (of_x if field.across == -2 else of_y) == 0
+        found += constant * field.in_level
+    return found
+
+
+def subtract_line_means(problem: Problem, values: Tensor) -> Tensor:
+    """Values (..., h, w) less their means along lines that jump: these tell nothing."""
+    for field in line_noise_fields(problem):
+        if field.sigma > 0:
+            values = values - values.mean(-3 - field.across, keepdim=True)
+    return values

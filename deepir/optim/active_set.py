@@ -1,0 +1,33 @@
+"""Samples at an end of the range as bounds: the active set of a least-squares problem."""
+
+from __future__ import annotations
+
+import torch
+
+from deepir.arrays.noise_level import median_sigma
+from deepir.likelihoods import CAUCHY_SCALE
+from deepir.problem import Problem
+
+BOUND_VIOLATION = 2.0  # standard deviations of the noise by which a prediction is short of a bound
+
+
+@torch.no_grad()
+def deactivate_bounds(problem: Problem) -> None:
+    """Let no sample count that is cut off: as long as strengths are estimated, which want to know."""
+    if problem.ends is not None:
+        problem.precision.masked_fill_(problem.ends != 0, 0)
+
+
+@torch.no_grad()
+def activate_bounds(problem: Problem) -> None:
+    """Let samples count that are cut off where the prediction is short of the bound, and so pull it there.
+
+    The others leave the scene as free as the range does. (The active set of a least-squares problem with bounds.)
+    """
+    if problem.ends is None:
+        return
+    deactivate_bounds(problem)
+    noise = median_sigma(problem.precision)
+    short = problem.ends * (problem.data - problem.predict(problem.values())) / noise
+    doubt = 1 + (short / CAUCHY_SCALE).square()
+    problem.precision.add_((short > BOUND_VIOLATION) / (doubt * noise**2))
