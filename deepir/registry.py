@@ -25,6 +25,7 @@ HOMES = {
     "denoiser": ["deepir.denoisers"],
     "fidelity": ["deepir.likelihoods"],
     "problem": ["deepir.problems"],
+    "effect": ["deepir.effects"],
     "method": ["deepir.pipeline.reconstruct", "deepir.baselines"],
     "training": ["deepir.training"],
     "camera": ["deepir.cameras"],

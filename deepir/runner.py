@@ -28,6 +28,7 @@ from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress
 from deepir.pipeline.frame_order import demand_order
 from deepir.pipeline.method import chosen
+from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.schedule import plan
 from deepir.registry import lookup
 from deepir.result import Result
@@ -62,13 +63,13 @@ def check_components(config: Config, data: bursts.Burst) -> None:
     """Build the problem for a camera at rest: what is wrong with a component shows before anything runs."""
     still = torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
     problem, _ = build(config, data, still)
-    definition = lookup("problem", config.problem, "problem")()
-    for name in definition.operators:
+    recipe = make_recipe(config)
+    for name in recipe.operators:
         if not any(isinstance(stage, lookup("operator", name)) for _, stage in problem.operator.named()):
             raise ConfigError(
                 f"physics: problem '{config.problem}' needs a stage '{name}'; or take problem=generic"
             )
-    plan(problem, definition, config)
+    plan(problem, recipe, config)
 
 
 def execute(

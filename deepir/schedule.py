@@ -1,4 +1,4 @@
-"""What a plan is made of: stages, and the steps that alternate in each."""
+"""The schedule of a solve: stages, and the steps that alternate in each."""
 
 from __future__ import annotations
 
@@ -40,3 +40,31 @@ class Stage:
     needed: Callable[[Problem], bool] | None = None
     #: Called before `prepare` to put a field in another's place; and again when a later solve goes on from here.
     change: Callable[[Problem], None] | None = None
+
+
+class Schedule(list[Stage]):
+    """Stages in order, edited by name."""
+
+    def __call__(self, name: str) -> Stage:
+        """The stage of a name; `KeyError` if there is none."""
+        return self[self.position(name)]
+
+    def position(self, name: str) -> int:
+        """Where the first stage of a name stands; `KeyError` if there is none."""
+        for i, stage in enumerate(self):
+            if stage.name == name:
+                return i
+        raise KeyError(f"no stage '{name}'; stages are {[stage.name for stage in self]}")
+
+    def replaced(self, name: str, *stages: Stage) -> Schedule:
+        """With these stages in place of one."""
+        at = self.position(name)
+        return Schedule([*self[:at], *stages, *self[at + 1 :]])
+
+    def before(self, name: str, *stages: Stage) -> Schedule:
+        """With these stages before one."""
+        return self.replaced(name, *stages, self(name))
+
+    def after(self, name: str, *stages: Stage) -> Schedule:
+        """With these stages after one."""
+        return self.replaced(name, self(name), *stages)

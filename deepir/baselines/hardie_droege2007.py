@@ -19,7 +19,7 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.operators import Chain, Sensor
-from deepir.problems.definition import start_scene
+from deepir.problems.initial_estimate import start_scene
 from deepir.registry import register
 from deepir.result import Result, neutral, to_gauge
 

@@ -118,6 +118,8 @@ class Config(_Strict):
     fidelity: str | dict[str, Any] = "gaussian"
     noise: Literal["auto"] | Noise = "auto"
     data: Data = Data()
+    #: Effects by name: false leaves one out; a mapping sets its options.
+    effects: dict[str, bool | dict[str, Any] | None] = {}
     solver: Solver = Field(default_factory=Solver)
     output: Output = Output()
     seed: int = Field(0, ge=0, lt=2**63)

@@ -6,6 +6,8 @@ as good as any.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.ndimage
 import torch
@@ -15,8 +17,10 @@ from torch import Tensor
 from deepir.arrays.median import MAD
 from deepir.arrays.subsample import subsample
 from deepir.arrays.windows import NEIGHBOURHOOD, box_sum, median_filter
+from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import temporal_mean
 from deepir.problem import Problem
+from deepir.registry import register
 
 DEVIATION = 7.0  # robust standard deviations of the pattern beyond which a pixel is none of it
 MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, from which a pixel is defective
@@ -151,3 +155,12 @@ def mask_dead_pixels(problem: Problem, rest: Tensor, noise: float, calm: Tensor)
         calm = calm & (problem.ends == 0).all(0, keepdim=True)
     gone |= overlay_mask(calm, problem.data - rest, usable, noise)
     problem.precision.mul_(~gone)
+
+
+@register("effect", "bad_pixels")
+@dataclass(frozen=True)
+class BadPixels(Effect):
+    """Dead pixels, and overlays that a camera draws over its frames."""
+
+    def reject(self, start: Start) -> None:
+        mask_dead_pixels(start.problem, start.residual, start.noise, start.static)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.subsample import masked_values, subsample
+from deepir.effects.effect import Effect
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise
 from deepir.problem import Problem
+from deepir.registry import register
 
 #: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
 DRIFT = 0.25
@@ -73,3 +77,15 @@ def drift_message(problem: Problem) -> list[str]:
 def level_names(problem: Problem) -> list[str]:
     """The unknowns that are bound to a sensor's level."""
     return [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "level"]
+
+
+@register("effect", "frame_offset")
+@dataclass(frozen=True)
+class FrameOffset(Effect):
+    """The level of each frame, where it stands out of all that the average of the frames leaves."""
+
+    def equalise(self, problem: Problem) -> bool:
+        return start_line_levels(problem)
+
+    def drift_messages(self, problem: Problem) -> list[str]:
+        return drift_message(problem)

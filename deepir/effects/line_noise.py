@@ -10,11 +10,13 @@ from torch import Tensor
 from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.subsample import masked_values
+from deepir.effects.effect import Effect, Rounds
 from deepir.effects.frame_offset import level_names
 from deepir.estimation.line_levels import line_noise_fields, lines_jump
 from deepir.fields.line_noise import LineNoise
 from deepir.problem import Problem
-from deepir.schedule import Stage, Step
+from deepir.registry import register
+from deepir.schedule import Schedule, Stage, Step
 
 ENOUGH = 3  # frames: a scene and a pattern explain any two values of a line
 CERTAIN = 3.0  # variance of lines' means, in that of what their halves differ by, from which they jump
@@ -50,16 +52,17 @@ def line_noise_message(problem: Problem) -> list[str]:
 
 
 @torch.no_grad()
-def estimate_line_noise(problem: Problem) -> list[LineNoise]:
+def estimate_line_noise(problem: Problem) -> None:
     """Set by how much lines jump, and each jump to its mean with all else held.
 
     A line that jumps does so in both its halves, unlike noise and what the model lacks. Scene and fixed pattern
-    explain two of the n values of a line, whatever these are: of the variance of jumps `(n - 2) / n` is left. Returns
-    those that are found to jump for the first time.
+    explain two of the n values of a line, whatever these are: of the variance of jumps `(n - 2) / n` is left.
     """
-    fields, new = line_noise_fields(problem), list[LineNoise]()
+    fields = line_noise_fields(problem)
+    for field in fields:
+        field.just_found = False
     if not fields or len(problem.data) < ENOUGH:
-        return new
+        return
     residual, precision = problem.data - problem.predict(problem.values()), problem.fitted()
     for field in fields:
         mean, apart, known, white = _means(residual, precision, field)
@@ -71,11 +74,10 @@ def estimate_line_noise(problem: Problem) -> list[LineNoise]:
             least = LITTLE**2 * white * residual.shape[field.along[0]]
             certain = CERTAIN * max(1.0, SHORT / residual.shape[field.along[0]]) ** 2
             variance = variance if whole > certain * chance and variance > least else 0.0
-            new += [field] if variance and not field.sigma > 0 else []
+            field.just_found = bool(variance) and not field.sigma > 0
             field.sigma.fill_(variance**0.5)
         field.step.fill_(white**0.5)
         field.values.copy_(mean * variance / (variance + white) / field.step)
-    return new
 
 
 def _means(residual: Tensor, precision: Tensor, field: LineNoise) -> tuple[Tensor, Tensor, Tensor, float]:
@@ -98,3 +100,19 @@ def _variance(values: Tensor, known: Tensor, across: int) -> float:
     count = known.shape[across] - 1
     both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
     return (MAD * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2
+
+
+@register("effect", "line_noise")
+@dataclasses.dataclass(frozen=True)
+class TemporalLineNoise(Effect):
+    """Rows and columns that jump from frame to frame."""
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        estimate_line_noise(problem)
+        return False
+
+    def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
+        return schedule.replaced("scene", *with_jumps(problem, schedule("scene")))
+
+    def messages(self, problem: Problem) -> list[str]:
+        return line_noise_message(problem)

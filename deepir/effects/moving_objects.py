@@ -15,10 +15,12 @@ from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.subsample import masked_values
 from deepir.arrays.windows import box_sum
+from deepir.effects.effect import Effect
 from deepir.effects.foreground import foreground
 from deepir.operators import Warp
 from deepir.operators.base import slots_of
 from deepir.problem import Problem, Values
+from deepir.registry import register
 
 APART = 5.0  # gap between the frames, in robust standard deviations, from which a place shows two things
 FAR = 12.0  # the same, of one place at least of each region that does
@@ -197,3 +199,39 @@ def _in_frames(problem: Problem, masks: Tensor, values: Values) -> Tensor:
 
 def _dilated(image: Tensor, side: int) -> Tensor:
     return F.max_pool2d(image, side, stride=1, padding=side // 2)
+
+
+@register("effect", "moving_objects")
+@dataclass(frozen=True)
+class MovingObjectsEffect(Effect):
+    """Things that move by themselves: their samples hardly count.
+
+    Args:
+        min_contrast: Robust standard deviations between object and scene from which it is left out of the start.
+        restart_contrast: The same from which scene and pattern are started anew, once the pattern is known.
+    """
+
+    min_contrast: float = 12.0
+    restart_contrast: float = 60.0
+
+    def prepare(self, problem: Problem) -> None:
+        problem.precision.mul_(~problem.moving)
+
+    def initialise(self, problem: Problem) -> None:
+        problem.precision.add_(LITTLE * median_sigma(problem.precision) ** -2 * problem.moving)
+
+    def detect(self, problem: Problem, seed: int) -> bool:
+        found = detect_moving_objects(problem, settled=False)
+        if found is None or found.apart <= self.min_contrast:
+            return False
+        problem.moving.copy_(found.samples)
+        return True
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        return down_weight_moving(problem, settled=settled) > self.restart_contrast and not settled
+
+    def finish(self, problem: Problem) -> None:
+        down_weight_moving(problem)
+
+    def messages(self, problem: Problem) -> list[str]:
+        return moving_message(problem)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -10,11 +11,13 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from deepir.arrays.median import MAD, median
-from deepir.arrays.noise_level import ROUNDED, quantisation_step
+from deepir.arrays.noise_level import ROUNDED, quantisation_step, sample_noise
 from deepir.arrays.subsample import masked_values, subsample
 from deepir.effects.bad_pixels import defective_pixels, neighbourhood_doubt
+from deepir.effects.effect import Effect
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
+from deepir.registry import register
 
 BINS = 10  # of the signal, in which the noise is measured
 #: Standard deviations beyond which a residual counts no more than these, and the mean square that a Gaussian then has.
@@ -103,3 +106,35 @@ def _bins(values: Tensor, counts: Tensor) -> Tensor:
     some = masked_values(values[::each], counts[::each]).cpu().numpy()
     edges = np.quantile(some, np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
     return torch.bucketize(values.contiguous(), torch.from_numpy(edges).to(values))
+
+
+def start_precision(problem: Problem) -> None:
+    """Set the precision of usable samples to 1 / variance of the noise that the frames show, if none is given."""
+    if problem.noise is not None:
+        return
+    usable = problem.precision > 0
+    sigma = sample_noise(problem.data[:, 0], usable[:, 0])
+    data, counts = subsample(problem.data, usable)
+    robust_std = float(masked_values(data, counts).std())
+    rounded = ROUNDED * quantisation_step(
+        problem.data, usable
+    )  # in a plain scene differences may be all zero
+    # Noiseless data: a solve still wants finite weights.
+    sigma = max(sigma, rounded, 1e-4 * robust_std)
+    problem.precision.copy_(usable / sigma**2)
+
+
+@register("effect", "noise")
+@dataclass(frozen=True)
+class Noise(Effect):
+    """The noise of the samples: read noise and photon noise, from the residuals of fitted and of held-out samples."""
+
+    def prepare(self, problem: Problem) -> None:
+        start_precision(problem)
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        update_noise(problem)
+        return False
+
+    def finish(self, problem: Problem) -> None:
+        update_noise(problem, settled=True)

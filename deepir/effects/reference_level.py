@@ -9,15 +9,19 @@ the pixels' parts (`deepir.estimation.variance_components`), and subtracted.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 from torch import Tensor
 
+from deepir.effects.effect import Effect
 from deepir.effects.sensor_pattern import update_parts
 from deepir.estimation.variance_components import marginal
 from deepir.operators import Sensor
 from deepir.problem import Problem, Values
+from deepir.registry import register
 
 #: Nats of the pixels by which a first reference level other than zero has to be likelier, and a later one.
 EVIDENCE_MARGIN, REFINEMENT_MARGIN = 100.0, 2.0
@@ -91,3 +95,15 @@ def _follows_level(problem: Problem, values: Values) -> bool:
     more = problem.flux(values | {"scene": values["scene"] + unit}) - problem.flux(values)
     wrong: Tensor = (more / unit - 1).abs()[problem.precision > 0] > LEVEL_TOLERANCE
     return bool(wrong.float().mean() < EXCEPTIONS_SHARE)
+
+
+@register("effect", "reference_level")
+@dataclass(frozen=True)
+class ReferenceLevel(Effect):
+    """The level of the data at which gain and offset are independent of each other."""
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        if settled:
+            refine_reference_level(problem)
+            return False
+        return take_reference_level(problem)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepir.arrays.median import robust_std
 from deepir.effects.bad_pixels import OFF
+from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.io.saturated_samples import Array
 from deepir.problem import Problem
+from deepir.registry import register
 
 OTHERS = 0.5  # share of a place's samples that are cut off, if it is beyond the range
 SAID = 0.001  # of the samples: fewer are worth a message only if the result is bounded by them
@@ -64,3 +68,17 @@ def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]
                 f"much at {bounds} pixels"
             )
     return ["; ".join(said) + " ('clipped' in result.npz)"] if said else []
+
+
+@register("effect", "saturation")
+@dataclass(frozen=True)
+class Saturation(Effect):
+    """Samples at an end of the range: bounds of the scene, unless the pixel is stuck there."""
+
+    def reject(self, start: Start) -> None:
+        if start.turn == 0:
+            mask_stuck_pixels(start.problem)
+
+    def initialise(self, problem: Problem) -> None:
+        if problem.ends is not None:  # a pixel rejected for its other samples is no bound either
+            problem.ends.mul_((problem.precision > 0) | (problem.ends != 0).all(0))

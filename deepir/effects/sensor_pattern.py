@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -11,27 +11,19 @@ from deepir.arrays.median import robust_std
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.subsample import masked_values, subsample
 from deepir.effects.bad_pixels import pattern_outliers
-from deepir.effects.line_noise import estimate_line_noise
-from deepir.effects.noise import update_noise
-from deepir.effects.shading import estimate_low_order
+from deepir.effects.effect import Effect, Start
+from deepir.estimation.line_levels import line_noise_fields
 from deepir.estimation.residuals import temporal_mean
 from deepir.estimation.variance_components import MAX_SIGMA_RATIO, high_pass, likeliest
 from deepir.fields.sensor_maps import Part
 from deepir.fields.shading import Shading
 from deepir.problem import Problem
+from deepir.registry import register
 
 LOW_ORDER_DEGREE = 8  # degree of what is slow along the lines, of 64 and more
 
 
 UPDATE_ROUNDS = 2  # of the parts' strengths at each update
-
-
-def update_strengths(problem: Problem) -> None:
-    """Noise and parts' strengths anew, in the gauge: what every round of a sensor's estimate begins with."""
-    new = estimate_line_noise(problem)
-    update_noise(problem)
-    keep_gauge(problem)
-    update_parts(problem, unasked={field.along for field in new})
 
 
 @torch.no_grad()
@@ -92,11 +84,12 @@ def keep_gauge(problem: Problem) -> None:
 
 
 @torch.no_grad()
-def update_parts(problem: Problem, unasked: Collection[tuple[int, ...]] = ()) -> None:
-    """Set the parts' strengths to the likeliest, the scene held; those of what is slow, whatever the scene is.
+def update_parts(problem: Problem) -> None:
+    """Set the standard deviations of the parts by marginal likelihood, the scene fixed.
 
-    Parts that are constant along the axes `unasked` have not been found yet with all that is known now.
+    Parts along lines that were just found to jump wait for a round that knows of it.
     """
+    unasked = {field.along for field in line_noise_fields(problem) if field.just_found}
     closed = problem.closed_form()
     if not closed:
         return
@@ -113,7 +106,6 @@ def update_parts(problem: Problem, unasked: Collection[tuple[int, ...]] = ()) ->
             for part, found in zip(parts, likeliest(information, quick, sigma, most, free), strict=True):
                 if part and not part.given:
                     part.sigma.copy_(found)
-    estimate_low_order(problem)
 
 
 def high_order(values: Tensor) -> Tensor:
@@ -128,3 +120,18 @@ def _all_parts(problem: Problem, slot: str) -> list[Part]:
     """Parts of what is bound to a slot of this name, whether they have a closed form or not."""
     unknowns = [name for each, name in problem.slots.items() if each.rpartition(".")[2] == slot]
     return [each for name in unknowns for each in problem.fields[name].modules() if isinstance(each, Part)]
+
+
+@register("effect", "sensor_pattern")
+@dataclass(frozen=True)
+class SensorPattern(Effect):
+    """The standard deviations of the parts of gain and offset, by marginal likelihood."""
+
+    def reject(self, start: Start) -> None:
+        if start.turn == 1:
+            start_parts(start.problem, start.residual)
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        keep_gauge(problem)
+        update_parts(problem)
+        return False

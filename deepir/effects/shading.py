@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
+from deepir.effects.effect import Effect
 from deepir.estimation.low_order_evidence import LowOrderEvidence, contrast
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
 from deepir.fields.shading import Shading
 from deepir.operators import Add, Blur, Lag, Sensor, Warp
 from deepir.problem import Problem
+from deepir.registry import register
 
 ENOUGH = 3  # frames to tell shading and stray flux from the scene
 
@@ -101,3 +105,19 @@ def strays(problem: Problem) -> list[BasisExpansion]:
     free = problem.free()
     fields = [problem.fields[name] for name in added_flux(problem) if name in free]
     return [field for field in fields if isinstance(field, BasisExpansion)]
+
+
+@register("effect", "shading")
+@dataclass(frozen=True)
+class LowOrderParts(Effect):
+    """Shading of the offset, stray flux and drift of the level: whether there are any, and how strong they are."""
+
+    def initialise(self, problem: Problem) -> None:
+        estimate_low_order(problem, start=True)
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        estimate_low_order(problem)
+        return False
+
+    def drift_messages(self, problem: Problem) -> list[str]:
+        return shading_message(problem)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 
 from deepir.arrays.fill import pull_push_filled
+from deepir.effects.effect import Effect
 from deepir.optim.preconditioner import MIN_FRAMES_SEEN
 from deepir.problem import Problem
+from deepir.registry import register
 
 
 @torch.no_grad()
@@ -23,3 +27,16 @@ def fill_unobserved(problem: Problem) -> None:
     known = weight > MIN_FRAMES_SEEN * weight.max() / len(problem.data)
     if not known.all():
         problem.fields["scene"].init_from(pull_push_filled(values["scene"], known))
+
+
+@register("effect", "unobserved")
+@dataclass(frozen=True)
+class Unobserved(Effect):
+    """Parts of the scene that no frame sees."""
+
+    def initialise(self, problem: Problem) -> None:
+        fill_unobserved(problem)
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        fill_unobserved(problem)
+        return False

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import torch
 
+from deepir.effects.effect import Effect, Rounds
 from deepir.effects.shading import doubt, low_order_unknowns
 from deepir.estimation.gain_offset_evidence import GainOffsetEvidence, gain_and_offset
 from deepir.estimation.line_levels import lines_jump
 from deepir.fields.shading import Shading
 from deepir.problem import Problem
+from deepir.registry import register
+from deepir.schedule import Schedule
 
 ENOUGH = 4  # frames: three tell smooth gains from the scene hardly at all
 CERTAIN = 10  # nats by which a shaded gain has to make the frames likelier
@@ -61,3 +66,22 @@ def _likeliest(problem: Problem) -> list[float] | None:
         if not (nats + certain < even and found[-1] < MOST):
             return None
     return found
+
+
+@register("effect", "vignetting")
+@dataclass(frozen=True)
+class Vignetting(Effect):
+    """A gain that falls off towards the edges, as a lens makes it."""
+
+    def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
+        if not unknown_gain_shadings(problem):
+            return schedule
+
+        def prepare(problem: Problem) -> None:
+            rounds.update(problem)
+            estimate_vignetting(problem)
+
+        last = schedule("sensor 3")
+        return schedule.before(
+            "scene", replace(last, name="shaded gain", prepare=prepare, needed=detect_vignetting)
+        )

@@ -23,6 +23,8 @@ class LineNoise(GaussianField):
     across: ClassVar[int]
     #: What they are called.
     lines: ClassVar[str]
+    #: Whether the last estimate was the first to find a variance.
+    just_found = False
 
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], sigma: float | None = None

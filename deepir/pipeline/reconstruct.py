@@ -14,11 +14,6 @@ from deepir.config import Config
 from deepir.diagnostics.equalised_histogram import equalised_message
 from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
-from deepir.effects.frame_gain import frame_gain_message
-from deepir.effects.frame_offset import drift_message
-from deepir.effects.line_noise import line_noise_message
-from deepir.effects.moving_objects import moving_message
-from deepir.effects.shading import shading_message
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.uncertainty import nuc_penalty_db
 from deepir.fields.sensor_maps import Part
@@ -28,12 +23,12 @@ from deepir.optim.solve import Progress, solve
 from deepir.pipeline.collect import make_result
 from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
 from deepir.pipeline.given_noise import given_noise
+from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import register_frames
 from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.pipeline.schedule import plan
 from deepir.problem import Problem
-from deepir.problems.definition import Definition
-from deepir.registry import lookup, register
+from deepir.registry import register
 from deepir.result import Result
 
 
@@ -46,15 +41,15 @@ def joint(
     checkpoint: Checkpoint | None = None,
 ) -> Result:
     """Fields for all unknowns, fitted together (the default)."""
-    definition: Definition = lookup("problem", config.problem, "problem")()
+    recipe = make_recipe(config)
     try:
-        motion, used, messages = register_frames(burst, config, definition)
+        motion, used, messages = register_frames(burst, config, recipe)
     except DataError as refusal:
-        if not definition.judged:
+        if not recipe.judged:
             raise
         return unregistered(burst, refusal)
     taken = used
-    if definition.ordered and motion is not None:
+    if recipe.ordered and motion is not None:
         motion, taken = interpolate_missing_motion(motion, used)
         messages += interpolation_message(used, taken)
     valid = burst.valid & used[:, None, None]
@@ -68,24 +63,23 @@ def joint(
         problem.ends = torch.from_numpy(burst.clipped[taken])[:, None].to(problem.data.device)
     messages += given_noise(problem, config)
     given = problem.alive()
-    definition.initialise(problem, config.seed)
+    recipe.initialise(problem, config.seed)
     _demand_strengths(problem)
     _demand_scene(problem)
-    stages = plan(problem, definition, config)
+    stages = plan(problem, recipe, config)
     if config.scene.get("fit") and not problem.held_out.any():
         hold_out(problem, config.seed)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
-    messages += definition.remarks(problem) + line_noise_message(problem) + moving_message(problem)
-    messages += scene_in_pattern_message(problem)
-    if config.solver.max_iterations is None:  # a solve cut short leaves more than drift
-        messages += drift_message(problem) + shading_message(problem)
-        messages += residual_correlation_message(problem) or frame_gain_message(problem)
+    complete = config.solver.max_iterations is None  # a solve cut short leaves more than drift
+    messages += recipe.warnings(problem, complete=complete) + scene_in_pattern_message(problem)
+    if complete:
+        messages += residual_correlation_message(problem)
     found = given & ~problem.alive()
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
-    cost = nuc_penalty_db(problem, definition.weak)
+    cost = nuc_penalty_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, burst, used, taken, messages, cost)
-    result.metrics |= definition.figures(problem)
-    return safeguarded(result, burst) if definition.judged else result
+    result.metrics |= recipe.metrics(problem)
+    return safeguarded(result, burst) if recipe.judged else result
 
 
 def _demand_scene(problem: Problem) -> None:

@@ -13,7 +13,7 @@ from deepir.diagnostics.interlacing import are_interlaced
 from deepir.diagnostics.shutter import one_pattern, shutter_message
 from deepir.errors import DataError
 from deepir.operators.geometry import MIN_MOTION_SPAN
-from deepir.problems.definition import Definition
+from deepir.problems.recipe import Recipe
 from deepir.registration import register
 from deepir.registry import components
 
@@ -24,7 +24,7 @@ MOST = 0.5
 
 
 def register_frames(
-    burst: Burst, config: Config, definition: Definition
+    burst: Burst, config: Config, recipe: Recipe
 ) -> tuple[Tensor | None, np.ndarray, list[str]]:
     """Motion (N, 3, 3) of each frame, which frames are used, and messages; no motion if no slot wants it.
 
@@ -49,10 +49,10 @@ def register_frames(
         found = register(frames, model=model, ignore=ignore, valid=valid)
     used, motion = ~everything, torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
     used[part], motion[part] = found.used.numpy(), found.motion
-    if used.sum() < max(definition.frames, 1):
+    if used.sum() < max(recipe.frames, 1):
         raise DataError(
             f"{burst.source}: only {used.sum()} of {len(used)} frames register with each other, "
-            f"{definition.frames} are needed; is it one scene? {'; '.join(found.messages)}"
+            f"{recipe.frames} are needed; is it one scene? {'; '.join(found.messages)}"
         )
     kept = torch.from_numpy(used)
     messages = shutter_message(part, len(frames)) + found.messages
@@ -61,7 +61,7 @@ def register_frames(
             "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
             "modelled. Record progressive frames, or keep every second row: frames[:, ::2]"
         ]
-    if definition.motion:
+    if recipe.motion:
         messages += _demand_motion(motion[kept], burst)
     return motion, used, messages
 

@@ -8,16 +8,17 @@ from deepir.config import Config
 from deepir.errors import ConfigError, nearest
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import Problem
-from deepir.problems.definition import Definition
+from deepir.problems.recipe import Recipe
 from deepir.schedule import Stage, Step
 
 
-def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage]:
+def plan(problem: Problem, recipe: Recipe, config: Config) -> list[Stage]:
     """The stages of `solver.plan`, or else the problem's own; `ConfigError` where they do not fit the unknowns."""
     given, cap = config.solver.plan, config.solver.max_iterations
-    contest = PriorRefinement(problem, config) if config.scene.get("fit") else None
+    refinement = PriorRefinement(problem, config) if config.scene.get("fit") else None
     if given is None:
-        stages, where = definition.plan(problem), f"problem '{config.problem}' (or take problem=generic)"
+        stages: list[Stage] = recipe.plan(problem)
+        where = f"problem '{config.problem}' (or take problem=generic)"
     else:
         where = "solver.plan"
         stages = [
@@ -28,9 +29,9 @@ def plan(problem: Problem, definition: Definition, config: Config) -> list[Stage
             )
             for s in given
         ]
-    if contest is not None:
-        problem.follows = bool(contest.follows)
-        stages = contest.after(stages, definition.weigh)
+    if refinement is not None:
+        problem.follows = bool(refinement.follows)
+        stages = refinement.after(stages, recipe.weigh_prior)
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
     return [

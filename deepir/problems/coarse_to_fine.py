@@ -1,6 +1,10 @@
-"""The same burst at half its size, which tells how the camera moved where the whole one has it wrong."""
+"""Coarse to fine: motion and moving objects from the burst at half resolution, where the registered motion is wrong."""
 
 from __future__ import annotations
+
+import copy
+import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -10,13 +14,47 @@ from torch import Tensor
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
+from deepir.estimation.residuals import temporal_mean
+from deepir.fields.base import Field
+from deepir.fields.motion import Auto, Motion
+from deepir.operators import Sensor, Warp
+from deepir.optim.solve import solve
 from deepir.problem import Problem
-from deepir.problems.motion_step import motion_of
+from deepir.problems.recipe import Recipe
+from deepir.schedule import Stage
 
 #: Weights along an axis, binomial. Means of two leave waves too short for the half, which the scene can follow
 #: in the first frame only, whose pixels are its own: all others then lie 0.3 px off, together.
-SMOOTH = (1, 7, 21, 35, 35, 21, 7, 1)
-KNOWN = 0.5  # of a sample's weight, to count
+BINOMIAL = (1, 7, 21, 35, 35, 21, 7, 1)
+MIN_WEIGHT = 0.5  # of the samples that a pixel of the half is a mean of
+EVERY_THIRD = slice(1, -1, 3)  # samples along an axis that are enough for a Gauss-Newton step
+MIN_STEP = 0.2  # px by which a Gauss-Newton step moves the corners of a frame, if its motion is wrong
+MIN_SIDE = 96  # px of the shorter side of a frame: the step of smaller ones says little
+MIN_FRAMES, HOMOGRAPHY_MARGIN = 3, 1200.0  # frames for homographies; nats by which they are likelier
+
+
+def coarse_to_fine(problem: Problem, recipe: Recipe, seed: int) -> None:
+    """Start a problem; from the motion and the moving objects of half resolution if the start asks for another motion.
+
+    Args:
+        problem: It is started, by `recipe.start`.
+        recipe: Its effects are those of the half, too.
+        seed: Of the samples that are held out.
+    """
+    large = min(problem.data.shape[-2:]) >= MIN_SIDE and problem.ends is None and not problem.stretched
+    untouched = {name: tensor.clone() for name, tensor in problem.state_dict().items()} if large else {}
+    recipe.start(problem)
+    if not large or gauss_newton_motion_step(problem) <= MIN_STEP:
+        return
+    problem.load_state_dict(untouched)
+    half, rounds = half_resolution(problem), type(recipe)(recipe.effects)
+    rounds.initialise(half, seed)
+    schedule = rounds.plan(half)
+    stages = [schedule(f"sensor {i}") for i in (1, 2, 3)]
+    solve(half, stages)
+    upsample_motion(problem, select_homography(half, stages[-1]) or half)
+    upsample_moving_mask(problem, half)
+    recipe.start(problem)
 
 
 def half_resolution(problem: Problem) -> Problem:
@@ -24,7 +62,7 @@ def half_resolution(problem: Problem) -> Problem:
     usable = (problem.precision > 0).to(problem.data)
     share = _smaller(usable)
     mean = _smaller(usable * problem.data) / share.clamp(min=1e-6)
-    valid = (share >= KNOWN)[:, 0].cpu().numpy()
+    valid = (share >= MIN_WEIGHT)[:, 0].cpu().numpy()
     frames = np.where(valid, mean[:, 0].cpu().numpy(), 0)
     field, twice = motion_of(problem), _from_half(problem)
     motion = torch.linalg.solve(twice, field().detach().double().cpu() @ twice)
@@ -51,9 +89,9 @@ def upsample_moving_mask(problem: Problem, half: Problem) -> None:
 
 def _smaller(frames: Tensor) -> Tensor:
     """Frames (N, 1, h, w), zero beyond, between each two rows and columns: (N, 1, h // 2, w // 2)."""
-    weights = torch.tensor(SMOOTH).to(frames) / sum(SMOOTH)
+    weights = torch.tensor(BINOMIAL).to(frames) / sum(BINOMIAL)
     h, w = (2 * (side // 2) for side in frames.shape[-2:])
-    reach = len(SMOOTH) // 2 - 1
+    reach = len(BINOMIAL) // 2 - 1
     down = F.conv2d(
         frames[..., :h, :w], weights[:, None].expand(1, 1, -1, 1), stride=(2, 1), padding=(reach, 0)
     )
@@ -64,3 +102,60 @@ def _from_half(problem: Problem) -> Tensor:
     """Points of the half to those of the whole, (3, 3), each about its centre; an odd last line is left out."""
     h, w = (side % 2 / 2 for side in problem.data.shape[-2:])
     return torch.tensor([[2, 0, -w], [0, 2, -h], [0, 0, 1]], dtype=torch.float64)
+
+
+def select_homography(half: Problem, last: Stage) -> Problem | None:
+    """The half with homographies, solved, if its frames bend; None if they do not, or did already.
+
+    Both go on with the `last` round, at its strengths, to see how much likelier homographies are.
+    """
+    bends = copy.deepcopy(half)
+    field = motion_of(bends)
+    if not isinstance(field, Auto) or field.bends or len(half.data) < MIN_FRAMES:
+        return None
+    field.bend()
+    going_on = replace(last, prepare=None)
+    rigid, free = (solve(each, [going_on]).history[-1]["loss"] for each in (half, bends))
+    if rigid - free < HOMOGRAPHY_MARGIN:
+        return None
+    solve(bends, [last])
+    return bends
+
+
+def motion_of(problem: Problem) -> Field:
+    """The field of how the camera moved, where its warp comes first."""
+    return problem.field_of(f"{problem.operator.named()[0][0]}.motion")
+
+
+@torch.no_grad()
+def gauss_newton_motion_step(problem: Problem) -> float:
+    """How far a frame asks to be moved at most: by shift and turn together, px at its corners.
+
+    By one step of Gauss and Newton towards the frames less what stands still in them, from the scene as it is. Zero
+    where there is more before the sensor than a camera that moves, and where its motion is fixed.
+    """
+    stages = [type(stage) for _, stage in problem.operator.named()]
+    if stages != [Warp, Sensor] or not _is_free(motion_of(problem)):
+        return 0.0
+    values = problem.values()
+    flux, rest = problem.flux(values), problem.data - problem.predict(values)
+    rest -= temporal_mean(rest, problem.precision / problem.precision.amax())
+    across, down = (
+        (flux.roll(-1, axis) - flux.roll(1, axis))[1:, 0, EVERY_THIRD, EVERY_THIRD] / 2 for axis in (-1, -2)
+    )
+    h, w = flux.shape[-2:]
+    y, x = (torch.arange(side, device=flux.device)[EVERY_THIRD] - (side - 1) / 2 for side in (h, w))
+    turn = (down * x - across * y[:, None]) / (math.hypot(h, w) / 2)
+    slopes = torch.stack((across, down, turn), 1).double().flatten(2)
+    weight, apart = (
+        each[1:, 0, EVERY_THIRD, EVERY_THIRD].double().flatten(1) for each in (problem.precision, rest)
+    )
+    normal = torch.einsum("kis,ks,kjs->kij", slopes, weight, slopes)
+    ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-30)  # a flat scene asks for nothing
+    normal += ridge * torch.eye(3, device=flux.device)
+    steps = torch.linalg.solve(normal, torch.einsum("kis,ks,ks->ki", slopes, weight, apart))
+    return float(steps.abs().sum(1).max())
+
+
+def _is_free(field: Field) -> bool:
+    return isinstance(field, Motion) and any(p.requires_grad for p in field.parameters())

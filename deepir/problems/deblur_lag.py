@@ -17,7 +17,7 @@ from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.registry import register
-from deepir.schedule import Stage
+from deepir.schedule import Schedule, Stage
 
 FAST = 1.0  # px from instant to instant, above which the flux in between is a guess
 FINEST = 16  # sub-steps, above which a camera does not move smoothly but jumps
@@ -41,7 +41,7 @@ class DeblurLag(NUC):
     frames = 3
     ordered = True
     operators: ClassVar[tuple[str, ...]] = ("warp", "lag", "sensor")
-    late: ClassVar[tuple[str, ...]] = ("motion", "tau")
+    refined_last: ClassVar[tuple[str, ...]] = ("motion", "tau")
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """As in `nuc`, from where the camera was as each frame was read."""
@@ -51,7 +51,6 @@ class DeblurLag(NUC):
             hold(problem, float(losses[1] < losses[0]))
         start_motion(problem)
         super().initialise(problem, seed)
-        self.buried = False  # the motion waits for the time constant
 
     def _tried(self, problem: Problem, share: float, seed: int) -> float:
         """The objective, in nats, that a few iterations come to with this speed before the first frame.
@@ -62,25 +61,30 @@ class DeblurLag(NUC):
         problem.represent("scene", *build_scene(PIXELS_WITH_TV, problem.fields["scene"].shape))
         problem.to(problem.data.device)
         self.initialise(problem, seed)
-        steps = self.plan(problem)[1].steps
+        steps = self.plan(problem)("sensor 2").steps
         return float(solve(problem, [Stage("before", steps, TRIAL)]).history[-1]["loss"])
 
-    def plan(self, problem: Problem) -> list[Stage]:
+    def plan(self, problem: Problem) -> Schedule:
         """Sensor; with motion and time constant, twice, to the end; scene."""
-        first, second, third, *more, scene = super().plan(problem)
-        third = replace(third, tolerance=Stage.tolerance)
-        return [first, replace(third, name=second.name), third, *more, scene]
+        schedule = super().plan(problem)
+        last = replace(schedule("sensor 3"), tolerance=Stage.tolerance)
+        return schedule.replaced("sensor 2", replace(last, name="sensor 2")).replaced("sensor 3", last)
+
+    def dominant(self, problem: Problem) -> bool:
+        """The motion always waits for the time constant."""
+        return False
 
     @torch.no_grad()
-    def figures(self, problem: Problem) -> dict[str, float]:
+    def metrics(self, problem: Problem) -> dict[str, float]:
         """The mean time constant, ms, and how fast the camera was before the first frame, 0 to 1."""
         values = problem.values()
         tau, moving = (float(values[slot_of(problem, slot)].mean()) for slot in ("tau", "moving"))
         return {"tau_ms": tau, "moving_before": moving}
 
-    def remarks(self, problem: Problem) -> list[str]:
+    def warnings(self, problem: Problem, *, complete: bool = True) -> list[str]:
         """Where the sub-steps are too few, or the camera did something else before the first frame."""
-        return speed_message(problem) + start_message(problem)
+        found = super().warnings(problem, complete=complete)
+        return [*speed_message(problem), *start_message(problem), *found]
 
 
 def slot_of(problem: Problem, slot: str) -> str:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from deepir.effects.frame_gain import normalise_frame_gain
-from deepir.effects.noise import update_noise
-from deepir.effects.sensor_pattern import update_strengths
-from deepir.effects.shading import estimate_low_order
+from deepir.effects.noise import start_precision
 from deepir.errors import ConfigError
 from deepir.estimation.cross_validation import (
     cross_validation_stages,
@@ -26,12 +23,11 @@ from deepir.fields.psf.simplex import Simplex
 from deepir.optim.held_out import HELD_OUT as LEAST
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene, start_scene_and_parts
+from deepir.problems.initial_estimate import initial_estimate, start_scene
+from deepir.problems.recipe import Recipe
 from deepir.registry import register
-from deepir.schedule import Stage, Step
+from deepir.schedule import Schedule, Stage, Step
 
-#: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
-WEAK = 0.2
 CUT = 0.1  # of a point-spread function's peak: more than that is not to be cut off
 TOLD = 0.1  # of the noise from pixel to pixel, from which on the spectrum is believed: a sharp frame's tells nothing
 NARROW = 0.5  # px: widths up to 0.45 are found of sharp frames, 0.52 to 0.64 of those with a blur of 0.5 px
@@ -45,14 +41,19 @@ ITERATIONS = 40  # of a trial: through a blur, detail comes slowly
 
 
 @register("problem", "deconv")
-class Deconv(Definition):
+class Deconv(Recipe):
     """A sharp scene from one frame or a burst, with a point-spread function that is known or not.
 
     One with a width is found from the frames' spectrum, and held: together with the scene it would go to none. How
     strong the scene's prior is to be, held-out samples say. Gain and offset are estimated where the frames move.
     """
 
+    sensor_weight = 0.2
     operators = ("blur",)
+    effect_names = (
+        *("saturation", "bad_pixels", "frame_gain", "frame_offset", "line_noise", "noise"),
+        *("sensor_pattern", "shading", "outliers"),
+    )
     weigh = staticmethod(weight_from_cross_validation)
 
     def initialise(self, problem: Problem, seed: int) -> None:
@@ -64,15 +65,14 @@ class Deconv(Definition):
         if not problem.closed_form():
             start_noise(problem)
         if problem.closed_form():
-            start_scene_and_parts(problem)
-            estimate_low_order(problem, start=True)
+            initial_estimate(problem, self.effects)
         else:
             start_scene(problem)
         hold_out(problem, seed, max(LEAST, HELD_OUT / len(problem.data)))
-        weigh_scene(problem, WEAK)
+        weigh_scene(problem, self.sensor_weight)
         start_trials(problem, afresh=True)
 
-    def plan(self, problem: Problem) -> list[Stage]:
+    def plan(self, problem: Problem) -> Schedule:
         """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
         closed = tuple(problem.closed_form())
         eliminate = (Step(closed, "eliminate"),) if closed else ()
@@ -82,14 +82,25 @@ class Deconv(Definition):
         still = (Step(tuple(name for name in free if name != "motion")), *eliminate)
         sensor = [
             Stage("sensor 1", still, 40),
-            Stage("sensor 2", still, 40, prepare=_update),
-            Stage("sensor 3", (Step(free), *eliminate), 40, prepare=_update),
+            Stage("sensor 2", still, 40, prepare=self.update),
+            Stage("sensor 3", (Step(free), *eliminate), 40, prepare=self.update),
         ]
-        return [
+        stages = [
             *(sensor if closed else [Stage("start", still, 40)]),
             *cross_validation_stages(problem, first=0.0, least=LIGHTEST, iterations=ITERATIONS),
-            Stage("scene", (Step(("scene",)),) if sharp else still, 120, prepare=_finish, use_held_out=True),
+            Stage(
+                "scene", (Step(("scene",)),) if sharp else still, 120, prepare=self.finish, use_held_out=True
+            ),
         ]
+        return Schedule(stages)
+
+    def finish(self, problem: Problem) -> None:
+        """Hyperparameters, and the scene from its start again."""
+        if len(problem.data) > 1:  # in one frame, edges that the prior rounds misfit as defects do
+            super().finish(problem)
+        else:
+            self.weigh(problem)
+        reset_scene(problem)
 
 
 def psf_names(problem: Problem) -> list[str]:
@@ -183,17 +194,3 @@ def demand_room(problem: Problem) -> None:
                 f"physics.{slot}: a width of {float(field.width):.3g} px does not fit into a radius of {radius} px "
                 f"from the centre; take {wider}"
             )
-
-
-def _update(problem: Problem) -> None:
-    normalise_frame_gain(problem)
-    update_strengths(problem)
-    weight_from_cross_validation(problem, WEAK)
-
-
-def _finish(problem: Problem) -> None:
-    if len(problem.data) > 1:  # in one frame, edges that the prior rounds misfit as defects do
-        normalise_frame_gain(problem)
-        update_noise(problem, settled=True)
-    weight_from_cross_validation(problem)
-    reset_scene(problem)

@@ -7,15 +7,18 @@ from typing import Any
 
 import torch
 
-from deepir.effects.reference_level import take_reference_level
+from deepir.effects.effect import Effect
+from deepir.effects.moving_objects import MovingObjectsEffect
+from deepir.effects.reference_level import ReferenceLevel, take_reference_level
+from deepir.effects.unobserved import Unobserved
 from deepir.errors import ConfigError
 from deepir.fields.dense_motion import Flow
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.problem import Problem
-from deepir.problems.nuc import NUC, finish, update
+from deepir.problems.nuc import NUC
 from deepir.problems.optical_flow import optical_flow
 from deepir.registry import register
-from deepir.schedule import Stage, Step
+from deepir.schedule import Schedule, Stage, Step
 
 
 @register("problem", "flow")
@@ -31,7 +34,7 @@ class DenseMotion(NUC):
         self.seed = seed
         super().initialise(problem, seed)
 
-    def plan(self, problem: Problem) -> list[Stage]:
+    def plan(self, problem: Problem) -> Schedule:
         """A round at the homographies, three with displacements; then the scene on all samples.
 
         Raises:
@@ -43,12 +46,33 @@ class DenseMotion(NUC):
         still = tuple(name for name in free if name != motion)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if has_fourier_model(problem) else (25, 35)
-        return [
+        stages = [
             Stage("homography", (Step(still), *eliminate), short),
             Stage("flow 1", (Step(free), *eliminate), 25, prepare=self._displace),
-            Stage("flow 2", (Step(free), *eliminate), 25, prepare=update),
-            Stage("flow 3", (Step(free), *eliminate), 30, prepare=update),
-            Stage("scene", (Step(("scene",)),), last, prepare=finish, use_held_out=True),
+            Stage("flow 2", (Step(free), *eliminate), 25, prepare=self.update),
+            Stage("flow 3", (Step(free), *eliminate), 30, prepare=self.update),
+            Stage("scene", (Step(("scene",)),), last, prepare=self.finish, use_held_out=True),
+        ]
+        return Schedule(stages)
+
+    def update(self, problem: Problem, *, settled: bool = True) -> None:
+        """As for `nuc`, but what moves by itself is explained by the displacements."""
+        for effect in self.of_the_sensor():
+            effect.update(problem, settled=settled)
+        self.weigh(problem, self.sensor_weight)
+
+    def finish(self, problem: Problem) -> None:
+        """As for `nuc`, but what moves by itself is explained by the displacements."""
+        effects, self.effects = self.effects, self.of_the_sensor()
+        super().finish(problem)
+        self.effects = effects
+
+    def of_the_sensor(self) -> list[Effect]:
+        """The effects that do not compare frames at the same place of the scene."""
+        return [
+            each
+            for each in self.effects
+            if not isinstance(each, MovingObjectsEffect | Unobserved | ReferenceLevel)
         ]
 
     @torch.no_grad()

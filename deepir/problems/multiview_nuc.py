@@ -21,9 +21,10 @@ from deepir.multiview.low_order_part import is_implausible, slow_part
 from deepir.multiview.low_order_pattern import slow_pattern
 from deepir.multiview.pattern import find_pattern, shrink_shading
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_scene
+from deepir.problems.initial_estimate import start_scene
+from deepir.problems.recipe import Recipe
 from deepir.registry import register
-from deepir.schedule import Stage, Step
+from deepir.schedule import Schedule, Stage, Step
 
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared
@@ -36,7 +37,7 @@ DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
 
 
 @register("problem", "multiview_nuc")
-class MultiviewNUC(Definition):
+class MultiviewNUC(Recipe):
     """The scene of each frame, and the gain and offset that all frames share; nothing is registered.
 
     (The setting of Barral, Arias and Davy 2024, "Fixed pattern noise removal for multi-view single-sensor infrared
@@ -75,7 +76,7 @@ class MultiviewNUC(Definition):
         start_scene(problem)
         weigh_scene(problem)
 
-    def plan(self, problem: Problem) -> list[Stage]:
+    def plan(self, problem: Problem) -> Schedule:
         """The scenes, with the sensor fixed.
 
         Raises:
@@ -89,7 +90,7 @@ class MultiviewNUC(Definition):
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
         if not (gain or offset):
             raise ConfigError("physics.sensor: gain and offset are both known; take problem=generic")
-        return [Stage("scene", (Step(("scene",)),), 40)]
+        return Schedule([Stage("scene", (Step(("scene",)),), 40)])
 
 
 def _demand_different(frames: Tensor) -> list[str]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import torch
 
+from deepir.effects.noise import start_precision
 from deepir.effects.sensor_pattern import start_parts
 from deepir.effects.shading import estimate_low_order, strays
 from deepir.errors import ConfigError
@@ -20,11 +21,11 @@ from deepir.operators.geometry import MARGIN
 from deepir.operators.motion_models import PARAMETERS
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
-from deepir.problems.definition import start_precision, start_scene
-from deepir.problems.nuc import NUC, WEAK, finish, update
+from deepir.problems.initial_estimate import start_scene
+from deepir.problems.nuc import NUC
 from deepir.registration import register as register_frames
 from deepir.registry import lookup, register
-from deepir.schedule import Stage, Step
+from deepir.schedule import Schedule, Stage, Step
 
 ALONE = (
     "one frame: stray flux is told from the scene by its being smooth, and by nothing else. A slope or a large glow of "
@@ -52,6 +53,9 @@ class Narcissus(NUC):
 
     frames = 1
     operators = ("add", "sensor")
+    effect_names = (
+        *("frame_gain", "line_noise", "noise", "sensor_pattern", "shading", "gain_drift", "vignetting"),
+    )
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average, less what is slow and stays."""
@@ -66,12 +70,12 @@ class Narcissus(NUC):
         start_parts(problem, rest)
         down_weight_outliers(problem, rest)
         hold_out(problem, seed)
-        weigh_scene(problem, WEAK)
+        weigh_scene(problem, self.sensor_weight)
 
-    def plan(self, problem: Problem) -> list[Stage]:
+    def plan(self, problem: Problem) -> Schedule:
         """Scene and stray flux; then as in `nuc`."""
         if len(problem.data) == 1:
-            return [Stage("scene", (Step(("scene",)),), 60, prepare=weigh_scene, use_held_out=True)]
+            return Schedule([Stage("scene", (Step(("scene",)),), 60, prepare=weigh_scene, use_held_out=True)])
         plan = super().plan(problem)
         rounds = [stage for stage in plan if not stage.name.startswith("scene")]
         scenes = [stage for stage in plan if stage.name.startswith("scene")]
@@ -81,14 +85,31 @@ class Narcissus(NUC):
         stages = [
             Stage("stray 1", (Step(still), *offset), 20),
             Stage("stray 2", (Step(still), *offset), 20, prepare=_register),
-            *(replace(each, prepare=_prepared(each)) for each in rounds),
+            *(replace(each, prepare=_registered(each.prepare or self._first)) for each in rounds),
             *(
-                replace(scene, name=f"scene {i + 1}", prepare=None if i else finish)
+                replace(scene, name=f"scene {i + 1}", prepare=None if i else self.finish)
                 for i in range(TURNS)
                 for scene in scenes
             ),
         ]
-        return [replace(each, iterations=each.iterations * (1 if closed else PATIENCE)) for each in stages]
+        return Schedule(
+            replace(each, iterations=each.iterations * (1 if closed else PATIENCE)) for each in stages
+        )
+
+    def _first(self, problem: Problem) -> None:
+        """Before the first round of the sensor."""
+        estimate_low_order(problem)
+        weigh_scene(problem, self.sensor_weight)
+
+
+def _registered(prepare: Callable[[Problem], None]) -> Callable[[Problem], None]:
+    """A round's preparation with the frames registered again first."""
+
+    def prepared(problem: Problem) -> None:
+        _register(problem)
+        prepare(problem)
+
+    return prepared
 
 
 @torch.no_grad()
@@ -107,32 +128,6 @@ def _register(problem: Problem) -> None:
         apart = (found.motion - before)[:, :2, 2].abs().amax()
         if found.used.all() and first.size == frames.shape[1:] and apart < MARGIN:
             field.init_from(found.motion.to(problem.data.device))
-
-
-def _prepared(stage: Stage) -> Callable[[Problem], None]:
-    """What comes before a round of the sensor's: the frames are registered, then as in `nuc`."""
-    usual = {"sensor 1": _sensor, "sensor 2": _update, "sensor 3": _update}.get(stage.name)
-    if usual is not None:
-        return usual
-    own = stage.prepare
-
-    def prepare(problem: Problem) -> None:
-        _register(problem)
-        if own is not None:
-            own(problem)
-
-    return prepare
-
-
-def _sensor(problem: Problem) -> None:
-    _register(problem)
-    estimate_low_order(problem)
-    weigh_scene(problem, WEAK)
-
-
-def _update(problem: Problem) -> None:
-    _register(problem)
-    update(problem)
 
 
 def _demand_terms(problem: Problem) -> None:

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import math
 
-from deepir.effects.frame_gain import normalise_frame_gain
-from deepir.effects.noise import update_noise
-from deepir.effects.reference_level import take_reference_level
-from deepir.effects.sensor_pattern import update_strengths
 from deepir.estimation.cross_validation import (
     cross_validation_stages,
     start_trials,
@@ -17,16 +13,14 @@ from deepir.estimation.penalty_weights import weigh_scene
 from deepir.operators import Downsample
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
-from deepir.problems.definition import Definition, start_precision, start_scene_and_parts
+from deepir.problems.initial_estimate import initial_estimate
+from deepir.problems.recipe import Recipe
 from deepir.registry import register
-from deepir.schedule import Stage, Step
-
-#: Weight of the scene's penalties while the sensor is estimated, to that of the scene's own stage.
-WEAK = 0.2
+from deepir.schedule import Schedule, Stage, Step
 
 
 @register("problem", "sr")
-class SR(Definition):
+class SR(Recipe):
     """A scene finer than the detector, gain, offset and motion from a jittered burst.
 
     As in `nuc`, the sensor is estimated under a weak prior on the scene. The motion is not: with few frames a
@@ -35,34 +29,44 @@ class SR(Definition):
 
     frames = 2
     motion = True
+    sensor_weight = 0.2
     operators = ("warp", "downsample", "sensor")
+    effect_names = (
+        *("saturation", "bad_pixels", "frame_gain", "frame_offset", "line_noise", "noise"),
+        *("sensor_pattern", "outliers", "reference_level"),
+    )
+    weigh = staticmethod(weight_from_cross_validation)
+
+    def weigh_prior(self, problem: Problem) -> None:
+        """By the noise: cross-validation was of another prior."""
+        weigh_scene(problem)
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
-        start_precision(problem)
-        start_scene_and_parts(problem)
+        initial_estimate(problem, self.effects)
         hold_out(problem, seed)
-        weigh_scene(problem, WEAK)
+        weigh_scene(problem, self.sensor_weight)
         start_trials(problem)
         self.messages = few_frames(len(problem.data), factor_of(problem))
 
-    def plan(self, problem: Problem) -> list[Stage]:
+    def plan(self, problem: Problem) -> Schedule:
         """Sensor and motion by turns, with the search for the scene's weights between; the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         still = (Step(tuple(name for name in free if name != "motion")),)
         moving = (Step(tuple(name for name in ("scene", "motion") if name in free)),)
         sensor = (*still, Step(closed, "eliminate")) if closed else still
-        return [
+        stages = [
             Stage("sensor 1", sensor, 40),
-            Stage("sensor 2", sensor, 40, prepare=_update_first),
+            Stage("sensor 2", sensor, 40, prepare=self.first_update),
             Stage("motion 1", moving, 20, prepare=weight_from_cross_validation),
-            Stage("sensor 3", sensor, 25, prepare=_update),
+            Stage("sensor 3", sensor, 25, prepare=self.update),
             *cross_validation_stages(problem),
             Stage("motion 2", moving, 20, prepare=weight_from_cross_validation),
-            Stage("sensor 4", sensor, 25, prepare=_update),
-            Stage("scene", (Step(("scene",)),), 40, prepare=_finish, use_held_out=True),
+            Stage("sensor 4", sensor, 25, prepare=self.update),
+            Stage("scene", (Step(("scene",)),), 40, prepare=self.finish, use_held_out=True),
         ]
+        return Schedule(stages)
 
 
 def factor_of(problem: Problem) -> int:
@@ -81,22 +85,3 @@ def few_frames(count: int, factor: int) -> list[str]:
         "shows one sample of them; fine detail is in part the prior's. "
         f"Take {factor**2} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}"
     ]
-
-
-def _update_first(problem: Problem) -> None:
-    _update(problem)
-    if take_reference_level(problem):
-        start_scene_and_parts(problem)
-        weight_from_cross_validation(problem, WEAK)
-
-
-def _update(problem: Problem) -> None:
-    normalise_frame_gain(problem)
-    update_strengths(problem)
-    weight_from_cross_validation(problem, WEAK)
-
-
-def _finish(problem: Problem) -> None:
-    normalise_frame_gain(problem)
-    update_noise(problem, settled=True)
-    weight_from_cross_validation(problem)

@@ -1,0 +1,84 @@
+"""What an effect is: one imperfection of a camera or of a burst, detected, corrected and reported in one file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from deepir.problem import Problem
+from deepir.schedule import Schedule
+
+
+@dataclass
+class Start:
+    """The initial estimate as far as it has come; see `deepir.problems.initial_estimate`.
+
+    Args:
+        problem: Its scene is the registered average of the frames.
+        noise: Standard deviation of a sample's noise, in the data's units.
+        static: Pixels whose samples do not even vary by that, (1, 1, h, w), bool.
+        turn: 0: the frames as they are; 1: of equal level and gain; 2 and more: without the fixed pattern.
+        residual: The frames less their prediction, (N, 1, h, w), fixed pattern included.
+    """
+
+    problem: Problem
+    noise: float
+    static: Tensor
+    turn: int
+    residual: Tensor
+
+
+class Rounds(Protocol):
+    """What a recipe does between its stages."""
+
+    def update(self, problem: Problem, *, settled: bool = True) -> None:
+        """Estimate hyperparameters and masks from the last round."""
+
+    def restart(self, problem: Problem) -> None:
+        """Start scene and pattern anew, with the masks and hyperparameters found so far."""
+
+
+class Effect:
+    """Base class: every hook does nothing.
+
+    A problem lists its effects; each hook is called for all of them, in that order. An effect is a frozen dataclass:
+    its fields are the options that `effects.NAME` takes in YAML. What it finds it keeps in the problem.
+    """
+
+    def prepare(self, problem: Problem) -> None:
+        """Before the scene has a start: what the frames alone show."""
+
+    def equalise(self, problem: Problem) -> bool:
+        """Bring the frames to one level and gain; True if they changed, and the scene is to be started anew."""
+        return False
+
+    def reject(self, start: Start) -> None:
+        """Mask or down-weight samples, and set first hyperparameters, by the residual of the initial estimate."""
+
+    def initialise(self, problem: Problem) -> None:
+        """Once the initial estimate is done."""
+
+    def detect(self, problem: Problem, seed: int) -> bool:
+        """Once all effects are initialised; True if the initial estimate is to be repeated with what was found."""
+        return False
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        """Between rounds; `settled`: scene and pattern are near their optimum. True: start scene and pattern anew."""
+        return False
+
+    def finish(self, problem: Problem) -> None:
+        """Before the scene's own stage."""
+
+    def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
+        """The schedule with the stages of this effect."""
+        return schedule
+
+    def messages(self, problem: Problem) -> list[str]:
+        """Warnings once all is solved."""
+        return []
+
+    def drift_messages(self, problem: Problem) -> list[str]:
+        """Warnings that make sense only where the solve was not cut short."""
+        return []

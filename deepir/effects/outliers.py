@@ -1,0 +1,20 @@
+"""Samples that neither the scene nor the fixed pattern explains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deepir.effects.effect import Effect, Start
+from deepir.estimation.residuals import down_weight_outliers
+from deepir.registry import register
+
+
+@register("effect", "outliers")
+@dataclass(frozen=True)
+class Outliers(Effect):
+    """Down-weights samples with large residuals in the initial estimate (Cauchy weights)."""
+
+    def reject(self, start: Start) -> None:
+        # Gains of frames are found by least squares, not by outliers: weights come before them only in pictures.
+        if start.turn > 0 or start.problem.stretched:
+            down_weight_outliers(start.problem, start.residual)

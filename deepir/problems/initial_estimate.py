@@ -1,0 +1,123 @@
+"""The initial estimate: scene, fixed pattern and outliers by turns, from registered frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from deepir.arrays.fill import nearest_filled
+from deepir.arrays.median import robust_std
+from deepir.arrays.noise_level import median_sigma
+from deepir.effects.bad_pixels import static_pixels
+from deepir.effects.effect import Effect, Start
+from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
+from deepir.optim.low_order_model import polynomials
+from deepir.problem import Problem
+from deepir.registered_average import RegisteredAverage
+
+TURNS = 3  # of levels and gains of the frames, and of scene and outliers
+MAX_PASSES = 20  # over scene and pattern, where the pattern is strong
+PATTERN_TOLERANCE = 1.0  # standard deviations of the noise by which the pattern of the last pass may change
+MIN_FRAMES_SEEN = 0.1  # frames that must show a pixel of the scene
+
+
+def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
+    """Start the scene at the registered average, and let effects mask samples and set first hyperparameters.
+
+    1. The effects prepare: noise, masks that are known.
+    2. The scene is the registered average of the frames; samples are rejected by its residual.
+    3. The frames are brought to one level and gain, and averaged again.
+    4. The fixed pattern is subtracted from the average: fully where it is stronger than the scene.
+    5. Scene and outliers by turns: an object seen in two of five frames shifts the mean, and with it its own residual.
+    """
+    for effect in effects:
+        effect.prepare(problem)
+    noise = median_sigma(problem.precision)
+    static = static_pixels(problem.data, problem.precision > 0, noise)
+
+    def reject(turn: int, residual: Tensor) -> None:
+        start = Start(problem, noise, static, turn, residual)
+        for effect in effects:
+            effect.reject(start)
+
+    start_scene(problem)
+    reject(0, fixed_pattern_residual(problem))
+    start_scene(problem)
+    for _ in range(TURNS):
+        if not any([effect.equalise(problem) for effect in effects]):
+            break
+        start_scene(problem)
+    residual = fixed_pattern_residual(problem)
+    fixed = len(problem.data) > 1 and bool(problem.closed_form())
+    strong = fixed and pattern_is_strong(problem, residual)
+    pattern = torch.zeros_like(residual[:1])
+    if strong:
+        residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=True)
+    for turn in range(1, TURNS + 2):
+        if turn > 1 and (
+            strong or (fixed and problem.ends is None)
+        ):  # what saturates moves, and is no pattern
+            residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=strong)
+        elif turn > 1:
+            start_scene(problem)
+            residual = fixed_pattern_residual(problem)
+        reject(turn, residual)
+    for effect in effects:
+        effect.initialise(problem)
+
+
+@torch.no_grad()
+def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
+    """Whether what stands still is stronger than all that is in the average of the frames."""
+    scene, weight = problem.backproject(problem.values())
+    pattern = temporal_mean(rest, problem.precision.sign())
+    # By the standard deviation: before a black sky the bulk has next to none.
+    return robust_std(pattern) > float(scene[weight > MIN_FRAMES_SEEN * weight.max()].std())
+
+
+@torch.no_grad()
+def subtract_fixed_pattern(
+    problem: Problem, rest: Tensor, taken: Tensor, noise: float, *, strong: bool
+) -> Tensor:
+    """Take out of the scene's start what stands still: the pattern, of frames' `rest`, and the scene by turns.
+
+    A pattern many times stronger than the scene is else all that there is in the average, and no solve gets away from
+    there. Of others one turn takes most, so that what changes in a pixel is the scene: beside a smeared pattern a plain
+    scene's changes look like noise, which gains that are too small explain. But not what is slow of it: that is the
+    scene's, unless shading is found.
+
+    Returned is the new `rest`; `taken` (1, 1, h, w), the pattern that was taken out before, is updated.
+    """
+    average, weight = (
+        RegisteredAverage(problem, problem.values()),
+        problem.precision / problem.precision.amax(),
+    )
+    for _ in range(MAX_PASSES if strong else 1):
+        pattern = temporal_mean(rest, weight)
+        if not strong:
+            slow = polynomials(*pattern.shape[-2:], pattern.device)
+            pattern -= slow.nearest(pattern.double()).to(pattern)
+        change = robust_std(pattern - taken)
+        taken.copy_(pattern)
+        start_scene(problem, average, pattern)
+        rest = fixed_pattern_residual(problem, average)
+        if change < PATTERN_TOLERANCE * noise:
+            break
+    return rest
+
+
+@torch.no_grad()
+def start_scene(
+    problem: Problem, average: RegisteredAverage | None = None, pattern: Tensor | float = 0.0
+) -> None:
+    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
+
+    `average` spares its computation where it is known; `pattern`, in every frame, is no scene.
+    """
+    average = average or RegisteredAverage(problem, problem.values())
+    mean = average((problem.data - average.at_zero).sub_(pattern))
+    frames = len(problem.data) / len(mean)  # that show a scene
+    known = average.weight > MIN_FRAMES_SEEN * average.weight.max() / frames
+    problem.fields["scene"].init_from(nearest_filled(mean, known))

@@ -1,0 +1,110 @@
+"""What a problem's recipe is: how it is initialised, scheduled and reported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+
+from deepir.effects.effect import Effect
+from deepir.estimation.penalty_weights import weigh_scene
+from deepir.optim.held_out import hold_out
+from deepir.problem import Problem
+from deepir.problems.initial_estimate import initial_estimate
+from deepir.registry import lookup
+from deepir.schedule import Schedule, Stage, Step
+
+
+class Recipe:
+    """How a problem is initialised, scheduled and reported.
+
+    Args:
+        effects: In place of those that `effect_names` names, with their default options.
+    """
+
+    #: Frames that it needs at least.
+    frames: ClassVar[int] = 1
+    #: Whether it cannot work without motion between the frames.
+    motion: ClassVar[bool] = False
+    #: Whether frames follow each other in time, so that none may be missing in between.
+    ordered: ClassVar[bool] = False
+    #: Whether gain and offset correct the frames as they are, so that frames beside the burst can judge them.
+    judged: ClassVar[bool] = False
+    #: Weight of the scene's penalties while the sensor is estimated, relative to that of the scene's own stage.
+    sensor_weight: ClassVar[float] = 1.0
+    #: Operators that the physics must have.
+    operators: ClassVar[tuple[str, ...]] = ()
+    #: Imperfections that it estimates, by their registered names, in the order of their hooks.
+    effect_names: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, effects: Sequence[Effect] | None = None) -> None:
+        self.effects = (
+            [lookup("effect", name)() for name in self.effect_names] if effects is None else list(effects)
+        )
+        #: Warnings of the initial estimate.
+        self.messages: list[str] = []
+
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """Set starts, masks and hyperparameters from the data."""
+        self.start(problem)
+        hold_out(problem, seed)
+
+    def plan(self, problem: Problem) -> Schedule:
+        """The stages of the solve: a function of the problem alone."""
+        closed = tuple(problem.closed_form())
+        free = tuple(name for name in problem.free() if name not in closed)
+        steps = (Step(free, "lbfgs"), *((Step(closed, "eliminate"),) if closed else ()))
+        return Schedule([Stage("joint", steps, iterations=200)])
+
+    def start(self, problem: Problem) -> None:
+        """The initial estimate, under the sensor's weight of the scene's penalties."""
+        initial_estimate(problem, self.effects)
+        self.weigh(problem, self.sensor_weight)
+
+    @torch.no_grad()
+    def restart(self, problem: Problem) -> None:
+        """Start scene and pattern anew, with the masks and the levels that were found."""
+        for name in problem.closed_form():
+            for part in problem.fields[name].parts():
+                part.assign(torch.zeros_like(part.values))
+                if not part.given:
+                    part.sigma.zero_()
+        self.start(problem)
+
+    def update(self, problem: Problem, *, settled: bool = True) -> None:
+        """Hyperparameters and masks from the last round; a new start where an effect asks for one."""
+        again = [effect.update(problem, settled=settled) for effect in self.effects]
+        self.weigh(problem, self.sensor_weight)
+        if any(again):
+            self.restart(problem)
+
+    def first_update(self, problem: Problem) -> None:
+        """The same after the first round, when scene and pattern have not settled."""
+        self.update(problem, settled=False)
+
+    def finish(self, problem: Problem) -> None:
+        """Hyperparameters and weights for the scene's own stage."""
+        for effect in self.effects:
+            effect.finish(problem)
+        self.weigh(problem)
+
+    @staticmethod
+    def weigh(problem: Problem, factor: float = 1.0) -> None:
+        """Set the weights of the scene's penalties to `factor` times their full strength."""
+        weigh_scene(problem, factor)
+
+    def weigh_prior(self, problem: Problem) -> None:
+        """The same for a prior that is fitted once the sensor is known, see `scene.fit`."""
+        self.weigh(problem)
+
+    def metrics(self, problem: Problem) -> dict[str, float]:
+        """What `metrics.json` holds of the solved problem, beside what all problems have."""
+        return {}
+
+    def warnings(self, problem: Problem, *, complete: bool = True) -> list[str]:
+        """Warnings once the problem is solved; `complete`: the solve was not cut short."""
+        found = [line for effect in self.effects for line in effect.messages(problem)]
+        if complete:
+            found += [line for effect in self.effects for line in effect.drift_messages(problem)]
+        return [*self.messages, *found]
