@@ -251,8 +251,8 @@ def simulated() -> Iterator[str]:
         for name, stored in STORED.items():
             recording = simulate_recording(replace(CAMERA, kind=kind, **stored), seed=SIMULATED_SEED)
             truth = recording.truth
-            scales = truth.agc_gain[:, None, None]
-            best = (recording.frames - scales * truth.offset.mean(0)) / truth.gain
+            scales, levels = truth.agc_gain[:, None, None], truth.agc_offset[:, None, None]
+            best = (recording.frames - scales * truth.offset.mean(0) - levels) / truth.gain
             row, gone = [left(each, recording) for each in (recording.frames, best)], ""
             for method in METHODS_OF_SCENES:
                 problem, *settings = METHODS[method]

@@ -135,15 +135,14 @@ def surround(
     values: np.ndarray,
     levels: np.ndarray,
     texel: float,
-    azimuth: float,
-    elevation: float,
+    start: tuple[float, float],
     R: np.ndarray,
     first: tuple[float, float],
     step: float,
     seen: np.ndarray,
     near: np.ndarray,
 ) -> None:
-    """Paint the backdrop at infinity where there is nothing before it."""
+    """Paint the backdrop at infinity where there is nothing before it; it begins at azimuth and elevation `start`."""
     for i in range(seen.shape[0]):
         v = first[1] + i * step
         for j in range(seen.shape[1]):
@@ -159,6 +158,6 @@ def surround(
             au, av = (z * R[0, 0] - x * R[2, 0]) / square, (z * R[0, 1] - x * R[2, 1]) / square
             lu, lv = (x * R[0, 0] + z * R[2, 0]) / square, (x * R[0, 1] + z * R[2, 1]) / square
             tu, tv = (R[1, 0] - y * lu) / level, (R[1, 1] - y * lv) / level
-            at = ((np.arctan2(x, z) - azimuth) / texel, (y / level - elevation) / texel)
+            at = ((np.arctan2(x, z) - start[0]) / texel, (y / level - start[1]) / texel)
             along_u, along_v = (au * scale, tu * scale), (av * scale, tv * scale)
             seen[i, j], _ = _average(values, values[:0], levels, at, along_u, along_v)

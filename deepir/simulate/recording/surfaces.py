@@ -148,22 +148,12 @@ def view(
         shown = surface.textures[int(time * surface.rate) % len(surface.textures)]
         into = (seen, moving) if surface.cut else (behind, behind_moving)
         raster.paint(
-            shown.values, shown.cover, shown.levels, shown.texel, surface.size, H, first, step, box, surface.moving,
-            near, *into, through,
+            shown.values, shown.cover, shown.levels, shown.texel, surface.size, H, first, step, box,
+            surface.moving, near, *into, through,
         )  # fmt: skip
     back = world.backdrop
-    raster.surround(
-        back.values,
-        back.levels,
-        back.texel,
-        world.azimuth,
-        world.elevation,
-        rotation,
-        first,
-        step,
-        behind,
-        near,
-    )
+    start = (world.azimuth, world.elevation)
+    raster.surround(back.values, back.levels, back.texel, start, rotation, first, step, behind, near)
     seen += through * behind
     moving += through * behind_moving
     if psf_sigma:
