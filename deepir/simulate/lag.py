@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from typing import TypeVar
 
 import numpy as np
 
 from deepir.simulate.settings import Settings
+
+Values = TypeVar("Values", float, np.ndarray)
 
 WAVES = 4  # that make up the path of each of the motion's parameters
 
@@ -36,13 +39,18 @@ def lagged(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarray:
     A pixel follows the flux by `tau dy/dt = x - y`, which is solved exactly for a flux that is linear between two
     instants. Before the first it had settled.
     """
-    step = 1000 / (settings.fps * settings.substeps) / tau
-    kept = np.exp(-step)
-    new = 1 - (1 - kept) / step
+    kept, old, new = response(1000 / (settings.fps * settings.substeps) / tau)
     shown = [flux[0]]
     for before, now in itertools.pairwise(flux):
-        shown.append(kept * shown[-1] + (1 - kept - new) * before + new * now)
+        shown.append(kept * shown[-1] + old * before + new * now)
     return read(np.stack(shown), settings)
+
+
+def response(step: Values) -> tuple[Values, Values, Values]:
+    """Shares of what was shown, of the flux before and of the flux now, after a `step` in time constants."""
+    kept = np.exp(-step)
+    new = 1 - (1 - kept) / step
+    return kept, 1 - kept - new, new
 
 
 def read(shown: np.ndarray, settings: Settings) -> np.ndarray:

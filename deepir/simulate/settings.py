@@ -165,10 +165,10 @@ DEFAULT = Settings()
 
 
 @functools.cache
-def schema(extra: tuple[str, ...] = ()) -> type[BaseModel]:
-    """What may be set, with types and defaults; `extra` names what is not for the camera."""
-    hints = typing.get_type_hints(Settings)
-    known: Any = {each.name: (hints[each.name], each.default) for each in fields(Settings)}
+def schema(extra: tuple[str, ...] = (), of: type = Settings) -> type[BaseModel]:
+    """What may be set, with types and defaults, of a dataclass; `extra` names what is not for the camera."""
+    hints = typing.get_type_hints(of)
+    known: Any = {each.name: (hints[each.name], each.default) for each in fields(of)}
     known |= dict.fromkeys(extra, (Any, None))
     return create_model("Settings", __config__=ConfigDict(extra="forbid"), **known)
 
@@ -178,9 +178,14 @@ def parse(given: Mapping[str, Any], extra: tuple[str, ...] = ()) -> Settings:
 
     `extra` names further keys that a user may give there, to be named in errors.
     """
-    known = schema(extra)
+    return Settings(**checked(given, Settings, "simulate", extra))
+
+
+def checked(given: Mapping[str, Any], of: type, where: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The values of all fields of a dataclass, as in `parse`; `where` names them in errors."""
+    known = schema(extra, of)
     try:
         found = known.model_validate({key: value for key, value in given.items() if value is not None})
     except ValidationError as error:
-        raise ConfigError(f"simulate: {explain(error, known)[1]}") from None
-    return Settings(**{each.name: getattr(found, each.name) for each in fields(Settings)})
+        raise ConfigError(f"{where}: {explain(error, known)[1]}") from None
+    return {each.name: getattr(found, each.name) for each in fields(of)}

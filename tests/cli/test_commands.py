@@ -108,6 +108,20 @@ def test_simulate_writes_a_burst_and_its_truth(deepir, folder):
     assert np.load("new_truth.npz")["scene"].shape == (32, 48)
 
 
+def test_simulate_writes_a_recording_of_a_kind(deepir, folder):
+    status, out, err = deepir("simulate", "pan.npz", "kind=pan", "n_frames=3", "shape=[24,32]", "agc=true")
+    assert status == 0, err
+    assert "3 frames of 24 x 32 px" in out
+    assert np.load("pan.npz")["frames"].dtype == np.uint8
+    assert np.load("pan_truth.npz")["offset"].shape == (3, 24, 32)
+    status, _, err = deepir("simulate", "new.npz", "kind=pan", "n_frame=3")
+    assert status == 2
+    assert "did you mean 'n_frames'" in err
+    status, _, err = deepir("simulate", "new.npz", "kind=pan", "--scene", "camera")
+    assert status == 2
+    assert "--scene" in err
+
+
 @pytest.mark.parametrize("scene", ["camera", "sky:2"])
 def test_simulate_takes_a_scene_by_name(deepir, folder, scene):
     status, _, err = deepir("simulate", "new.npz", "shape=[24,32]", "max_shift=2", "--scene", scene)

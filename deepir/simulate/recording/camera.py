@@ -1,0 +1,157 @@
+"""What a camera makes of the flux: lag, drift, shutter, gain control and compression."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from deepir.io.extras import needed
+from deepir.simulate.lag import response
+from deepir.simulate.recording.settings import RecordingSettings
+from deepir.simulate.sensor import pattern
+
+CLOSED = 0.1  # duration of a closure of the shutter, s
+CALM = 0.5  # time constant of the automatic gain control, s
+SHOWN = (1.0, 99.0)  # percentiles of a frame that are stretched to TONES
+TONES = (16.0, 240.0)
+
+
+def closures(settings: RecordingSettings) -> np.ndarray:
+    """(N,) bool: frames of the closed shutter. There was one just before the recording."""
+    if not settings.shutter_every:
+        return np.zeros(settings.n_frames, bool)
+    frame = np.arange(settings.n_frames)
+    every = max(2, round(settings.shutter_every * settings.frame_rate))
+    lasts = min(max(1, round(CLOSED * settings.frame_rate)), every - 1)
+    return np.asarray((frame >= every) & (frame % every < lasts))
+
+
+def offsets(
+    settings: RecordingSettings,
+    gain: np.ndarray,
+    offset: np.ndarray,
+    closed: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """The offset of each frame, counts.
+
+    It drifts by independent steps of pixels, columns and rows in the proportions of their sigmas. With a shutter the
+    camera takes off what it sees of it: `(1 - gain) flat` and a residual are left after each closure.
+
+    Args:
+        settings: Drift and shutter.
+        gain: (H, W), mean one.
+        offset: (H, W), at the start of a recording without a shutter.
+        closed: (N,) bool, frames of the closed shutter.
+        rng: Draws drift and residuals.
+
+    Returns:
+        (N, H, W), float32.
+    """
+    parts = np.array([settings.offset_pixel, settings.offset_column, settings.offset_row])
+    parts = parts / np.linalg.norm(parts) if parts.any() else np.array([1.0, 0.0, 0.0])
+    height, width = settings.shape
+    passed = 1 / settings.frame_rate
+    kept, variance = 1.0, passed
+    if settings.drift_time:
+        kept = np.exp(-passed / settings.drift_time)
+        variance = settings.drift_time * (1 - kept**2) / 2
+    size = settings.contrast * settings.drift * np.sqrt(variance)
+
+    def after_closure() -> np.ndarray:
+        left = pattern(settings.sensor(settings.shutter_residual), rng, rng)[1]
+        return (1 - gain) * settings.flat + left - left.mean()
+
+    base = after_closure() if settings.shutter_every else offset
+    drift, found = np.zeros((height, width)), np.empty((settings.n_frames, height, width), np.float32)
+    for k in range(settings.n_frames):
+        if k and closed[k - 1] and not closed[k]:
+            base, drift = after_closure(), np.zeros((height, width))
+        found[k] = base + drift
+        if size:
+            steps = (
+                s * rng.standard_normal(n)
+                for s, n in zip(parts, ((height, width), (1, width), (height, 1)), strict=True)
+            )
+            drift = kept * drift + size * sum(steps)
+    return found
+
+
+def lagging(flux: Iterable[np.ndarray], settings: RecordingSettings) -> Iterator[np.ndarray]:
+    """Frames that pixels of time constant `tau_ms` show of the flux (H, W) at successive instants.
+
+    Exact for a flux that is linear between two instants. Before the first the pixels had settled.
+    """
+    kept, old, new = 0.0, 0.0, 1.0
+    if settings.tau_ms:
+        kept, old, new = response(1000 / (settings.frame_rate * settings.substeps) / settings.tau_ms)
+    instants = iter(flux)
+    shown = before = next(instants)
+    yield shown
+    for k, now in enumerate(instants, 1):
+        shown, before = kept * shown + old * before + new * now, now
+        if k % settings.substeps == 0:
+            yield shown
+
+
+def stretched(
+    raw: np.ndarray, closed: np.ndarray, good: np.ndarray, settings: RecordingSettings
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frames of 8 bits of an automatic gain control, which follows the contrast slowly and not that of the shutter.
+
+    Args:
+        raw: (N, H, W), counts.
+        closed: (N,) bool, frames of the closed shutter.
+        good: (H, W) bool, pixels that the control looks at.
+        settings: Frame rate.
+
+    Returns:
+        Frames (N, H, W), uint8, and the gain (N,) and the offset (N,) by which they come from counts.
+    """
+    kept = np.exp(-1 / (settings.frame_rate * CALM))
+    ends, state = np.empty((len(raw), 2)), None
+    for k, frame in enumerate(raw):
+        if state is None or not closed[k]:
+            now = np.percentile(frame[good], SHOWN)
+            state = now if state is None else kept * state + (1 - kept) * now
+        ends[k] = state
+    gain = (TONES[1] - TONES[0]) / np.maximum(ends[:, 1] - ends[:, 0], 1.0)
+    offset = TONES[0] - gain * ends[:, 0]
+    frames = np.empty(raw.shape, np.uint8)
+    for k, frame in enumerate(raw):
+        frames[k] = np.clip(np.rint(gain[k] * frame + offset[k]), 0, 255)
+    return frames, gain, offset
+
+
+def compressed(frames: np.ndarray, settings: RecordingSettings) -> np.ndarray:
+    """Frames (N, H, W), uint8, after a lossy codec; their grey is its luminance, in the full range.
+
+    Raises:
+        DataError: PyAV is not installed.
+    """
+    av = needed("av", "video", f"recording.compression = {settings.compression}")
+    count, height, width = frames.shape
+    padded = np.pad(frames, ((0, 0), (0, height % 2), (0, width % 2)), mode="edge")
+    rows, columns = padded.shape[1:]
+    file = io.BytesIO()
+    with av.open(file, "w", format="matroska") as film:
+        rate = max(1, round(settings.frame_rate))
+        track = film.add_stream(
+            settings.compression if settings.compression != "h264" else "libx264", rate=rate
+        )
+        track.width, track.height, track.pix_fmt = columns, rows, "yuv420p"
+        track.bit_rate = int(settings.bits_per_pixel * rows * columns * rate)
+        track.codec_context.bit_rate_tolerance = track.bit_rate
+        track.codec_context.thread_count = 1
+        for frame in padded:
+            colours = np.full((rows // 2, columns), 128, np.uint8)
+            film.mux(
+                track.encode(av.VideoFrame.from_ndarray(np.concatenate([frame, colours]), format="yuv420p"))
+            )
+        film.mux(track.encode())
+    file.seek(0)
+    with av.open(file) as film:
+        found = [each.to_ndarray(format="yuv420p")[:height, :width] for each in film.decode(video=0)]
+    return np.stack(found[:count])

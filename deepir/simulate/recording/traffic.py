@@ -1,0 +1,159 @@
+"""What moves in the worlds of recordings: cars and people, each at a steady speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.simulate.drawing import Canvas
+from deepir.simulate.objects import person
+from deepir.simulate.recording.paths import HEIGHT, LANE, PAVEMENT, SPEED
+from deepir.simulate.recording.settings import RecordingSettings
+from deepir.simulate.recording.surfaces import Surface, Texture, cut_out, texture
+
+X, DOWN, AHEAD = np.eye(3)
+CAR = (1.8, 4.3, 1.4)  # width, length and height, m
+ONCOMING = 9.0  # speed of the cars that come towards a camera, m/s
+GAP = 7.0  # half of what cars of one lane are apart, m
+PACE = 1.3  # of who walks, m/s
+STRIDES = 8  # pictures of a walker for two steps
+STEPS = 0.9  # pairs of steps a second
+PERSON = 1.8  # height of a person, m
+FEET = (
+    0.24,
+    0.34,
+)  # below the horizon, of those who walk across the view, fractions of the backdrop's height
+
+
+def cars_ahead(
+    settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
+) -> list[Surface]:
+    """One car before the camera in its lane, the others on the opposite one, met at times spread over the recording."""
+    found = []
+    for k in range((settings.objects + 1) // 2):
+        speed = SPEED["drive"] if k == 0 else -ONCOMING
+        meets = duration * (k - rng.uniform(0.2, 0.8)) / max((settings.objects - 1) // 2, 1)
+        z = 14.0 if k == 0 else (SPEED["drive"] + ONCOMING) * meets + 6.0
+        look = cut_out(seed + k, (128, 160), _rear if k == 0 else _front, 2.0 / 160)
+        corner = np.array([(LANE if k == 0 else -LANE) - 1.0, -1.6, z])
+        found.append(Surface((look,), corner, X, DOWN, (2.0, 1.6), speed * AHEAD))
+    return found
+
+
+def people(
+    settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
+) -> list[Surface]:
+    """People on the pavements who cross the street before the camera or walk along it."""
+    found = []
+    for k in range(settings.objects // 2):
+        side, meets = (-1) ** k, duration * (k + rng.uniform(0.2, 0.8)) / max(settings.objects // 2, 1)
+        away = rng.uniform(9, 16) + SPEED[settings.kind] * meets
+        if k % 2:  # across
+            velocity = -side * PACE * X
+            start = np.array([-side * rng.uniform(0, 3), 0, away]) - velocity * meets
+        else:
+            velocity = (-1) ** (k // 2) * PACE * AHEAD
+            start = np.array([side * (PAVEMENT - 0.9), 0, away]) - velocity * meets
+        found.append(_walker(seed + k, start, velocity, rng))
+    return found
+
+
+def people_across(
+    settings: RecordingSettings,
+    seed: int,
+    rng: np.random.Generator,
+    duration: float,
+    reach: float,
+    tall: float,
+) -> list[Surface]:
+    """People who pass before a camera that stays where it is, at azimuths within `reach` to either side, rad.
+
+    Their feet are on the ground of a backdrop that is `tall` times as high as it is away.
+    """
+    found = []
+    for k in range(settings.objects):
+        away, way = HEIGHT[settings.kind] / (tall * rng.uniform(*FEET)), rng.choice([-1.0, 1.0])
+        meets = duration * (k + rng.uniform(0, 1)) / settings.objects
+        velocity = way * PACE * rng.uniform(0.7, 1.3) * X
+        start = np.array([away * np.tan(reach * rng.uniform(-0.9, 0.9)), 0, away]) - velocity * meets
+        found.append(_walker(seed + k, start, velocity, rng))
+    return found
+
+
+def cars_below(
+    settings: RecordingSettings, rng: np.random.Generator, duration: float, road: float
+) -> list[Surface]:
+    """Cars on a road along z at x = `road`, seen from above."""
+    found = []
+    for k in range(settings.objects):
+        way = (-1) ** k
+        meets = duration * (k + rng.uniform(0, 1)) / settings.objects
+        z = 18.0 + GAP * k if way > 0 else (SPEED["drone"] + ONCOMING) * meets + 22.0
+        side = texture(np.full((32, 32), 0.5), CAR[1] / 32)
+        found += box((road + 1.75 * way, z), CAR, _roof(way), side, way * ONCOMING * AHEAD)
+    return found
+
+
+def box(
+    place: tuple[float, float],
+    size: tuple[float, float, float],
+    roof: Texture,
+    wall: Texture,
+    velocity: np.ndarray | None = None,
+) -> list[Surface]:
+    """A roof on four walls; `place` is x and z of its middle, `size` along x, z and up, m."""
+    (x, z), (wide, deep, tall) = place, size
+    low, high = np.array([x - wide / 2, -tall, z - deep / 2]), np.array([x + wide / 2, -tall, z + deep / 2])
+    speed = np.zeros(3) if velocity is None else velocity
+    return [
+        Surface((roof,), low, X, AHEAD, (wide, deep), speed),
+        Surface((wall,), low, X, DOWN, (wide, tall), speed),
+        Surface((wall,), high, -X, DOWN, (wide, tall), speed),
+        Surface((wall,), low, AHEAD, DOWN, (deep, tall), speed),
+        Surface((wall,), high, -AHEAD, DOWN, (deep, tall), speed),
+    ]
+
+
+def _walker(seed: int, feet: np.ndarray, velocity: np.ndarray, rng: np.random.Generator) -> Surface:
+    swings = 0.16 * np.sin(2 * np.pi * np.arange(STRIDES) / STRIDES)
+    tall = PERSON * rng.uniform(0.9, 1.05)
+    looks = [
+        cut_out(seed, (160, 128), lambda c, s=swing: person(c, c.aspect / 2, 0.98, 0.95, s), tall / 152)  # type: ignore[misc]
+        for swing in swings
+    ]
+    size = (128 * tall / 152, 160 * tall / 152)
+    corner = feet + np.array([-size[0] / 2, -size[1], 0])
+    return Surface(looks, corner, X, DOWN, size, velocity, STRIDES * STEPS)
+
+
+def _rear(c: Canvas) -> None:
+    """A car from behind, 2 m wide and 1.6 m high; its exhaust is hot."""
+    _body(c)
+    c.box(0.3, 0.3, 0.65, 0.22, 0.25, warmer=0.05)
+    c.disc(0.32, 0.87, 0.035, 0.98)
+    c.glow(0.32, 0.9, 0.12, 0.06, 0.15)
+
+
+def _front(c: Canvas) -> None:
+    """A car from ahead; its engine is hot."""
+    _body(c)
+    c.box(0.28, 0.28, 0.69, 0.22, 0.3, warmer=0.08)
+    c.box(0.35, 0.66, 0.55, 0.14, 0.85)
+    for x in (0.24, 1.0):
+        c.disc(x, 0.66, 0.05, 0.6)
+
+
+def _body(c: Canvas) -> None:
+    c.polygon([(0.27, 0.25), (0.98, 0.25), (1.1, 0.55), (0.15, 0.55)], 0.42)
+    c.box(0.12, 0.53, 1.01, 0.37, 0.46, warmer=0.08)
+    for x in (0.15, 0.95):
+        c.box(x, 0.85, 0.15, 0.13, 0.7)
+
+
+def _roof(way: int) -> Texture:
+    c = Canvas(3, (128, 64))
+    c.image[:] = 0.45 + 0.01 * c.rough
+    ahead = way > 0
+    c.box(0.06, 0.62 if ahead else 0.26, 0.3, 0.1, 0.2)
+    c.box(0.06, 0.2 if ahead else 0.74, 0.3, 0.07, 0.25)
+    c.glow(0.21, 0.88 if ahead else 0.12, 0.12, 0.08, 0.4)
+    return texture(c.image, CAR[1] / 128)

@@ -1,0 +1,189 @@
+"""What the camera of each kind of recording looks at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.simulate.drawing import Canvas, fractal
+from deepir.simulate.objects import house, tree
+from deepir.simulate.recording.paths import LANE, PAN, PAVEMENT, SPEED
+from deepir.simulate.recording.settings import RecordingSettings
+from deepir.simulate.recording.surfaces import Surface, Texture, World, cut_out, texture
+from deepir.simulate.recording.traffic import box, cars_ahead, cars_below, people, people_across
+from deepir.simulate.scenes import procedural
+
+X, DOWN, AHEAD = np.eye(3)
+FAR = 1500.0  # m, at which the ground ends
+WALL = 9.0  # distance of the houses from the middle of the street, m
+TALL = 12.8  # height that a row of houses is drawn on, m
+TREES = 9.0  # m between trees along the street
+OVER = 1.6  # height of the backdrop, heights of the frame
+DENSE = 1.6  # texels of the backdrop for each px
+ROAD = 6.0  # x of the road below a drone, m
+SIDES = 64  # a backdrop's height and width are multiples of it, so that its averages fit when mirrored
+
+
+def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> World:
+    """The world of a kind of recording.
+
+    Args:
+        settings: Kind, frames and their size.
+        seed: Of all that is drawn.
+        rng: Places what stands and moves there.
+
+    Returns:
+        Surfaces and backdrop, in scene values from 0 to about 1.
+    """
+    duration = settings.n_frames / settings.frame_rate
+    if settings.kind == "drone":
+        return _country(settings, seed, rng, duration)
+    if settings.kind in ("pan", "tripod"):
+        reach = np.deg2rad(PAN) if settings.kind == "pan" else 0.0
+        found = people_across(settings, seed, rng, duration, reach, _tall(settings))
+        return _surrounded(found, settings, seed, reach)
+    surfaces = _street(settings, seed, rng, duration)
+    if settings.kind == "drive":
+        surfaces += cars_ahead(settings, seed, rng, duration)
+    surfaces += people(settings, seed, rng, duration)
+    return _surrounded(surfaces, settings, seed, np.deg2rad(30), street=True)
+
+
+def _surrounded(
+    surfaces: list[Surface], settings: RecordingSettings, seed: int, reach: float, street: bool = False
+) -> World:
+    """Surfaces before a picture that is seen as far as a camera turns, `reach` to either side, rad."""
+    texel = 1 / (DENSE * settings.focal)
+    wide = 2 * (reach + np.deg2rad(settings.field_of_view))
+    rows, columns = (SIDES * int(np.ceil(side / texel / SIDES)) for side in (_tall(settings), wide))
+    if street:
+        c = Canvas(seed, (rows, columns))
+        c.sky(0.02, 0.16, 0.5, 0.02)
+        for k, edge in enumerate((0.44, 0.47)):
+            c.ground(edge, 0.22 + 0.06 * k, hills=0.015, warmer=0.1, rough=0.02)
+        picture = c.image
+    else:
+        picture = procedural(seed, (rows, columns))
+    back = texture(picture, texel)
+    return World(surfaces, back, azimuth=-columns * texel / 2, elevation=-rows * texel / 2)
+
+
+def _tall(settings: RecordingSettings) -> float:
+    """Height of the backdrop over its distance."""
+    return OVER * settings.shape[0] / settings.focal
+
+
+def _ground(
+    picture: Texture, corner: tuple[float, float, float], size: tuple[float, float], layer: int = 0
+) -> Surface:
+    """Something flat that lies; x of its texture is the world's, y runs ahead."""
+    return Surface((picture,), np.array(corner), X, AHEAD, size, layer=layer)
+
+
+def _street(
+    settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
+) -> list[Surface]:
+    """Road, pavements, land, houses at both sides and trees; nearest things on the ground first."""
+    length = SPEED[settings.kind] * duration
+    land = texture(0.33 + 0.03 * fractal(rng, (512, 512), 1.2), 0.25)
+    found = [
+        _ground(_road(seed), (-8 * 1.28, 0, -20), (16 * 1.28, FAR)),
+        _ground(land, (-400, 0.02, -20), (800, FAR), layer=1),
+    ]
+    for side in (-1, 1):
+        for k, (far, low) in enumerate(((WALL, 0.0), (3.5 * WALL, 3.0))):
+            front = cut_out(seed + 10 * k + side + 2, (256, 2048 >> k), _row, TALL / 256)
+            corner = np.array([side * far, -TALL - low, -20.0 - 13 * k - 31 * (side > 0)])
+            size = (length + 300, TALL)
+            found.append(Surface((front,), corner, AHEAD, DOWN, size, layer=k + 1))
+    crowns = [
+        cut_out(seed + k, (256, 256), lambda c: tree(c, 0.5, 1.0, 0.98, 0.34), 6 / 256) for k in range(3)
+    ]
+    for k, z in enumerate(np.arange(8, length + 150, TREES)):
+        x = (-1) ** k * (PAVEMENT + 1.4) + rng.uniform(-0.3, 0.3)
+        corner = np.array([x - 3, -6.0, z + rng.uniform(-2, 2)])
+        found.append(Surface((crowns[k % 3],), corner, X, DOWN, (6, 6)))
+    return found
+
+
+def _row(c: Canvas) -> None:
+    """Houses side by side, some with a gap between them."""
+    x = 0.0
+    while x < c.aspect:
+        wide, gap = c.vary(0.6, 1.2), float(c.rng.choice([0.0, 0.0, 0.15, 0.5]))
+        house(c, x, 1.0, min(wide, c.aspect - x), c.vary(0.5, 0.78))
+        x += wide + gap
+
+
+def _road(seed: int) -> Texture:
+    """Asphalt with markings, tracks and patches between pavements, 20.5 m wide and 82 m long."""
+    c = Canvas(seed, (2048, 512))
+    per_m = 1 / 81.92  # picture heights
+    middle = c.aspect / 2
+    c.image[:] = 0.4 + 0.02 * c.soft + 0.012 * c.rough
+    for x in (-LANE - 0.8, -LANE + 0.8, LANE - 0.8, LANE + 0.8):
+        c.image += 0.05 * np.exp(-(((c.x - middle) / per_m - x) ** 2) / 0.1)
+    for _ in range(30):
+        at, down = c.vary(-3.5, 3.5) * per_m + middle, c.vary(0, 1)
+        if c.vary(0, 1) < 0.5:
+            c.blob(at, down, c.vary(0.3, 0.8) * per_m, c.vary(0.3, 1.5) * per_m, c.vary(0.3, 0.5), ragged=0.2)
+        else:
+            c.disc(at, down, 0.33 * per_m, c.vary(0.55, 0.7), limb=0.05)
+    for z in np.arange(1, 81, 9):
+        c.box(middle - 0.07 * per_m, z * per_m, 0.14 * per_m, 3 * per_m, 0.28)
+    for side in (-1, 1):
+        c.box(middle + side * 3.55 * per_m - 0.06 * per_m, 0.0, 0.12 * per_m, 1.0, 0.28)
+        left = middle + (4.2 if side > 0 else -c.aspect / 2 / per_m) * per_m
+        c.box(left, 0.0, c.aspect / 2 - 4.2 * per_m, 1.0, 0.5, rough=0.015)
+        for joint in np.arange(0, 82, 1.28):
+            c.box(left, joint * per_m, c.aspect / 2 - 4.2 * per_m, 0.03 * per_m, 0.44)
+        c.box(middle + side * 4.2 * per_m - 0.12 * per_m, 0.0, 0.24 * per_m, 1.0, 0.6)
+    return texture(c.image, 0.04)
+
+
+def _country(settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float) -> World:
+    """Fields, a road, trees and houses from above."""
+    length, across = SPEED["drone"] * duration + 160, 122.88
+    c = Canvas(seed, (2048, 1024))
+    per_m = 1 / 245.76
+    c.image[:] = 0.3 + 0.03 * c.soft + 0.03 * c.rough
+    for _ in range(14):
+        x, y, value = c.vary(0, c.aspect), c.vary(0, 1), c.vary(0.2, 0.45)
+        wide, deep = c.vary(10, 40) * per_m, c.vary(10, 50) * per_m
+        c.box(x, y, wide, deep, value, warmer=c.vary(-0.05, 0.05), rough=0.04)
+    road = c.aspect / 2 + ROAD * per_m
+    c.box(road - 3.5 * per_m, 0.0, 7 * per_m, 1.0, 0.48, rough=0.02)
+    for z in np.arange(0, 245, 9):
+        c.box(road - 0.15 * per_m, z * per_m, 0.3 * per_m, 3 * per_m, 0.4)
+    for _ in range(220):
+        size, x = c.vary(1, 3.5) * per_m, c.vary(0, c.aspect)
+        if abs(x - road) > 7 * per_m:
+            c.blob(x, c.vary(0, 1), size, size, c.vary(0.12, 0.3), ragged=0.35)
+    land = texture(c.image, 0.12)
+    found = [_ground(land, (-2.5 * across, 0, -2 * across), (5 * across, length + 4 * across))]
+    for z in np.arange(-20, length, 14).tolist():
+        x = float(rng.choice([-1, 1]) * rng.uniform(14, 45))
+        found += _house(seed, rng, (x, z + rng.uniform(-4, 4)), 0.15 + 0.3 * rng.random())
+    found += cars_below(settings, rng, duration, ROAD)
+    nothing = texture(np.full((SIDES, SIDES), 0.1), 0.1)
+    return World(found, nothing, azimuth=0.0, elevation=0.0)
+
+
+def _house(seed: int, rng: np.random.Generator, place: tuple[float, float], value: float) -> list[Surface]:
+    """A roof on four walls."""
+    wide, deep, tall = rng.uniform(7, 12), rng.uniform(7, 14), rng.uniform(3, 7)
+    texel = 16.0 / 256
+    roof = Canvas(seed + int(place[1]) % 97, (256, 256))
+    roof.image[:] = value + 0.02 * roof.rough
+    roof.image += 0.06 * (np.arange(256) * texel % 1 < 0.2)[:, None]
+    roof.box(0.2, 0.2, 0.06, 0.06, 0.9)
+    roof.box(0.3, 0.35, 0.08, 0.1, 0.12)
+    return box((place[0], place[1]), (wide, deep, tall), texture(roof.image, texel), _wall(value))
+
+
+def _wall(value: float) -> Texture:
+    c = Canvas(1, (128, 256))
+    c.image[:] = value + 0.15 + 0.02 * c.rough
+    for x in np.arange(0.1, 2, 0.35).tolist():
+        for y in (0.12, 0.55):
+            c.box(x, y, 0.15, 0.2, 0.75 if x % 0.7 < 0.3 else 0.2)
+    return texture(c.image, 8.0 / 128)
