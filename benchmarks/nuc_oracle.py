@@ -16,7 +16,7 @@ from deepir.burst import Burst
 from deepir.config import Config, load
 from deepir.metrics import scores
 from deepir.optim.solve import solve
-from deepir.problems.definition import start_scene
+from deepir.problems.initial_estimate import start_scene
 from deepir.schedule import Stage, Step
 from deepir.simulate import Settings, Simulation, render
 

@@ -22,8 +22,8 @@ from deepir.fields.shading import Shading
 from deepir.optim.solve import solve
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import Problem
-from deepir.problems.definition import start_scene
-from deepir.problems.nuc import WEAK
+from deepir.problems.initial_estimate import start_scene
+from deepir.problems.nuc import NUC
 from deepir.schedule import Stage, Step
 from deepir.simulate import Simulation
 
@@ -43,7 +43,7 @@ def told(sim: Simulation, picture: np.ndarray) -> float:
     problem.fields["level"].values.copy_(torch.from_numpy(truth.level[used, None, None, None]))
     start_scene(problem)
     give_strengths(problem, sim)
-    weigh_scene(problem, WEAK)
+    weigh_scene(problem, NUC.sensor_weight)
     closed = tuple(problem.closed_form())
     sensor = (Step(("scene",)), Step(closed, "eliminate"))
     solve(problem, [Stage("sensor", sensor, ITERATIONS, tolerance=TOLERANCE)])

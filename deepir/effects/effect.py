@@ -60,7 +60,7 @@ class Effect:
     def initialise(self, problem: Problem) -> None:
         """Once the initial estimate is done."""
 
-    def detect(self, problem: Problem, seed: int) -> bool:
+    def detect(self, problem: Problem) -> bool:
         """Once all effects are initialised; True if the initial estimate is to be repeated with what was found."""
         return False
 

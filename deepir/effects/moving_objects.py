@@ -220,7 +220,7 @@ class MovingObjectsEffect(Effect):
     def initialise(self, problem: Problem) -> None:
         problem.precision.add_(LITTLE * median_sigma(problem.precision) ** -2 * problem.moving)
 
-    def detect(self, problem: Problem, seed: int) -> bool:
+    def detect(self, problem: Problem) -> bool:
         found = detect_moving_objects(problem, settled=False)
         if found is None or found.apart <= self.min_contrast:
             return False

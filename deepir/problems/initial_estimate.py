@@ -46,7 +46,8 @@ def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
     reject(0, fixed_pattern_residual(problem))
     start_scene(problem)
     for _ in range(TURNS):
-        if not any([effect.equalise(problem) for effect in effects]):
+        changed = [effect.equalise(problem) for effect in effects]
+        if not any(changed):
             break
         start_scene(problem)
     residual = fixed_pattern_residual(problem)

@@ -56,7 +56,8 @@ class NUC(Recipe):
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and pattern of the raw frames; scene: registered average; motion: of half resolution if need be."""
         coarse_to_fine(problem, self, seed)
-        if any([effect.detect(problem, seed) for effect in self.effects]):
+        found = [effect.detect(problem) for effect in self.effects]
+        if any(found):
             self.restart(problem)
         hold_out(problem, seed)
 

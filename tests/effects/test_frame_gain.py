@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.effects.frame_gain import _slopes
+from deepir.effects.frame_gain import contrast_slopes
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 
@@ -43,6 +43,6 @@ def test_a_frames_contrast_is_its_slope_on_what_is_expected_and_nothing_slow_cou
     y, x = torch.linspace(-1, 1, 20)[:, None], torch.linspace(-1, 1, 24)
     contrast = torch.tensor([0.9, 1.0, 1.2], dtype=torch.float64)
     frames = contrast[:, None, None] * expected + 50 * x * y - 30 * y**2 + 7
-    found, information = _slopes(frames, expected, torch.ones_like(frames), 2)
+    found, information = contrast_slopes(frames, expected, torch.ones_like(frames), 2)
     torch.testing.assert_close(found, contrast)
     assert (information > 300).all()  # next to as many as there are samples

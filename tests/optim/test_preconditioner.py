@@ -14,7 +14,7 @@ from deepir.optim.objective import objective
 from deepir.optim.preconditioner import Preconditioner, slow_waves
 from deepir.optim.solve import solve
 from deepir.priors.penalties.ridge import Ridge
-from deepir.problems.definition import start_scene
+from deepir.problems.initial_estimate import start_scene
 from deepir.schedule import Stage, Step
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural

@@ -11,10 +11,15 @@ from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.metrics import scores
-from deepir.problems.coarse_to_fine import half_resolution, upsample_motion, upsample_moving_mask
-from deepir.problems.definition import start_scene
-from deepir.problems.motion_step import gauss_newton_motion_step
-from deepir.problems.nuc import ASKED, _start
+from deepir.problems.coarse_to_fine import (
+    MIN_STEP,
+    gauss_newton_motion_step,
+    half_resolution,
+    upsample_motion,
+    upsample_moving_mask,
+)
+from deepir.problems.initial_estimate import start_scene
+from deepir.problems.nuc import NUC
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural, sky
 
@@ -48,7 +53,7 @@ def test_the_start_asks_for_what_a_frame_is_off(missing):
     problem = made(sim.frames, torch.from_numpy(motion))
     start_scene(problem)
     asked, wrong = gauss_newton_motion_step(problem), abs(x) + abs(y) + abs(turn)
-    assert 0.5 * wrong < asked < 1.1 * wrong + ASKED
+    assert 0.5 * wrong < asked < 1.1 * wrong + MIN_STEP
 
 
 def test_nothing_is_asked_of_a_motion_that_is_known_or_of_a_scene_without_any_slope():
@@ -179,7 +184,7 @@ def test_what_is_known_to_move_is_not_in_the_start():
     for frames in (sim.frames, spoilt):
         problem = made(frames, torch.from_numpy(sim.truth.motion))
         problem.moving[1, 0, 20:60, 30:50] = True
-        _start(problem)
+        NUC().start(problem)
         scenes.append(problem.fields["scene"]().detach().numpy())
         inside = problem.precision[1, 0, 20:60, 30:50]
         assert inside.max() < 1e-4 * problem.precision.median()  # next to nothing, but known to be there

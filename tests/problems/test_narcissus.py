@@ -15,7 +15,7 @@ from deepir.fields.basis_expansion import DCT, Radial
 from deepir.metrics import scores
 from deepir.problems import narcissus as module
 from deepir.problems import nuc
-from deepir.problems.definition import start_scene
+from deepir.problems.initial_estimate import start_scene
 from deepir.problems.narcissus import Narcissus
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural

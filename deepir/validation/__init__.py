@@ -1,1 +1,0 @@
-"""Judging corrections by frames of a moving scene, without a truth."""
