@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.operators import Lag, Sensor
+from deepir.operators import Sensor
 from deepir.problem import Problem
 
 APART = (3, 5)  # px, along rows and columns
@@ -30,7 +30,7 @@ def residual_correlation_message(problem: Problem) -> list[str]:
     values = problem.values()
     left = problem.data - problem.predict(values)
     left.mul_(problem.precision.sqrt()).clamp_(-WILD, WILD)
-    several = len(left) > 2 and not any(isinstance(stage, Lag) for stage in stages)
+    several = len(left) > 2 and not any(stage.temporal for stage in stages)
     if several and trailing(left, problem.flux(values), problem.precision) > TRAILS:
         return [
             "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "

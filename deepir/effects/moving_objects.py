@@ -17,7 +17,6 @@ from deepir.arrays.subsample import masked_values
 from deepir.arrays.windows import box_sum
 from deepir.effects.effect import Effect
 from deepir.effects.foreground import foreground
-from deepir.operators import Warp
 from deepir.operators.base import slots_of
 from deepir.problem import Problem, Values
 from deepir.registry import register
@@ -76,7 +75,8 @@ def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingOb
     """
     values = problem.values()
     first, frames = problem.operator.named()[0][1], len(problem.data)
-    same = isinstance(first, Warp) and first.instants.count(frames) == frames and len(values["scene"]) == 1
+    instant = not any(stage.temporal for _, stage in problem.operator.named())
+    same = first.moves and instant and len(values["scene"]) == 1
     if frames < 3 or not same or not all(stage.linear for _, stage in problem.operator.named()[:-1]):
         return None
     residual = problem.data - problem.predict(values)

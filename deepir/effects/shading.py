@@ -12,7 +12,7 @@ from deepir.estimation.low_order_evidence import LowOrderEvidence, contrast
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
 from deepir.fields.shading import Shading
-from deepir.operators import Add, Blur, Lag, Sensor, Warp
+from deepir.operators import Add, Sensor
 from deepir.problem import Problem
 from deepir.registry import register
 
@@ -73,9 +73,7 @@ def shading_message(problem: Problem) -> list[str]:
 def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpansion], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
     first, *others = (stage for _, stage in problem.operator.named())
-    # Of one size, but for a blur's reach.
-    same = all(isinstance(stage, Add | Blur | Lag | Sensor) for stage in others)
-    if not (isinstance(first, Warp) and same) or len(problem.data) < 2:
+    if not (first.moves and all(stage.keeps_grid for stage in others)) or len(problem.data) < 2:
         return [], [], []
     closed, free = problem.closed_form(), problem.free()
     offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]

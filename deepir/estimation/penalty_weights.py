@@ -10,7 +10,6 @@ import torch
 
 from deepir.arrays.median import median
 from deepir.arrays.subsample import masked_values, subsample
-from deepir.operators import Warp
 from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 from deepir.problem import Problem
 
@@ -28,7 +27,7 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
     average = median(masked_values(precision, precision > 0)) ** -0.5
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         noise = average * problem.operator.noise_gain
-        if penalty.of_image and isinstance(first, Warp):  # it sees pixels, not the spline's coefficients
+        if penalty.of_image and first.moves:  # it sees pixels, not the spline's coefficients
             noise /= first.noise_gain
         natural = penalty.natural(noise)
         if isinstance(penalty, SpatiallyWeighted) and not penalty.follows:  # by places, as the others do

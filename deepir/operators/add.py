@@ -16,6 +16,7 @@ class Add(Operator):
     """`y = x + value`; the slot `value` is (1, C, h, w). Before the sensor it is stray flux (narcissus)."""
 
     linear = False
+    pointwise = keeps_grid = True
     neutral: ClassVar = {"value": 0.0}
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:

@@ -28,6 +28,14 @@ class Operator(nn.Module):
     neutral: ClassVar[Mapping[str, float]] = {}
     #: How much stronger white noise of the output is when it is carried back to the input (standard deviations).
     noise_gain: float = 1.0
+    #: Whether each frame sees the scene at other places, by the slot `motion`.
+    moves: ClassVar[bool] = False
+    #: Whether each sample of the output depends on the sample of the input at the same place and time only.
+    pointwise: ClassVar[bool] = False
+    #: Whether samples depend on earlier samples of the same pixel, and on nothing else.
+    temporal: ClassVar[bool] = False
+    #: Whether the output's pixels lie at the input's; the reach of a blur aside.
+    keeps_grid: ClassVar[bool] = False
     #: The instants at which it wants its input.
     path: Trajectory = Trajectory()
 

@@ -21,6 +21,8 @@ class Blur(Operator):
     is made up. It is a convolution (the kernel is flipped), as optics does it.
     """
 
+    keeps_grid = True
+
     def __init__(self, *, radius: int = 3) -> None:
         super().__init__()
         if not 0 <= radius <= MOST:

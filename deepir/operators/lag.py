@@ -29,6 +29,7 @@ class Lag(Operator):
     Saragadam et al. 2021, the step response in "Sensor modeling".
     """
 
+    temporal = keeps_grid = True
     neutral: ClassVar = {"tau": 0.0, "moving": 0.0}
 
     def __init__(

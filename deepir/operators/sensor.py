@@ -23,6 +23,7 @@ class Sensor(Operator):
     """
 
     linear = False
+    pointwise = keeps_grid = True
     neutral: ClassVar = {"gain": 1.0, "offset": 0.0, "level": 0.0}
 
     def __init__(self, reference: float | None = None) -> None:

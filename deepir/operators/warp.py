@@ -31,6 +31,7 @@ class Warp(Operator):
 
     place: Tensor
     noise_gain = NOISE_GAIN
+    moves = True
 
     def __init__(
         self,

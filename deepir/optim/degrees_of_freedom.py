@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from deepir.fields.motion import Motion
-from deepir.operators import Lag, Warp
+from deepir.operators import Warp
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.problem import Problem
 
@@ -31,7 +31,7 @@ TAPS = ((1.0, -3.0, 3.0, -1.0), (4.0, 0.0, -6.0, 3.0), (1.0, 3.0, 3.0, -3.0), (0
 
 def moves_with_scene(problem: Problem, group: Collection[str]) -> bool:
     """Whether the scene is free together with a motion of few parameters, and all of a frame is seen at once."""
-    if not has_fourier_model(problem) or any(isinstance(stage, Lag) for _, stage in problem.operator.named()):
+    if not has_fourier_model(problem) or any(stage.temporal for _, stage in problem.operator.named()):
         return False
     motion = problem.slots[problem.slot(Warp, "motion")]
     return {"scene", motion} <= set(group) and isinstance(problem.fields[motion], Motion)

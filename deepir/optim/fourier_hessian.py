@@ -11,7 +11,7 @@ from torch import Tensor
 from deepir.arrays.noise_level import median_sigma
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.pixels import Pixels
-from deepir.operators import Add, Lag, Sensor, Warp
+from deepir.operators import Sensor, Warp
 from deepir.operators.homography import displaced
 from deepir.optim.low_order_model import Variances, variances
 from deepir.problem import Problem
@@ -22,10 +22,11 @@ RIDGE = 1e-8  # least curvature that is known, as a share of the mean
 
 
 def has_fourier_model(problem: Problem) -> bool:
-    """Whether the model holds: for pixels that a moving sensor sees."""
-    stages = [type(stage) for _, stage in problem.operator.named() if not isinstance(stage, Lag)]
-    moving = stages in ([Warp, Sensor], [Warp, Add, Sensor]) and len(problem.data) > 1
-    return moving and isinstance(problem.fields["scene"], Pixels)
+    """Whether the model holds: for pixels that a moving sensor sees, through stages that act on single pixels."""
+    first, *others = (stage for _, stage in problem.operator.named())
+    local = all(stage.pointwise or stage.temporal for stage in others)
+    seen = first.moves and local and bool(others) and isinstance(others[-1], Sensor)
+    return seen and len(problem.data) > 1 and isinstance(problem.fields["scene"], Pixels)
 
 
 def variance_spectrum(problem: Problem, eliminated: Collection[str], weak: float = 1.0) -> Tensor | None:

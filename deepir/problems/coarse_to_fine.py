@@ -5,22 +5,25 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.build.problem import build
+from deepir.build.problem import PIXELS_WITH_TV, build
 from deepir.burst import Burst
-from deepir.config import load
+from deepir.config import Config
 from deepir.estimation.residuals import temporal_mean
 from deepir.fields.base import Field
+from deepir.fields.constant import Constant
 from deepir.fields.motion import Auto, Motion
-from deepir.operators import Sensor, Warp
+from deepir.fields.sensor_maps import Sum
 from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
+from deepir.registry import components
 from deepir.schedule import Stage
 
 #: Weights along an axis, binomial. Means of two leave waves too short for the half, which the scene can follow
@@ -66,9 +69,45 @@ def half_resolution(problem: Problem) -> Problem:
     frames = np.where(valid, mean[:, 0].cpu().numpy(), 0)
     field, twice = motion_of(problem), _from_half(problem)
     motion = torch.linalg.solve(twice, field().detach().double().cpu() @ twice)
-    config = load("nuc", [f"physics.warp.motion.type={type(field).model}", "prior=tv"])
+    physics = {
+        "warp": {"motion": {"type": type(field).model, "init": "register"}},
+        "sensor": _sensor(problem),
+    }
+    config = Config.model_validate({"problem": "nuc", "physics": physics, "scene": PIXELS_WITH_TV})
     half, _ = build(config, Burst(frames, valid, np.asarray(~valid.any(0))), motion)
+    _take_known_maps(problem, half)
     return half.to(problem.data.device)
+
+
+def _sensor(problem: Problem) -> dict[str, Any]:
+    """The configuration of the half's sensor: the parts of gain, offset and level that are free."""
+    kinds = {kind: name for name, kind in components("field").items()}
+    found: dict[str, Any] = {}
+    for slot, unknown in _sensor_unknowns(problem).items():
+        field = problem.fields[unknown]
+        members = list(field.members.values()) if isinstance(field, Sum) else [field]
+        names = [kinds[type(member)] for member in members]
+        found[slot] = {"type": "+".join(names) if unknown in problem.free() else "constant"}
+    return found
+
+
+@torch.no_grad()
+def _take_known_maps(problem: Problem, half: Problem) -> None:
+    """Let the half's sensor have the maps that are known."""
+    of_half = _sensor_unknowns(half)
+    for slot, unknown in _sensor_unknowns(problem).items():
+        value = problem.fields[unknown]()
+        if (
+            isinstance(known := half.fields[of_half[slot]], Constant)
+            and value.shape[-2:] == problem.data.shape[-2:]
+        ):
+            known.values.copy_(_smaller(value))
+
+
+def _sensor_unknowns(problem: Problem) -> dict[str, str]:
+    """The unknown of each slot of the sensor that ends the operator."""
+    name = problem.operator.named()[-1][0]
+    return {slot: problem.slots[f"{name}.{slot}"] for slot in ("gain", "offset", "level")}
 
 
 @torch.no_grad()
@@ -134,8 +173,8 @@ def gauss_newton_motion_step(problem: Problem) -> float:
     By one step of Gauss and Newton towards the frames less what stands still in them, from the scene as it is. Zero
     where there is more before the sensor than a camera that moves, and where its motion is fixed.
     """
-    stages = [type(stage) for _, stage in problem.operator.named()]
-    if stages != [Warp, Sensor] or not _is_free(motion_of(problem)):
+    first, *others = (stage for _, stage in problem.operator.named())
+    if not (first.moves and all(stage.pointwise for stage in others) and _is_free(motion_of(problem))):
         return 0.0
     values = problem.values()
     flux, rest = problem.flux(values), problem.data - problem.predict(values)
