@@ -13,8 +13,14 @@ from documentation import ROOT, blocks, files
 
 import deepir
 from deepir import registry
+from deepir.build.problem import build
+from deepir.burst import Burst
+from deepir.config import load
+from deepir.effects.shading import low_order_unknowns
 from deepir.errors import ConfigError
+from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.registry import load_plugin
+from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes import procedural
 from deepir.testing import check_operator
 
@@ -227,3 +233,68 @@ def test_options_of_a_component_need_no_keyword_marker(monkeypatch):
     assert make("penalty", "plain", {"width": 5}, "here").width == 5
     with pytest.raises(ConfigError, match="did you mean 'width'"):
         make("penalty", "plain", {"widht": 5}, "here")
+
+
+LENS = "deepir_lens"
+
+
+@pytest.fixture
+def lens(outside, monkeypatch):
+    """The second package of the page in this process; forgotten afterwards."""
+    known = {kind: registry.components(kind) for kind in registry.HOMES}
+    monkeypatch.setattr(registry, "_components", known)
+    monkeypatch.syspath_prepend(outside)
+    load_plugin(LENS)
+    yield
+    for name in [name for name in sys.modules if name.split(".")[0] == LENS]:
+        del sys.modules[name]
+
+
+@pytest.fixture(scope="module")
+def burst():
+    """A burst through a lens that vignettes, the strength of that, and a frame with a flash."""
+    settings = Settings(
+        n_frames=6,
+        shape=(48, 64),
+        gain_pixel=0.01,
+        gain_column=0.0,
+        dead_pixels=0.0,
+        shading=0.0,
+        counts=True,
+    )
+    sim = simulate(settings=settings, seed=2)
+    rows, columns = (np.linspace(-1, 1, side) for side in settings.shape)
+    dark = 1 - 0.1 * (rows[:, None] ** 2 + columns**2) / 2
+    frames = (sim.frames * dark).astype(np.float32)
+    flashed = frames.copy()
+    flashed[3] += 20 * frames.std()
+    return frames, flashed
+
+
+def test_an_operator_between_warp_and_sensor_keeps_the_shortcuts_of_the_solver(lens, burst):
+    frames, _ = burst
+    still = torch.eye(3, dtype=torch.float64).repeat(len(frames), 1, 1)
+    usable = np.ones(frames.shape, bool)
+    problem, _ = build(load("lens.yaml"), Burst(frames, usable, ~usable[0]), still)
+    assert has_fourier_model(problem)
+    assert low_order_unknowns(problem)[0]
+    operator = registry.lookup("operator", "falloff")
+    check_operator(*operator.example())
+
+
+def test_a_recipe_changes_one_stage_of_nuc_by_name(lens, burst):
+    frames, _ = burst
+    result = deepir.run("lens.yaml", *QUICK, frames=frames)
+    assert result.history[-1]["stage"] == "scene"
+    assert 0.0 < float(result.extra["strength"]) < 0.3
+
+
+def test_an_effect_of_a_plugin_has_a_switch(lens, burst):
+    _, flashed = burst
+    short = ("solver.max_iterations=2", *QUICK)
+    found = deepir.run("lens.yaml", *short, frames=flashed)
+    assert any("flash brightens 1 frame" in message for message in found.messages)
+    without = deepir.run("lens.yaml", "effects.flash=false", *short, frames=flashed)
+    assert not any("flash" in message for message in without.messages)
+    taken = deepir.run("nuc", "effects.flash.min_rise=1.5", *short, frames=flashed)
+    assert any("flash" in message for message in taken.messages)

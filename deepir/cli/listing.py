@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import typer
 
 from deepir.cli.arguments import Plugins, load_plugins
@@ -22,6 +24,7 @@ def list_components(plugin: Plugins = None) -> None:
             "penalty",
             "denoiser",
             "fidelity",
+            "effect",
             "problem",
             "training",
             "camera",
@@ -33,7 +36,20 @@ def list_components(plugin: Plugins = None) -> None:
     groups["configs (deepir run NAME)"] = {
         name: headline(SHIPPED / f"{name}.yaml") for name in shipped_names()
     }
+    groups["effects"] = {
+        name: f"{text} {_options(components('effect')[name])}".strip()
+        for name, text in groups["effects"].items()
+    }
     for title, entries in groups.items():
         typer.echo(f"{title}:")
         for name, text in entries.items():
             typer.echo(f"  {name:<16} {text}")
+
+
+def _options(component: Any) -> str:
+    """Options and their defaults in brackets; nothing without options."""
+    from deepir.config.components import options_schema
+
+    fields = options_schema(component).model_fields
+    named = ", ".join(f"{name}={field.default}" for name, field in fields.items())
+    return f"({named})" if named else ""

@@ -22,16 +22,18 @@ from deepir.estimation.residuals import temporal_mean
 from deepir.problem import Problem
 from deepir.registry import register
 
-DEVIATION = 7.0  # robust standard deviations of the pattern beyond which a pixel is none of it
-MISFIT = 12.0  # mean squared misfit over the frames, in units of the noise, from which a pixel is defective
-MOST = 100.0  # squared misfit that counts of one sample: one frame does not condemn a pixel
-LONELY = 4.0  # how many times more a defective pixel misfits than its neighbourhood
-CALM = 1e-3  # chance at which noise alone changes as little over the frames as a pixel that does not change
-MOVES = 9.0  # variance over the frames, in units of the noise's, expected of a pixel that is drawn over
-RIM = 0.5  # share of the rim of what hangs together
-OFF = 4.0  # robust standard deviations of the pattern beyond which such a pixel is dead
-ENOUGH = 128  # pixels of a line are enough for its median
-CROWD = 2.0  # mean squared misfit of a neighbourhood from which it shows something else
+OUTLIER_DEVIATION = 7.0  # robust standard deviations of the pattern: beyond, a pixel is no part of it
+DEAD_DEVIATION = 4.0  # the same of a static pixel
+DEFECT_MISFIT = 12.0  # mean squared residual over the frames, in units of the noise
+MAX_MISFIT = 100.0  # squared residual at which that of one sample is clipped: one frame makes no defect
+ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
+STATIC_PROBABILITY = 1e-3  # at which noise alone varies as little over the frames
+EXPECTED_CHANGE = (
+    9.0  # variance over the frames, in units of the noise, that the scene has where an overlay hides it
+)
+RIM_SHARE = 0.5  # of the rim of a static region that is overlay, for all of it to be
+LINE_SAMPLES = 128  # pixels of a line for its median
+CROWD_MISFIT = 2.0  # mean squared residual of a neighbourhood, from which its samples are doubted
 
 
 @torch.no_grad()
@@ -45,7 +47,11 @@ def pattern_outliers(pattern: Tensor, known: Tensor) -> Tensor:
     if differ.numel() < apart.numel() / 4:  # most pixels are exactly alike: nothing to compare with
         return torch.zeros_like(known)
     apart = apart.abs()
-    return known & (apart > DEVIATION * MAD * differ.median()) & (apart > LONELY * median_filter(apart))
+    return (
+        known
+        & (apart > OUTLIER_DEVIATION * MAD * differ.median())
+        & (apart > ISOLATION * median_filter(apart))
+    )
 
 
 @torch.no_grad()
@@ -53,7 +59,9 @@ def static_pixels(frames: Tensor, usable: Tensor, noise: float) -> Tensor:
     """Pixels (1, 1, h, w), bool, that do not even show noise, of standard deviation `noise`; of (N, 1, h, w)."""
     change, count = changes(frames, usable)
     # What noise alone makes of so many samples is a chi-squared number.
-    least = torch.from_numpy(chdtri(np.arange(len(frames) + 1).clip(2) - 1, 1 - CALM) * noise**2).to(change)
+    least = torch.from_numpy(
+        chdtri(np.arange(len(frames) + 1).clip(2) - 1, 1 - STATIC_PROBABILITY) * noise**2
+    ).to(change)
     return (count > 1) & (change < least[count])
 
 
@@ -69,7 +77,7 @@ def dead_pixels(calm: Tensor, pattern: Tensor, known: Tensor) -> Tensor:
     for axis in (-2, -1):  # a dead column differs from all others in its rows
         apart = (pattern - line_median(pattern, live, axis)).abs()
         some, counts = subsample(apart, live)
-        far |= apart > OFF * MAD * some[counts].median()
+        far |= apart > DEAD_DEVIATION * MAD * some[counts].median()
     return calm & far
 
 
@@ -81,7 +89,7 @@ def overlay_mask(calm: Tensor, expected: Tensor, usable: Tensor, noise: float) -
     does: of what hangs together all is drawn if most of its rim is. expected, usable (N, 1, h, w).
     """
     change, count = changes(expected, usable)
-    drawn = calm & (change > MOVES * noise**2 * (count - 1))
+    drawn = calm & (change > EXPECTED_CHANGE * noise**2 * (count - 1))
     if not drawn.any():
         return drawn
     whole = calm[0, 0].numpy(force=True)
@@ -91,7 +99,7 @@ def overlay_mask(calm: Tensor, expected: Tensor, usable: Tensor, noise: float) -
         np.bincount(names[rim & each], minlength=names.max() + 1)
         for each in (drawn[0, 0].numpy(force=True), whole)
     )
-    return drawn | torch.from_numpy((found > RIM * all_of_it)[names]).to(drawn)
+    return drawn | torch.from_numpy((found > RIM_SHARE * all_of_it)[names]).to(drawn)
 
 
 def changes(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
@@ -109,7 +117,7 @@ def changes(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
 def line_median(image: Tensor, known: Tensor, axis: int) -> Tensor:
     """The median of each line of an image (1, 1, h, w) along an axis, of what is known of it; zero if nothing is."""
     lines, mask = (each.transpose(axis, -1) for each in (image, known))
-    step = max(1, lines.shape[-1] // ENOUGH)
+    step = max(1, lines.shape[-1] // LINE_SAMPLES)
     some = lines[..., ::step].where(mask[..., ::step], torch.nan)
     return some.nanmedian(-1, keepdim=True).values.nan_to_num().transpose(axis, -1)
 
@@ -121,8 +129,8 @@ def defective_pixels(misfit: Tensor, usable: Tensor) -> Tensor:
     `misfit` is squared, in units of the noise, (N, 1, h, w).
     """
     count = usable.sum(0, keepdim=True)
-    mean = misfit.clamp(max=MOST).sum(0, keepdim=True) / count.clamp(min=1)
-    return (count > 0) & (mean > MISFIT) & (mean > LONELY * median_filter(mean))
+    mean = misfit.clamp(max=MAX_MISFIT).sum(0, keepdim=True) / count.clamp(min=1)
+    return (count > 0) & (mean > DEFECT_MISFIT) & (mean > ISOLATION * median_filter(mean))
 
 
 @torch.no_grad()
@@ -137,8 +145,8 @@ def neighbourhood_doubt(misfit: Tensor, usable: Tensor) -> Tensor:
 
     What moves by itself misfits over many pixels, a little each.
     """
-    total, share = box_sum(misfit.clamp(max=MOST)), box_sum(usable.to(misfit))
-    return total.div_(share.clamp_(min=0.1 * NEIGHBOURHOOD**2)).sub_(CROWD).clamp_(min=0)
+    total, share = box_sum(misfit.clamp(max=MAX_MISFIT)), box_sum(usable.to(misfit))
+    return total.div_(share.clamp_(min=0.1 * NEIGHBOURHOOD**2)).sub_(CROWD_MISFIT).clamp_(min=0)
 
 
 @torch.no_grad()

@@ -15,14 +15,12 @@ from deepir.fields.line_noise import LineNoise
 from deepir.problem import Problem
 from deepir.registry import register
 
-#: Levels, in standard deviations of a sample's noise, above which they drift. With all modelled they are at most 0.1.
-DRIFT = 0.25
-
-#: The same, in those that the mean of a frame's lines has if they jump independently.
-CHANCE = 4.0
-
-#: The same, in those of all that the average leaves, pattern most of it, that are no slope of anything.
-JUMP = 2.0
+#: Level of a frame, in standard deviations of a sample's noise, that is reported as a drift: 0.1 where all is modelled.
+REPORTED_DRIFT = 0.25
+CHANCE_DRIFT = 4.0  # the same, in standard deviations of the mean of lines that jump independently
+START_LEVEL = (
+    2.0  # level, in standard deviations of what the average leaves, that the initial estimate corrects
+)
 
 
 @torch.no_grad()
@@ -46,7 +44,7 @@ def start_line_levels(problem: Problem) -> bool:
     level -= level.mean()
     data, precision, expected = subsample(problem.data, problem.precision, problem.predict(problem.values()))
     rest = masked_values(data - expected - level.flatten(1), precision > 0)
-    if not drifts or not level.abs().max() > JUMP * rest.std():
+    if not drifts or not level.abs().max() > START_LEVEL * rest.std():
         return False
     drifts[0].jumps.add_(level)
     return True
@@ -54,14 +52,14 @@ def start_line_levels(problem: Problem) -> bool:
 
 def drift_message(problem: Problem) -> list[str]:
     """Say so if the frames' levels drift, whether the problem knows it or not."""
-    least = DRIFT * median_sigma(problem.precision)
+    least = REPORTED_DRIFT * median_sigma(problem.precision)
     if all(name in problem.free() for name in level_names(problem)):
         found = [problem.fields[name]().detach().mean((1, 2, 3)) for name in level_names(problem)]
         chance = sum(each.in_level for each in problem.modules() if isinstance(each, LineNoise))
-        least += CHANCE * chance**0.5
+        least += CHANCE_DRIFT * chance**0.5
         return [
             f"the level of whole frames drifts, by {each.std():.3g}: "
-            "a slope across the scene is told from that only in part"
+            "a slope across the scene is separated from that only in part"
             for each in found
             if float((each - each.mean()).abs().max()) > least
         ]

@@ -18,10 +18,12 @@ from deepir.problem import Problem
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
-ENOUGH = 3  # frames: a scene and a pattern explain any two values of a line
-CERTAIN = 3.0  # variance of lines' means, in that of what their halves differ by, from which they jump
-SHORT = 80  # px: lines that are shorter must by more, as their square, for the same edge lies in both halves
-LITTLE = 0.1  # standard deviation of jumps, in that of a sample's noise, up to which they cost nothing
+MIN_FRAMES = 3  # a scene and a pattern explain any two values of a line
+MIN_VARIANCE_RATIO = 3.0  # variance of lines' means to that of the difference of their halves, if lines jump
+LONG_LINE = (
+    80  # px: for shorter lines the ratio grows with the square, for one edge of the scene lies in both halves
+)
+MIN_JUMP = 0.1  # standard deviation of jumps that matter, in those of a sample's noise
 
 
 def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
@@ -35,7 +37,7 @@ def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
     step = Step((*scene.steps[0].group, *levels))
     return [
         dataclasses.replace(scene, needed=lambda it: not lines_jump(it)),
-        dataclasses.replace(scene, steps=(step,), needed=lines_jump),
+        dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=lines_jump),
     ]
 
 
@@ -61,7 +63,7 @@ def estimate_line_noise(problem: Problem) -> None:
     fields = line_noise_fields(problem)
     for field in fields:
         field.just_found = False
-    if not fields or len(problem.data) < ENOUGH:
+    if not fields or len(problem.data) < MIN_FRAMES:
         return
     residual, precision = problem.data - problem.predict(problem.values()), problem.fitted()
     for field in fields:
@@ -71,8 +73,8 @@ def estimate_line_noise(problem: Problem) -> None:
         else:
             whole, chance = (_variance(each, known, field.across) for each in (mean, apart))
             variance = (whole - chance) * len(mean) / (len(mean) - 2)
-            least = LITTLE**2 * white * residual.shape[field.along[0]]
-            certain = CERTAIN * max(1.0, SHORT / residual.shape[field.along[0]]) ** 2
+            least = MIN_JUMP**2 * white * residual.shape[field.along[0]]
+            certain = MIN_VARIANCE_RATIO * max(1.0, LONG_LINE / residual.shape[field.along[0]]) ** 2
             variance = variance if whole > certain * chance and variance > least else 0.0
             field.just_found = bool(variance) and not field.sigma > 0
             field.sigma.fill_(variance**0.5)

@@ -21,16 +21,20 @@ from deepir.operators.base import slots_of
 from deepir.problem import Problem, Values
 from deepir.registry import register
 
-APART = 5.0  # gap between the frames, in robust standard deviations, from which a place shows two things
-FAR = 12.0  # the same, of one place at least of each region that does
-SEEN = 0.3  # pixels of a frame that a place must be seen by
-SMOOTH = 3  # px: side of the windows whose mean residual is looked at
-THIN = 5  # px: what is thinner, an edge say, does not count as something that moves
-AGREE = 0.12  # of the gap, within which the other frames agree in a region; with parallax they do not
-MANY = 8  # regions, from which it is parallax, where the scene has not settled enough to tell by that
-REACH = 30  # px around all of them, that tell how bright the scene is
-SOME = 3  # each so manieth place along an axis is enough for a standard deviation
-LITTLE = 1e-5  # weight of a sample that shows something else, which may be hundreds of deviations off
+OBJECT_WEIGHT = (
+    1e-5  # relative weight of a sample that shows an object, which may be hundreds of deviations off
+)
+MIN_GAP = 5.0  # robust standard deviations between two groups of frames at a place of an object
+CLEAR_GAP = 12.0  # the same at one place at least of each object
+MIN_COVERAGE = 0.3  # pixels of a frame that must see a place
+WINDOW = 3  # px: side of the windows whose mean residual is compared
+MIN_WIDTH = 5  # px: thinner regions are edges, no objects
+BACKGROUND_SPREAD = (
+    0.12  # of the gap, up to which the frames without the object agree; with parallax they do not
+)
+MAX_REGIONS = 8  # before scene and pattern have settled: more are parallax
+SURROUNDINGS = 30  # px around all regions, by which the brightness of the scene is known
+STRIDE = 3  # px between the places that a robust standard deviation is of
 
 #: A box of frames (N, H, W), and which places of it a region has.
 Region = tuple[tuple[slice, ...], Tensor]
@@ -60,8 +64,8 @@ def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
     if found is None:
         return 0.0
     problem.moving.copy_(found.samples)
-    _trust(problem, found.alone)
-    problem.precision.mul_(torch.where(problem.moving, LITTLE, 1.0))
+    _restore_weight(problem, found.alone)
+    problem.precision.mul_(torch.where(problem.moving, OBJECT_WEIGHT, 1.0))
     return found.apart
 
 
@@ -81,18 +85,18 @@ def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingOb
         return None
     residual = problem.data - problem.predict(values)
     seen, known = _registered(problem, residual, values)
-    usual = _usual(*(each[:, ::SOME, ::SOME] for each in (seen, known)))
-    gap, middle = _widest_gap(seen, known, APART * usual)
-    regions = list(_regions(gap > APART * usual, gap > FAR * usual))
-    if not regions or (not settled and len(regions) >= MANY):
+    usual = _usual(*(each[:, ::STRIDE, ::STRIDE] for each in (seen, known)))
+    gap, middle = _widest_gap(seen, known, MIN_GAP * usual)
+    regions = list(_regions(gap > MIN_GAP * usual, gap > CLEAR_GAP * usual))
+    if not regions or (not settled and len(regions) >= MAX_REGIONS):
         return None
-    shown = _shown(seen + box_sum(values["scene"], SMOOTH)[0] / SMOOTH**2, known, seen > middle, regions)
+    shown = _shown(seen + box_sum(values["scene"], WINDOW)[0] / WINDOW**2, known, seen > middle, regions)
     passes, alone, apart = torch.zeros_like(seen), torch.zeros_like(seen), []
     for box, region in regions:
         among, gaps = known[box] & region, gap[box[1:]][region]
         here = shown[box] & region
         rest = among & ~here
-        if settled and _differ(seen[box], rest) > AGREE * gaps.median():
+        if settled and _differ(seen[box], rest) > BACKGROUND_SPREAD * gaps.median():
             continue
         passes[box] += here
         alone[box] += rest & (rest.sum(0) < here.sum(0))
@@ -111,11 +115,11 @@ def moving_message(problem: Problem) -> list[str]:
         return []
     return [
         f"something moves by itself: {share:.2%} of the samples show it and are left out ('moving' in result.npz); "
-        "what it covers in most frames is told only in part"
+        "what it covers in most frames is estimated only in part"
     ]
 
 
-def _trust(problem: Problem, samples: Tensor) -> None:
+def _restore_weight(problem: Problem, samples: Tensor) -> None:
     """Let some samples (N, 1, h, w), bool, count as much as is usual, if they are usable."""
     usual = torch.full_like(problem.precision, median_sigma(problem.precision) ** -2)
     better = samples & (problem.precision > 0) & (problem.precision < usual)
@@ -128,10 +132,10 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
     shape = (len(residual), 1, *values["scene"].shape[-2:])
     usable = (problem.precision > 0).to(residual)
     total, weight = (
-        box_sum(problem.operator.adjoint(each, shape, **slots), SMOOTH)
+        box_sum(problem.operator.adjoint(each, shape, **slots), WINDOW)
         for each in (residual * usable, usable)
     )
-    return (total / weight.clamp(min=1e-6))[:, 0], (weight > SEEN * SMOOTH**2)[:, 0]
+    return (total / weight.clamp(min=1e-6))[:, 0], (weight > MIN_COVERAGE * WINDOW**2)[:, 0]
 
 
 def _widest_gap(seen: Tensor, known: Tensor, least: float) -> tuple[Tensor, Tensor]:
@@ -159,7 +163,7 @@ def _regions(wide: Tensor, far: Tensor) -> Iterator[Region]:
     (N, H, W), and which places of the box it has."""
     if not far.any():
         return
-    thick = _dilated(1 - _dilated(1 - wide[None, None].float(), THIN), THIN)[0, 0] > 0.5
+    thick = _dilated(1 - _dilated(1 - wide[None, None].float(), MIN_WIDTH), MIN_WIDTH)[0, 0] > 0.5
     regions, _ = label(thick.cpu().numpy())
     held = np.unique(regions[(thick & far).cpu().numpy()])
     for number, (rows, columns) in enumerate(find_objects(regions), 1):
@@ -182,7 +186,7 @@ def _shown(flux: Tensor, known: Tensor, above: Tensor, regions: Sequence[Region]
     for box, region in regions:
         inside[box[1:]] |= region
     held = (torch.nonzero(inside.any(axis))[:, 0] for axis in (1, 0))
-    rows, columns = (slice(max(int(at[0]) - REACH, 0), int(at[-1]) + REACH + 1) for at in held)
+    rows, columns = (slice(max(int(at[0]) - SURROUNDINGS, 0), int(at[-1]) + SURROUNDINGS + 1) for at in held)
     box = (slice(None), rows, columns)
     among, shown = known & inside, torch.zeros_like(known)
     shown[box] = foreground(flux[box], known[box], (among & above)[box], (among & ~above)[box])
@@ -203,7 +207,7 @@ def _dilated(image: Tensor, side: int) -> Tensor:
 
 @register("effect", "moving_objects")
 @dataclass(frozen=True)
-class MovingObjectsEffect(Effect):
+class MovingObjectsMask(Effect):
     """Things that move by themselves: their samples hardly count.
 
     Args:
@@ -218,7 +222,7 @@ class MovingObjectsEffect(Effect):
         problem.precision.mul_(~problem.moving)
 
     def initialise(self, problem: Problem) -> None:
-        problem.precision.add_(LITTLE * median_sigma(problem.precision) ** -2 * problem.moving)
+        problem.precision.add_(OBJECT_WEIGHT * median_sigma(problem.precision) ** -2 * problem.moving)
 
     def detect(self, problem: Problem) -> bool:
         found = detect_moving_objects(problem, settled=False)

@@ -19,10 +19,10 @@ from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
 from deepir.registry import register
 
-BINS = 10  # of the signal, in which the noise is measured
-#: Standard deviations beyond which a residual counts no more than these, and the mean square that a Gaussian then has.
-WILD, TAMED = 2.0, 0.920537
-SCALINGS = 6
+SIGNAL_BINS = 10  # in which the noise is measured
+HUBER_K = 2.0  # standard deviations at which residuals are clipped (Huber 1964, proposal 2)
+HUBER_CONSISTENCY = 0.920537  # mean square of a Gaussian clipped there
+HUBER_STEPS = 6
 
 
 @torch.no_grad()
@@ -66,19 +66,19 @@ def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> tuple[floa
     some, data, precision, held, light = (each.flatten() for each in frames)
     counts, residual = precision > 0, (some - data).abs_()
     # By bin, the fitted samples and those held out: each group's lie side by side, which spares twenty masks.
-    group = (2 * _bins(light, counts) + held).where(counts, 2 * BINS).to(torch.uint8).cpu().numpy()
+    group = (2 * _bins(light, counts) + held).where(counts, 2 * SIGNAL_BINS).to(torch.uint8).cpu().numpy()
     order = torch.from_numpy(np.argsort(group, kind="stable")).to(residual.device)
-    sizes = np.bincount(group, minlength=2 * BINS + 1).tolist()
-    residuals, totals = residual[order].split(sizes), np.bincount(group, light.cpu().numpy(), 2 * BINS)
+    sizes = np.bincount(group, minlength=2 * SIGNAL_BINS + 1).tolist()
+    residuals, totals = residual[order].split(sizes), np.bincount(group, light.cpu().numpy(), 2 * SIGNAL_BINS)
     # Data that are rounded more coarsely than they are noisy may leave no residual at all.
     rounding = (torch.finfo(problem.data.dtype).eps * float((some * counts).max())) ** 2
     least = (ROUNDED * quantisation_step(problem.data, problem.precision > 0)) ** 2
     rows, seen = [], []
-    for i in range(0, 2 * BINS, 2):
+    for i in range(0, 2 * SIGNAL_BINS, 2):
         fitted, new = residuals[i : i + 2]
         if len(new) >= 20:
             rows.append((1.0, sum(totals[i : i + 2]) / sum(sizes[i : i + 2])))
-            seen.append(max(scale(fitted) * scale(new) + rounding, least))
+            seen.append(max(huber_scale(fitted) * huber_scale(new) + rounding, least))
     if not rows:
         return None
     design, variance = np.array(rows), np.array(seen)
@@ -89,14 +89,14 @@ def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> tuple[floa
     return float(read), float(photon), 0.1 * float(variance.min())
 
 
-def scale(residuals: Tensor) -> float:
+def huber_scale(residuals: Tensor) -> float:
     """Standard deviation by what residuals (K) are in size, wild ones bounded (Huber 1964, proposal 2).
 
     Unlike the median it reads right what is a mixture: within a bin variances and leverages differ.
     """
     found = MAD * median(residuals)
-    for _ in range(SCALINGS):
-        found = math.sqrt(float(residuals.clamp(max=WILD * found).square_().mean()) / TAMED)
+    for _ in range(HUBER_STEPS):
+        found = math.sqrt(float(residuals.clamp(max=HUBER_K * found).square_().mean()) / HUBER_CONSISTENCY)
     return found
 
 
@@ -104,7 +104,7 @@ def _bins(values: Tensor, counts: Tensor) -> Tensor:
     """Number of the quantile bin of each value, of those that count."""
     each = max(1, len(values) // 20_000)
     some = masked_values(values[::each], counts[::each]).cpu().numpy()
-    edges = np.quantile(some, np.linspace(0, 1, BINS + 1)[1:-1])  # torch takes ten times as long
+    edges = np.quantile(some, np.linspace(0, 1, SIGNAL_BINS + 1)[1:-1])  # torch takes ten times as long
     return torch.bucketize(values.contiguous(), torch.from_numpy(edges).to(values))
 
 

@@ -9,16 +9,16 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.median import robust_std
-from deepir.effects.bad_pixels import OFF
+from deepir.effects.bad_pixels import DEAD_DEVIATION
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.io.saturated_samples import Array
 from deepir.problem import Problem
 from deepir.registry import register
 
-OTHERS = 0.5  # share of a place's samples that are cut off, if it is beyond the range
-SAID = 0.001  # of the samples: fewer are worth a message only if the result is bounded by them
-SEEN = 0.3  # frames that must show a pixel of the scene at least
+SATURATED_SHARE = 0.5  # of the samples of a place of the scene, if it is beyond the range
+REPORTED_SHARE = 0.001  # of all samples; fewer are reported only if they bound the result
+MIN_FRAMES_SEEN = 0.3  # frames that must show a pixel of the scene
 
 
 @torch.no_grad()
@@ -30,9 +30,9 @@ def mask_stuck_pixels(problem: Problem) -> None:
     those, all_of_them = (problem.backproject(values, each)[1] for each in (cut & usable, usable))
     share = those / all_of_them.clamp(min=1e-6)
     nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
-    lonely = problem.predict(values | {"scene": share}) - nothing < OTHERS
+    lonely = problem.predict(values | {"scene": share}) - nothing < SATURATED_SHARE
     rest = fixed_pattern_residual(problem)
-    far = problem.ends * rest > OFF * robust_std(temporal_mean(rest, usable))
+    far = problem.ends * rest > DEAD_DEVIATION * robust_std(temporal_mean(rest, usable))
     live = ~(cut & lonely & far).all(0)
     problem.precision.mul_(live)
     problem.ends.mul_(live)
@@ -49,7 +49,7 @@ def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
     for sign in (1, -1):
         if (cut := problem.ends == sign).any():
             bound, share = problem.backproject(values, cut)
-            most = share > seen.clamp(min=SEEN)
+            most = share > seen.clamp(min=MIN_FRAMES_SEEN)
             image = torch.where(most, sign * torch.maximum(sign * image, sign * bound), image)
             where[most] = sign
     return image, where
@@ -62,7 +62,7 @@ def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]
     said = []
     for sign, name in ((1, "at least"), (-1, "at most")):
         cut, bounds = (problem.ends[:, 0] == sign).cpu().numpy(), int((where == sign).sum())
-        if bounds or cut.mean() > SAID:
+        if bounds or cut.mean() > REPORTED_SHARE:
             said.append(
                 f"{cut.mean():.2%} of the samples are cut off at {np.median(frames[cut]):g}: the scene is {name} as "
                 f"much at {bounds} pixels"

@@ -20,10 +20,10 @@ from deepir.fields.shading import Shading
 from deepir.problem import Problem
 from deepir.registry import register
 
-LOW_ORDER_DEGREE = 8  # degree of what is slow along the lines, of 64 and more
+LOW_ORDER_DEGREE = 8  # of the polynomial along 64 or more lines, which the scene may have
 
 
-UPDATE_ROUNDS = 2  # of the parts' strengths at each update
+UPDATE_ROUNDS = 2  # of the fixed-point iteration of the standard deviations
 
 
 @torch.no_grad()

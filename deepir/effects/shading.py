@@ -16,7 +16,7 @@ from deepir.operators import Add, Sensor
 from deepir.problem import Problem
 from deepir.registry import register
 
-ENOUGH = 3  # frames to tell shading and stray flux from the scene
+MIN_FRAMES = 3  # that separate shading and stray flux from the scene
 
 
 @torch.no_grad()
@@ -32,7 +32,7 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
     # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
     sure = not (start and stray)
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
-    if smooth and len(problem.data) < ENOUGH:  # then a drift is not told from it either
+    if smooth and len(problem.data) < MIN_FRAMES:  # then a drift is not told from it either
         smooth = drift = 0.0
     step = contrast(problem) / problem.data[0].numel() ** 0.5 if start else None
     for part in shadings:
@@ -54,22 +54,6 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
         scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
 
 
-@torch.no_grad()
-def shading_message(problem: Problem) -> list[str]:
-    """Say so if too few frames are shaded."""
-    shadings, stray, drifts = low_order_unknowns(problem)
-    if not (shadings or stray) or len(problem.data) >= ENOUGH:
-        return []
-    evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
-    smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
-    if not smooth:
-        return []
-    return [
-        f"the frames are shaded, which {len(problem.data)} of them do not tell from the scene: it is left in. "
-        f"Take {ENOUGH} or more"
-    ]
-
-
 def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpansion], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
     first, *others = (stage for _, stage in problem.operator.named())
@@ -86,7 +70,7 @@ def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpan
     )
 
 
-def doubt(problem: Problem) -> Tensor:
+def low_order_doubt(problem: Problem) -> Tensor:
     """Variances by which the slow parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
     return LowOrderEvidence(problem, problem.closed_form(), strays(problem)).doubt
 
@@ -117,5 +101,16 @@ class LowOrderParts(Effect):
         estimate_low_order(problem)
         return False
 
+    @torch.no_grad()
     def drift_messages(self, problem: Problem) -> list[str]:
-        return shading_message(problem)
+        shadings, stray, drifts = low_order_unknowns(problem)
+        if not (shadings or stray) or len(problem.data) >= MIN_FRAMES:
+            return []
+        evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
+        smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
+        if not smooth:
+            return []
+        return [
+            f"the frames are shaded, which {len(problem.data)} of them do not separate from the scene: it is left in. "
+            f"Take {MIN_FRAMES} or more"
+        ]

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from deepir.effects.effect import Effect
-from deepir.effects.moving_objects import MovingObjectsEffect
+from deepir.effects.moving_objects import MovingObjectsMask
 from deepir.effects.reference_level import ReferenceLevel, take_reference_level
 from deepir.effects.unobserved import Unobserved
 from deepir.errors import ConfigError
@@ -72,7 +72,7 @@ class DenseMotion(NUC):
         return [
             each
             for each in self.effects
-            if not isinstance(each, MovingObjectsEffect | Unobserved | ReferenceLevel)
+            if not isinstance(each, MovingObjectsMask | Unobserved | ReferenceLevel)
         ]
 
     @torch.no_grad()

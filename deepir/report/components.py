@@ -26,6 +26,10 @@ KINDS = {
     "penalty": ("Penalties", "Under `penalties` of the scene or of a slot; several may stack."),
     "denoiser": ("Denoisers", "What `red` regularises by: `scene.penalties.red.denoiser`."),
     "fidelity": ("Fidelities", "How prediction and data are compared: `fidelity`."),
+    "effect": (
+        "Effects",
+        "Imperfections that a problem estimates: `effects.NAME` is false, or a mapping of options.",
+    ),
     "problem": ("Problems", "How a problem is started and solved: `problem`."),
     "method": ("Methods", "What runs: `method`. [rivals.md](rivals.md) has their sources."),
     "training": ("Trainings", "What `deepir train NAME` trains."),

@@ -11,7 +11,7 @@ import deepir
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.effects.moving_objects import _trust, down_weight_moving
+from deepir.effects.moving_objects import _restore_weight, down_weight_moving
 from deepir.metrics import scores
 from deepir.optim.solve import solve
 from deepir.problems.nuc import NUC
@@ -76,7 +76,7 @@ def test_who_alone_sees_the_scene_is_not_doubted_for_that():
     before, usual = problem.precision.clone(), float(problem.precision.median())
     samples = torch.zeros_like(before, dtype=torch.bool)
     samples[0, :, 10, 10:13] = True
-    _trust(problem, samples)
+    _restore_weight(problem, samples)
     assert problem.precision[0, 0, 10, [10, 12]].tolist() == before[0, 0, 10, [10, 12]].tolist()
     assert 0.9 * usual < float(problem.precision[0, 0, 10, 11]) < 1.1 * usual
     assert torch.equal(problem.precision.where(~samples, 0), before.where(~samples, 0))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deepir.arrays.median import MAD
-from deepir.effects.noise import TAMED, WILD, measured, scale
+from deepir.effects.noise import HUBER_CONSISTENCY, HUBER_K, huber_scale, measured
 
 
 def gaussian(count, sigma=1.0, seed=0):
@@ -16,21 +16,24 @@ def test_the_bound_is_right_for_a_gaussian():
     from scipy.integrate import quad
     from scipy.stats import norm
 
-    assert pytest.approx(quad(lambda x: min(x * x, WILD**2) * norm.pdf(x), -9, 9)[0], rel=1e-5) == TAMED
-    assert scale(gaussian(100_000, 3.0).abs()) == pytest.approx(3.0, rel=0.01)
+    assert (
+        pytest.approx(quad(lambda x: min(x * x, HUBER_K**2) * norm.pdf(x), -9, 9)[0], rel=1e-5)
+        == HUBER_CONSISTENCY
+    )
+    assert huber_scale(gaussian(100_000, 3.0).abs()) == pytest.approx(3.0, rel=0.01)
 
 
 def test_a_mixture_is_read_more_rightly_than_by_the_median():
     # As where the samples of a bin have other variances, and other leverages.
     each = torch.cat([gaussian(50_000, 0.6), gaussian(50_000, 1.4, seed=1)])
     right = float(each.square().mean().sqrt())
-    assert abs(scale(each.abs()) - right) < 0.5 * abs(MAD * float(each.abs().median()) - right)
+    assert abs(huber_scale(each.abs()) - right) < 0.5 * abs(MAD * float(each.abs().median()) - right)
 
 
 def test_a_few_wild_ones_hardly_count():
     each = gaussian(10_000)
     each[:200] = 1e3
-    assert scale(each.abs()) == pytest.approx(1, rel=0.1)
+    assert huber_scale(each.abs()) == pytest.approx(1, rel=0.1)
 
 
 @pytest.mark.parametrize("offset", [0.0, 40.0])
