@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +21,15 @@ from deepir.registered_average import RegisteredAverage
 Values = dict[str, Tensor]
 
 
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance of a sample's noise: `read + signal * per_unit`, at least `floor`, in squared units of the data."""
+
+    read: float
+    per_unit: float
+    floor: float
+
+
 class Problem(nn.Module):
     """`data = operator(scene, **slots) + noise`, with a field for the scene and for each slot.
 
@@ -31,6 +41,9 @@ class Problem(nn.Module):
         slots: Slot -> unknown, `{"warp.motion": "motion"}`; None names an unknown after its slot.
         penalties: Unknown -> its penalties by name.
         fidelity: How prediction and data are compared; Gaussian unless given.
+        noise: The noise where it is known; None: it is estimated.
+        saturation: 1 or -1 where a sample is at an end of the range, and the data a bound; (N, C, h, w), int8.
+        agc: Whether the frames may have gains of their own, by which their data are divided on the way.
 
     Raises:
         ValueError: A slot has no field.
@@ -64,15 +77,13 @@ class Problem(nn.Module):
         slots: Mapping[str, str] | None = None,
         penalties: Mapping[str, Mapping[str, Penalty]] | None = None,
         fidelity: Fidelity | None = None,
+        noise: NoiseModel | None = None,
+        saturation: Tensor | None = None,
+        agc: bool = False,
     ) -> None:
         super().__init__()
         self.operator, self.fidelity = operator, fidelity or Gaussian()
-        #: Variance of a sample's noise at no signal, for each unit of it, and at least; None: to be estimated.
-        self.noise: tuple[float, float, float] | None = None
-        #: Whether frames may have contrasts of their own, by which their data are divided on the way.
-        self.stretched = False
-        #: Whether gain and offset follow the scene in the last stage: its penalties need not know what they cost it.
-        self.follows = False
+        self.noise, self.stretched = noise, agc
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
         self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]
@@ -84,7 +95,7 @@ class Problem(nn.Module):
         self.register_buffer("data", data)
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
-        self.register_buffer("ends", None)
+        self.register_buffer("ends", saturation)
         self.register_buffer("moving", torch.zeros_like(data[:, :1], dtype=torch.bool))
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
         self.register_buffer("reference", torch.tensor(0.0, dtype=torch.float64))
@@ -130,6 +141,12 @@ class Problem(nn.Module):
         """
         self.data = self.data - (level - float(self.reference))  # the frames themselves stay as they are
         self.reference.fill_(level)
+
+    def divide_frames(self, gain: Tensor) -> None:
+        """Divide the frames by gains (N,), about the median of the samples, which a wrong gain then hardly shifts."""
+        gain, middle = gain.to(self.data)[:, None, None, None], self.middle()
+        self.data.sub_(middle).div_(gain).add_(middle)
+        self.contrast.mul_(gain)
 
     def middle(self) -> Tensor:
         """The median of the samples that count: contrasts are about it."""

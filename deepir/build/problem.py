@@ -82,6 +82,8 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         slots=names,
         penalties={name: each for name, each in penalties.items() if each},
         fidelity=compared,
+        saturation=None if burst.clipped is None else torch.from_numpy(burst.clipped)[:, None],
+        agc=burst.stretched,
     )
     with torch.no_grad():
         problem.precision *= problem.valid(problem.values())

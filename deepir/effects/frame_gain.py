@@ -44,18 +44,8 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
     if not least and (whole / whole.mean() - 1).abs().max() < EQUAL_CONTRAST:
         contrast = 1 / problem.contrast.flatten()
         problem.even.fill_(True)
-    divide_frame_gain(problem, contrast)
+    problem.divide_frames(contrast)
     return True
-
-
-def divide_frame_gain(problem: Problem, contrast: Tensor) -> None:
-    """Divide the frames by contrasts (N,).
-
-    About the middle of the samples, where a contrast that is not quite found changes the levels least.
-    """
-    contrast, middle = contrast.to(problem.data)[:, None, None, None], problem.middle()
-    problem.data.sub_(middle).div_(contrast).add_(middle)
-    problem.contrast.mul_(contrast)
 
 
 def frame_gain_message(problem: Problem) -> list[str]:

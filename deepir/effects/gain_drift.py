@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.effects.effect import Effect, Rounds
-from deepir.effects.frame_gain import contrast_slopes, divide_frame_gain
+from deepir.effects.frame_gain import contrast_slopes
 from deepir.estimation.gain_offset_evidence import GainOffsetEvidence
 from deepir.problem import Problem
 from deepir.registry import register
@@ -67,7 +67,7 @@ def detect_gain_drift(problem: Problem) -> bool:
 @torch.no_grad()
 def correct_gain_drift(problem: Problem) -> None:
     """Divide the frames by what their contrasts are by now."""
-    divide_frame_gain(problem, GainOffsetEvidence(problem, contrasts=True).contrasts())
+    problem.divide_frames(GainOffsetEvidence(problem, contrasts=True).contrasts())
 
 
 def _parts(problem: Problem, expected: Tensor) -> tuple[Tensor, Tensor]:

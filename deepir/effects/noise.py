@@ -16,7 +16,7 @@ from deepir.arrays.subsample import masked_values, subsample
 from deepir.effects.bad_pixels import defective_pixels, neighbourhood_doubt
 from deepir.effects.effect import Effect
 from deepir.likelihoods import CAUCHY_SCALE
-from deepir.problem import Problem
+from deepir.problem import NoiseModel, Problem
 from deepir.registry import register
 
 SIGNAL_BINS = 10  # in which the noise is measured
@@ -40,11 +40,10 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     noise = problem.noise or measured(problem, prediction, signal)
     if noise is None:
         return
-    read, photon, least = noise
     usable, misfit = problem.precision > 0, problem.beside(values, problem.data - prediction)
     # A frame at a time: what is needed on the way stays in the cache.
     for k, signal_k in enumerate(signal):
-        signal_k.mul_(photon).add_(read).clamp_(min=least)  # from here on, the variance
+        signal_k.mul_(noise.per_unit).add_(noise.read).clamp_(min=noise.floor)  # from here on, the variance
         misfit[k].square_().mul_(usable[k]).div_(signal_k)
     if settled:
         bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
@@ -55,8 +54,8 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         torch.div(usable[k], doubt, out=problem.precision[k])
 
 
-def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> tuple[float, float, float] | None:
-    """Variance of the noise at no signal, for each unit of it, and at least; None if too few residuals tell.
+def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> NoiseModel | None:
+    """The noise by the residuals in bins of the signal; None if there are too few.
 
     Residuals of fitted samples are too small, by the freedom that the fit has, and those of held-out samples too
     large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
@@ -86,7 +85,7 @@ def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> tuple[floa
     relative = design / unit / variance[:, None]  # errors are in proportion to the variance
     share, _ = nnls(relative, np.ones(len(rows)))
     read, photon = share / unit
-    return float(read), float(photon), 0.1 * float(variance.min())
+    return NoiseModel(float(read), float(photon), 0.1 * float(variance.min()))
 
 
 def huber_scale(residuals: Tensor) -> float:

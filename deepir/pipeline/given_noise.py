@@ -8,7 +8,7 @@ from torch.nn.functional import avg_pool2d
 
 from deepir.config import Config
 from deepir.errors import ConfigError
-from deepir.problem import Problem
+from deepir.problem import NoiseModel, Problem
 
 #: Standard deviation that rounding to whole numbers makes.
 ROUNDED = 0.29
@@ -32,7 +32,7 @@ def given_noise(problem: Problem, config: Config) -> list[str]:
         raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
     least = LEAST * float(variance.median())
     problem.precision.copy_((problem.precision > 0) / variance.clamp_(min=least))
-    problem.noise = read, photon, least
+    problem.noise = NoiseModel(read, photon, least)
     if variance.max() > ROUNDED**2 / 10 or data.max() <= 1 or (data % 1).any():
         return []
     return [

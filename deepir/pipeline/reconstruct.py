@@ -53,14 +53,13 @@ def joint(
         motion, taken = interpolate_missing_motion(motion, used)
         messages += interpolation_message(used, taken)
     valid = burst.valid & used[:, None, None]
-    kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken])
+    bounds = burst.clipped if config.effects.get("saturation", True) is not False else None
+    clipped = None if bounds is None else bounds[taken]
+    kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken], clipped=clipped)
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
-    problem.stretched = burst.stretched
     if burst.stretched:
         messages += equalised_message(np.where(valid, burst.frames, np.nan)[taken])
-    if burst.clipped is not None:
-        problem.ends = torch.from_numpy(burst.clipped[taken])[:, None].to(problem.data.device)
     messages += given_noise(problem, config)
     given = problem.alive()
     recipe.initialise(problem, config.seed)

@@ -30,7 +30,7 @@ def plan(problem: Problem, recipe: Recipe, config: Config) -> list[Stage]:
             for s in given
         ]
     if refinement is not None:
-        problem.follows = bool(refinement.follows)
+        recipe.sensor_follows = bool(refinement.follows)
         stages = refinement.after(stages, recipe.weigh_prior)
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")

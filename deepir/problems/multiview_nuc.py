@@ -11,7 +11,6 @@ from torch import Tensor
 from deepir.arrays.noise_level import flat_noise
 from deepir.closed_form.variable_projection import PIXEL
 from deepir.effects.bad_pixels import isolated_pixels
-from deepir.effects.frame_gain import divide_frame_gain
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.penalty_weights import weigh_scene
 from deepir.fields.sensor_maps import Part
@@ -62,7 +61,7 @@ class MultiviewNUC(Recipe):
             gains = frame_gains(frames, usable, pattern[1])
             if gains is None:
                 break
-            divide_frame_gain(problem, gains)
+            problem.divide_frames(gains)
             frames = problem.data[:, 0]
             edges, pattern, slow = find_pattern(frames, usable, gain, offset)
         misfit = edges.misfit(pattern)

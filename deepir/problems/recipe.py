@@ -42,6 +42,8 @@ class Recipe:
         self.effects = (
             [lookup("effect", name)() for name in self.effect_names] if effects is None else list(effects)
         )
+        #: Whether gain and offset follow the scene in a last stage, so that their uncertainty is in its prior.
+        self.sensor_follows = False
         #: Warnings of the initial estimate.
         self.messages: list[str] = []
 

@@ -48,7 +48,8 @@ def test_photon_noise_belongs_to_the_light_whatever_the_offset(small_nuc, offset
     noise = (0.04 + light / 20).sqrt() * torch.randn(light.shape, generator=generator, dtype=light.dtype)
     problem.data.copy_(light + shift + noise)
     problem.held_out[..., ::7] = True
-    read, photon, _ = measured(problem, light + shift, light)
+    found = measured(problem, light + shift, light)
+    read, photon = found.read, found.per_unit
     seen = read + photon * light.numpy()
     assert np.median(seen / (0.04 + light.numpy() / 20)) == pytest.approx(1, rel=0.05)
     assert photon == pytest.approx(1 / 20, rel=0.2)
