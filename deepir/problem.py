@@ -109,6 +109,20 @@ class Problem(nn.Module):
         name = f"{stages[0]}.{slot}" if stages else ""
         return name if name in self.slots else ""
 
+    def sensor_unknowns(self) -> dict[str, str]:
+        """The unknowns of `gain`, `offset` and `level` of the sensor; empty without one."""
+        name = next((name for name, stage in self.operator.named() if isinstance(stage, Sensor)), None)
+        return (
+            {}
+            if name is None
+            else {slot: self.slots[f"{name}.{slot}"] for slot in ("gain", "offset", "level")}
+        )
+
+    def motion_unknown(self) -> str:
+        """The unknown of the motion of the stage that moves with the camera; "" without one."""
+        name = next((name for name, stage in self.operator.named() if stage.moves), None)
+        return "" if name is None else self.slots[f"{name}.motion"]
+
     def field_of(self, slot: str) -> Field:
         """The field of the unknown that a slot takes."""
         return self.fields[self.slots[slot]]
@@ -271,7 +285,7 @@ class Problem(nn.Module):
         flux = self.flux(values) if flux is None else flux
         precision = self.fitted() if precision is None else precision
         found = self._eliminate(values, group, flux, precision)
-        return dict(zip(self._of_sensor()[:2], found.variances(), strict=True))
+        return dict(zip(list(self.sensor_unknowns().values())[:2], found.variances(), strict=True))
 
     @torch.no_grad()
     def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Elimination:
@@ -282,7 +296,7 @@ class Problem(nn.Module):
     def _eliminate(
         self, values: Values, group: Collection[str], flux: Tensor, precision: Tensor
     ) -> Elimination:
-        gain, offset, level = self._of_sensor()
+        gain, offset, level = self.sensor_unknowns().values()
         data = self.data if gain in group else self.data - values[gain] * flux
         if offset not in group and values[offset].any():
             data = data - values[offset]
@@ -294,11 +308,6 @@ class Problem(nn.Module):
         both = zip((gain, offset), found.values, strict=True)
         values.update({name: value[None, None] for name, value in both if name in group})
         return found
-
-    def _of_sensor(self) -> list[str]:
-        """The unknowns of the sensor that ends the operator: gain, offset, level."""
-        stage = self.operator.named()[-1][0]
-        return [self.slots[f"{stage}.{slot}"] for slot in ("gain", "offset", "level")]
 
     def _slot_values(self, values: Values) -> Values:
         return {slot: values[unknown] for slot, unknown in self.slots.items() if unknown in values}

@@ -11,7 +11,6 @@ from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.subsample import masked_values
 from deepir.effects.effect import Effect, Rounds
-from deepir.effects.frame_offset import level_names
 from deepir.estimation.line_levels import line_noise_fields, lines_jump
 from deepir.fields.line_noise import LineNoise
 from deepir.problem import Problem
@@ -33,8 +32,8 @@ def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
     """
     if not line_noise_fields(problem):
         return [scene]
-    levels = [name for name in level_names(problem) if name in problem.free()]
-    step = Step((*scene.steps[0].group, *levels))
+    level = problem.sensor_unknowns()["level"]
+    step = Step((*scene.steps[0].group, *([level] if level in problem.free() else [])))
     return [
         dataclasses.replace(scene, needed=lambda it: not lines_jump(it)),
         dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=lines_jump),

@@ -34,8 +34,8 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     """
     values = problem.values()
     prediction = problem.predict(values)
-    offset = next((values[name] for slot, name in problem.slots.items() if slot.endswith(".offset")), None)
-    signal = (prediction - offset if offset is not None else prediction.clone()) + problem.reference
+    offset = problem.sensor_unknowns().get("offset")
+    signal = (prediction - values[offset] if offset else prediction.clone()) + problem.reference
     signal.clamp_(min=0)
     noise = problem.noise or measured(problem, prediction, signal)
     if noise is None:

@@ -73,8 +73,8 @@ def keep_gauge(problem: Problem) -> None:
     The data do not change with it, so nothing but the priors holds it, and it drifts.
     """
     values, closed = problem.values(), problem.closed_form()
-    name = problem.operator.named()[-1][0]
-    gain, offset = (problem.slots.get(f"{name}.{slot}", "") for slot in ("gain", "offset"))
+    unknowns = problem.sensor_unknowns()
+    gain, offset = unknowns.get("gain"), unknowns.get("offset")
     scene = values["scene"]
     if gain in closed:
         scene = scene * values[gain].mean()
@@ -118,8 +118,10 @@ def high_order(values: Tensor) -> Tensor:
 
 def _all_parts(problem: Problem, slot: str) -> list[Part]:
     """Parts of what is bound to a slot of this name, whether they have a closed form or not."""
-    unknowns = [name for each, name in problem.slots.items() if each.rpartition(".")[2] == slot]
-    return [each for name in unknowns for each in problem.fields[name].modules() if isinstance(each, Part)]
+    unknowns = problem.sensor_unknowns()
+    if not unknowns:
+        return []
+    return [each for each in problem.fields[unknowns[slot]].modules() if isinstance(each, Part)]
 
 
 @register("effect", "sensor_pattern")

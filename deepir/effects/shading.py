@@ -60,8 +60,8 @@ def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpan
     if not (first.moves and all(stage.keeps_grid for stage in others)) or len(problem.data) < 2:
         return [], [], []
     closed, free = problem.closed_form(), problem.free()
-    offsets = [name for slot, name in problem.slots.items() if slot.endswith(".offset") and name in closed]
-    parts = [part for name in offsets for part in problem.fields[name].parts()]
+    offset = problem.sensor_unknowns().get("offset", "")
+    parts = problem.fields[offset].parts() if offset in closed else ()
     fields = [module for name in free for module in problem.fields[name].modules()]
     return (
         [part for part in parts if isinstance(part, Shading) and not part.given],

@@ -62,8 +62,7 @@ def make_result(
         result.extra["moving"][taken] = problem.moving[:, 0].cpu().numpy()
     messages = messages + clipping_message(problem, where, burst.frames[taken])
     result.frames_used, result.history, result.messages = used, solution.history, messages
-    gains = [name for slot, name in problem.slots.items() if slot.rpartition(".")[2] == "gain"]
-    known = not any(name in problem.free() for name in gains)
+    known = problem.sensor_unknowns().get("gain") not in problem.free()
     to_gauge(result, known_gain=known, flux=added_flux(problem))
     if reference := float(problem.reference):
         result.scene = result.scene + np.float32(reference)

@@ -83,7 +83,7 @@ def _sensor(problem: Problem) -> dict[str, Any]:
     """The configuration of the half's sensor: the parts of gain, offset and level that are free."""
     kinds = {kind: name for name, kind in components("field").items()}
     found: dict[str, Any] = {}
-    for slot, unknown in _sensor_unknowns(problem).items():
+    for slot, unknown in problem.sensor_unknowns().items():
         field = problem.fields[unknown]
         members = list(field.members.values()) if isinstance(field, Sum) else [field]
         names = [kinds[type(member)] for member in members]
@@ -94,20 +94,14 @@ def _sensor(problem: Problem) -> dict[str, Any]:
 @torch.no_grad()
 def _take_known_maps(problem: Problem, half: Problem) -> None:
     """Let the half's sensor have the maps that are known."""
-    of_half = _sensor_unknowns(half)
-    for slot, unknown in _sensor_unknowns(problem).items():
+    of_half = half.sensor_unknowns()
+    for slot, unknown in problem.sensor_unknowns().items():
         value = problem.fields[unknown]()
         if (
             isinstance(known := half.fields[of_half[slot]], Constant)
             and value.shape[-2:] == problem.data.shape[-2:]
         ):
             known.values.copy_(_smaller(value))
-
-
-def _sensor_unknowns(problem: Problem) -> dict[str, str]:
-    """The unknown of each slot of the sensor that ends the operator."""
-    name = problem.operator.named()[-1][0]
-    return {slot: problem.slots[f"{name}.{slot}"] for slot in ("gain", "offset", "level")}
 
 
 @torch.no_grad()

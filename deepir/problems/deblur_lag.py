@@ -41,7 +41,6 @@ class DeblurLag(NUC):
     frames = 3
     ordered = True
     operators: ClassVar[tuple[str, ...]] = ("warp", "lag", "sensor")
-    refined_last: ClassVar[tuple[str, ...]] = ("motion", "tau")
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """As in `nuc`, from where the camera was as each frame was read."""
@@ -70,9 +69,9 @@ class DeblurLag(NUC):
         last = replace(schedule("sensor 3"), tolerance=Stage.tolerance)
         return schedule.replaced("sensor 2", replace(last, name="sensor 2")).replaced("sensor 3", last)
 
-    def dominant(self, problem: Problem) -> bool:
+    def refined_last(self, problem: Problem) -> tuple[str, ...]:
         """The motion always waits for the time constant."""
-        return False
+        return problem.motion_unknown(), slot_of(problem, "tau")
 
     @torch.no_grad()
     def metrics(self, problem: Problem) -> dict[str, float]:

@@ -79,7 +79,7 @@ class Deconv(Recipe):
         sharp = "scene" in problem.free()  # else it is a target that is known, of which any blur can be found
         held = {*closed, *(psf_names(problem) if sharp else ())}
         free = tuple(name for name in problem.free() if name not in held)
-        still = (Step(tuple(name for name in free if name != "motion")), *eliminate)
+        still = (Step(tuple(name for name in free if name != problem.motion_unknown())), *eliminate)
         sensor = [
             Stage("sensor 1", still, 40),
             Stage("sensor 2", still, 40, prepare=self.update),
@@ -112,7 +112,7 @@ def psf_names(problem: Problem) -> list[str]:
 def hold_sensor(problem: Problem) -> list[str]:
     """Leave gain and offset as they are where the frames do not move, and say so: a scene would explain any pattern."""
     closed = problem.closed_form()
-    motion = problem.values().get("motion")
+    motion = problem.values().get(problem.motion_unknown())
     if not closed or (motion is not None and float((motion - motion[:1])[:, :2, 2].abs().max()) >= STILL):
         return []
     for name in closed:

@@ -79,7 +79,8 @@ class DenseMotion(NUC):
     def _displace(self, problem: Problem) -> None:
         """Start again, at displacements that the frames show."""
         values = problem.values()
-        corrected = (problem.data - values["offset"] - values["level"]) / values["gain"]
+        gain, offset, level = (values[name] for name in problem.sensor_unknowns().values())
+        corrected = (problem.data - offset - level) / gain
         flow: Any = problem.fields[_name(problem)]
         with torch.enable_grad():
             moved = optical_flow(

@@ -123,14 +123,13 @@ def _demand_different(frames: Tensor) -> list[str]:
 
 def _parts(problem: Problem, slot: str) -> Sequence[Part]:
     """The parts of the sensor's gain or offset; none if it is known."""
-    name = f"{problem.operator.named()[-1][0]}.{slot}"
-    unknown = problem.slots[name]
+    unknown = problem.sensor_unknowns()[slot]
     if unknown not in problem.free():
         return ()
     parts = problem.fields[unknown].parts()
     if not parts or (slot == "gain" and any(isinstance(part, Shading) for part in parts)):
         raise ConfigError(
-            f"physics.{name}: 'multiview_nuc' finds sums of column, row, pixel and, in the offset, shading"
+            f"physics.sensor.{slot}: 'multiview_nuc' finds sums of column, row, pixel and, in the offset, shading"
         )
     return parts
 
@@ -176,11 +175,11 @@ def _divide_slow_part(problem: Problem, slow: Shading, offset: Sequence[Part], u
 
 def _offset(problem: Problem) -> Tensor:
     """The offset of the sensor, (h, w)."""
-    return problem.values()[problem.slots[f"{problem.operator.named()[-1][0]}.offset"]][0, 0]
+    return problem.values()[problem.sensor_unknowns()["offset"]][0, 0]
 
 
 def _corrected(problem: Problem) -> Tensor:
     """The frames without the sensor's pattern, (N, h, w)."""
-    values, stage = problem.values(()), problem.operator.named()[-1][0]
-    gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    values, unknowns = problem.values(()), problem.sensor_unknowns()
+    gain, offset = values[unknowns["gain"]], values[unknowns["offset"]]
     return ((problem.data - offset) / gain)[:, 0]

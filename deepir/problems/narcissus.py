@@ -80,8 +80,10 @@ class Narcissus(NUC):
         rounds = [stage for stage in plan if not stage.name.startswith("scene")]
         scenes = [stage for stage in plan if stage.name.startswith("scene")]
         closed = problem.closed_form()
-        still = tuple(name for name in problem.free() if name not in closed and name != "motion")
-        offset = [Step((name,), "eliminate") for name in closed if name == "offset"]
+        still = tuple(name for name in problem.free() if name not in {*closed, problem.motion_unknown()})
+        offset = [
+            Step((name,), "eliminate") for name in closed if name == problem.sensor_unknowns()["offset"]
+        ]
         stages = [
             Stage("stray 1", (Step(still), *offset), 20),
             Stage("stray 2", (Step(still), *offset), 20, prepare=_register),

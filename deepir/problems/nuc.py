@@ -18,9 +18,7 @@ from deepir.problems.recipe import Recipe
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
-#: Pattern, in standard deviations of the noise, from which it biases the registration, so that motion is refined in
-#: every round.
-DOMINANT_PATTERN = 10.0
+DOMINANT_PATTERN = 10.0  # standard deviations of the noise, from which the pattern biases the registration
 ROUND_TOLERANCE, LAST_TOLERANCE = (
     2e-3,
     3e-4,
@@ -50,8 +48,6 @@ class NUC(Recipe):
         *("sensor_pattern", "shading", "outliers", "unobserved", "moving_objects", "reference_level"),
         *("gain_drift", "vignetting"),
     )
-    #: Unknowns that registration knows well enough to estimate the sensor; they are refined in the last round.
-    refined_last: ClassVar[tuple[str, ...]] = ("motion",)
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and pattern of the raw frames; scene: registered average; motion: of half resolution if need be."""
@@ -65,7 +61,7 @@ class NUC(Recipe):
         """Three rounds for the sensor, those that effects ask for, and the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        fixed = () if self.dominant(problem) else self.refined_last
+        fixed = self.refined_last(problem)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
         fourier = has_fourier_model(problem)
         short, long, last = ITERATIONS[fourier]
@@ -87,9 +83,13 @@ class NUC(Recipe):
             schedule = effect.plan(problem, schedule, self)
         return schedule
 
-    def dominant(self, problem: Problem) -> bool:
-        """Whether the pattern biases the registration; not if something moves, which would draw the motion along."""
-        return not problem.moving.any() and pattern_to_noise(problem) >= DOMINANT_PATTERN
+    def refined_last(self, problem: Problem) -> tuple[str, ...]:
+        """What is fixed until the last round: the motion, as registered, unless the pattern biases it.
+
+        Not where something moves, which would draw the motion along.
+        """
+        biased = not problem.moving.any() and pattern_to_noise(problem) >= DOMINANT_PATTERN
+        return () if biased else (problem.motion_unknown(),)
 
     @torch.no_grad()
     def finish(self, problem: Problem) -> None:

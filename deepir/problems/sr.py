@@ -53,8 +53,9 @@ class SR(Recipe):
         """Sensor and motion by turns, with the search for the scene's weights between; the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        still = (Step(tuple(name for name in free if name != "motion")),)
-        moving = (Step(tuple(name for name in ("scene", "motion") if name in free)),)
+        motion = problem.motion_unknown()
+        still = (Step(tuple(name for name in free if name != motion)),)
+        moving = (Step(tuple(name for name in ("scene", motion) if name in free)),)
         sensor = (*still, Step(closed, "eliminate")) if closed else still
         stages = [
             Stage("sensor 1", sensor, 40),
