@@ -64,8 +64,8 @@ def report(*, real: bool) -> Iterator[str]:
     """Lines of markdown."""
     yield "# What each effect is worth\n"
     yield "`make bench-effects` leaves out one effect of `nuc` at a time (`effects.NAME=false`)."
-    yield "Simulated: change of the scene's PSNR, dB, over 16 kinds of bursts of two seeds. Real: change of the likeness"
-    yield "with the calibrated frames at two places of a drive. Seconds: of the simulated bursts, with all effects first.\n"
+    yield "Simulated: change of the scene's PSNR, dB, over 16 kinds of bursts, two seeds. Real: change of likeness"
+    yield "with the calibrated frames at two places of a drive. Seconds: of the simulated bursts, all effects first.\n"
     began = time.monotonic()
     whole = simulated([])
     drive = driven([]) if real else []

@@ -20,8 +20,7 @@ from deepir.optim.solve import Solution
 from deepir.problem import Problem
 from deepir.result import Result, neutral, to_gauge
 
-#: Cost of the unknown pattern, in dB, from which it is worth a message.
-COSTLY = 2.0
+REPORTED_PENALTY = 2.0  # dB that the unknown pattern costs the scene
 
 
 @torch.no_grad()
@@ -85,11 +84,11 @@ def make_result(
 
 def cost_message(cost: float, n_frames: int) -> list[str]:
     """A line if it costs a good part of the frames that they have to tell the pattern from the scene."""
-    if not cost > COSTLY:
+    if not cost > REPORTED_PENALTY:
         return []
     return [
-        f"telling the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the scene: "
-        "take more frames, or move further, in x and in y"
+        f"separating the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the "
+        "scene: take more frames, or move further, in x and in y"
     ]
 
 

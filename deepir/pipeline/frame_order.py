@@ -13,14 +13,14 @@ from deepir.errors import ConfigError
 from deepir.io.frames import select_frames
 
 Mask = np.ndarray[Any, Any]
-MANY = 10**6  # more frames than any burst has
+MAX_FRAMES = 10**6  # more frames than any burst has
 
 
 def demand_order(select: str | int | Sequence[int] | None, problem: str) -> None:
     """Raise `ConfigError` if `data.frames` does not keep frames one after the other."""
     if isinstance(select, str | int | None) and ":" not in str(select):
         return
-    chosen = select_frames(np.arange(MANY), select, "data")
+    chosen = select_frames(np.arange(MAX_FRAMES), select, "data")
     if (np.diff(chosen) != 1).any():
         raise ConfigError(
             f"data.frames={select!r}: '{problem}' needs frames that follow each other in time; give a count or a slice"

@@ -10,13 +10,11 @@ from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.problem import NoiseModel, Problem
 
-#: Standard deviation that rounding to whole numbers makes.
-ROUNDED = 0.29
-#: Side of the windows, in px, whose mean stands for a sample's signal.
-AROUND = 5
-#: Least variance of a sample, in the usual one, where noise is given: an offset is no light, and low samples are not
-#: as sure as they look.
-LEAST = 0.3
+ROUNDING_SIGMA = 0.29  # standard deviation of rounding to whole counts, 1 / √12
+SIGNAL_WINDOW = 5  # px: side of the window whose mean is a sample's signal
+MIN_RELATIVE_VARIANCE = (
+    0.3  # of a sample, relative to the median: an offset is no light, and has no photon noise
+)
 
 
 def given_noise(problem: Problem, config: Config) -> list[str]:
@@ -26,16 +24,16 @@ def given_noise(problem: Problem, config: Config) -> list[str]:
     read, photon = config.noise.read**2, 1 / (config.noise.photons or math.inf)
     # Until there is a prediction, the mean of the neighbours: of single samples the low ones would seem the surest.
     data = problem.data + problem.reference
-    signal = avg_pool2d(data, AROUND, stride=1, padding=AROUND // 2, count_include_pad=False)
+    signal = avg_pool2d(data, SIGNAL_WINDOW, stride=1, padding=SIGNAL_WINDOW // 2, count_include_pad=False)
     variance = read + photon * signal.clamp_(min=0)
     if not variance.min() > 0:
         raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
-    least = LEAST * float(variance.median())
+    least = MIN_RELATIVE_VARIANCE * float(variance.median())
     problem.precision.copy_((problem.precision > 0) / variance.clamp_(min=least))
     problem.noise = NoiseModel(read, photon, least)
-    if variance.max() > ROUNDED**2 / 10 or data.max() <= 1 or (data % 1).any():
+    if variance.max() > ROUNDING_SIGMA**2 / 10 or data.max() <= 1 or (data % 1).any():
         return []
     return [
-        f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes {ROUNDED}: is "
-        "the configuration meant for frames in [0, 1]?"
+        f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes "
+        f"{ROUNDING_SIGMA}: is the configuration meant for frames in [0, 1]?"
     ]

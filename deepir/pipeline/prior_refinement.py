@@ -26,9 +26,8 @@ from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 
-ROUNDS = 30  # of the registered average
-#: Gain of ten iterations, in nats for each pixel of the scene, below which a fit that the sensor follows ends.
-SETTLED = 0.03
+LANDWEBER_ITERATIONS = 30
+JOINT_TOLERANCE = 0.03  # nats per scene pixel that ten iterations gain, where the sensor follows the scene
 
 
 class PriorRefinement:
@@ -44,7 +43,7 @@ class PriorRefinement:
         together = self.fit.with_sensor and isinstance(field, Pixels) and has_fourier_model(problem)
         #: Gain and offset, if these follow the scene; where samples are cut off it is not sure enough of itself.
         self.follows = tuple(problem.closed_form()) if together and problem.ends is None else ()
-        self.tolerance = SETTLED / len(problem.data) if self.follows else Stage.tolerance
+        self.tolerance = JOINT_TOLERANCE / len(problem.data) if self.follows else Stage.tolerance
 
     def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:
         """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them.
@@ -114,6 +113,6 @@ def registered_average(problem: Problem) -> Tensor:
     least = 0.3 * float(weight.max())
     weight, known = weight.clamp(min=least), weight > least
     scene = nearest_filled(back(problem.data - dark) / weight, known)
-    for _ in range(ROUNDS):
+    for _ in range(LANDWEBER_ITERATIONS):
         scene = scene + back(problem.data - shown(scene)) / weight
     return scene

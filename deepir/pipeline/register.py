@@ -17,10 +17,8 @@ from deepir.problems.recipe import Recipe
 from deepir.registration import register
 from deepir.registry import components
 
-#: Motion, in px at the frame's edge, below which a burst counts as still.
-STILL = 0.5
-#: Share of the pixels that hold one value in all frames from which this is what the burst shows.
-MOST = 0.5
+MAX_STILL_MOTION = 0.5  # px at the frame's edge: a burst at rest moves by less
+MAX_OVERLAY_SHARE = 0.5  # of the pixels that hold one value in all frames, up to which they are an overlay
 
 
 def register_frames(
@@ -40,7 +38,10 @@ def register_frames(
     part = one_pattern(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
     found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
     drawn = (frames == frames[0]).all(0)
-    if _spans(found.motion[found.used], burst.size).max() < STILL and 0 < drawn.double().mean() < MOST:
+    if (
+        _spans(found.motion[found.used], burst.size).max() < MAX_STILL_MOTION
+        and 0 < drawn.double().mean() < MAX_OVERLAY_SHARE
+    ):
         # Before a plain scene what the camera draws over its pictures keeps all of them at rest.
         bad = ignore | drawn
         found = register(frames[part], model=model, ignore=bad, valid=valid[part], start=part.start)
@@ -88,7 +89,7 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
     """A message for each axis along which the burst moves little; `DataError` if it stands still."""
     at = _places(motion, burst.size)
     moved = (at - at[0]).abs().amax()
-    if moved < STILL:
+    if moved < MAX_STILL_MOTION:
         raise DataError(
             f"{burst.source}: the frames do not move as a whole, or show too little to tell, so that the scene and the "
             "sensor's fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y, "

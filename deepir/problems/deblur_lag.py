@@ -19,12 +19,11 @@ from deepir.problems.nuc import NUC
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage
 
-FAST = 1.0  # px from instant to instant, above which the flux in between is a guess
-FINEST = 16  # sub-steps, above which a camera does not move smoothly but jumps
-HALF = 0.5  # of the speed at which the camera goes on
-TRIAL = 40  # iterations, after which it shows whether the camera was moving before the first frame
-#: Misfit of the first frame, in those of the others, from which it began otherwise than supposed.
-UNLIKE = 1.15
+MAX_MOTION_PER_SUBSTEP = 1.0  # px: above, the flux between two instants is a guess
+MAX_SUBSTEPS = 16  # more mean that the camera jumps
+HALF_SPEED = 0.5  # of the speed after the first frame
+TRIAL_ITERATIONS = 40  # that decide whether the camera was moving before the first frame
+FIRST_FRAME_MISFIT = 1.15  # residual of the first frame relative to that of the others, that is reported
 
 
 @register("problem", "deblur_lag")
@@ -61,7 +60,7 @@ class DeblurLag(NUC):
         problem.to(problem.data.device)
         self.initialise(problem, seed)
         steps = self.plan(problem)("sensor 2").steps
-        return float(solve(problem, [Stage("before", steps, TRIAL)]).history[-1]["loss"])
+        return float(solve(problem, [Stage("before", steps, TRIAL_ITERATIONS)]).history[-1]["loss"])
 
     def plan(self, problem: Problem) -> Schedule:
         """Sensor; with motion and time constant, twice, to the end; scene."""
@@ -125,12 +124,12 @@ def path_of(problem: Problem) -> Trajectory:
 def speed_message(problem: Problem) -> list[str]:
     """A line if the camera moves by more than a pixel from instant to instant."""
     fastest = float(problem.field_of(problem.slot(Warp, "motion"))()[:, :2, 2].diff(dim=0).norm(dim=1).max())
-    if fastest < FAST * path_of(problem).steps:
+    if fastest < MAX_MOTION_PER_SUBSTEP * path_of(problem).steps:
         return []
-    enough = int(fastest / FAST) + 1
+    enough = int(fastest / MAX_MOTION_PER_SUBSTEP) + 1
     remedy = (
         f"take physics.lag.substeps={enough}, or move more slowly"
-        if enough <= FINEST
+        if enough <= MAX_SUBSTEPS
         else "where it was in between is not known. Move more slowly; if it jumped and stood still, take problem 'nuc'"
     )
     return [f"the camera moves by up to {fastest:.1f} px from one frame to the next: {remedy}"]
@@ -141,7 +140,7 @@ def start_message(problem: Problem) -> list[str]:
     """A line if the first frame misfits more than the others."""
     misfit = (problem.data - problem.predict(problem.values())).abs().where(problem.precision > 0, torch.nan)
     first, *others = misfit.flatten(1).nanmedian(1).values
-    if not first > UNLIKE * torch.stack(others).nanmedian():
+    if not first > FIRST_FRAME_MISFIT * torch.stack(others).nanmedian():
         return []
     moving, unlike = (
         problem.fields[slot_of(problem, "moving")],
@@ -152,7 +151,7 @@ def start_message(problem: Problem) -> list[str]:
             f"{unlike} camera do before it? Neither rest nor moving as it goes on fits, and the next frames hold some "
             "of it still: leave the first ones out (data.frames=2:)"
         ]
-    other = int(float(moving().mean()) < HALF)
+    other = int(float(moving().mean()) < HALF_SPEED)
     return [
         f"{unlike} camera do before it? Try physics.lag.moving={other}, or leave the first frames out (data.frames=2:)"
     ]

@@ -20,7 +20,7 @@ from deepir.fields.psf.defocus import Defocus
 from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.fields.psf.simplex import Simplex
-from deepir.optim.held_out import HELD_OUT as LEAST
+from deepir.optim import held_out
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate, start_scene
@@ -28,16 +28,15 @@ from deepir.problems.recipe import Recipe
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
-CUT = 0.1  # of a point-spread function's peak: more than that is not to be cut off
-TOLD = 0.1  # of the noise from pixel to pixel, from which on the spectrum is believed: a sharp frame's tells nothing
-NARROW = 0.5  # px: widths up to 0.45 are found of sharp frames, 0.52 to 0.64 of those with a blur of 0.5 px
-STILL = 0.5  # px of motion below which a burst counts as still
-#: Share of a frame's samples, in all frames together, that is held out: what a blur leaves of detail, few do not tell.
-HELD_OUT = 0.1
-#: Least weight of the scene's penalties, as a power of two of the natural ones: so few iterations are a prior, too,
-#: and the trials of a fine texture would go on to no weight at all.
-LIGHTEST = -6.0
-ITERATIONS = 40  # of a trial: through a blur, detail comes slowly
+MAX_PSF_EDGE = 0.1  # of a point-spread function, at the rim of its array, relative to its peak
+MIN_SPECTRAL_NOISE = 0.1  # relative to the noise between pixels: below, the spectrum is of a sharp frame
+MIN_PSF_WIDTH = 0.5  # px: sharp frames give widths up to 0.45, those with a blur of 0.5 px 0.52 to 0.64
+MAX_STILL_MOTION = 0.5  # px: a burst at rest moves by less
+HELD_OUT_SHARE = 0.1  # samples of one frame, over all frames: few do not show what detail a blur leaves
+#: Least weight of the scene's penalties, log2 of the default: early stopping is a prior too, and the search would go on
+#: to no weight for a fine texture.
+MIN_LOG2_WEIGHT = -6.0
+TRIAL_ITERATIONS = 40  # of cross-validation: through a blur, detail converges slowly
 
 
 @register("problem", "deconv")
@@ -68,7 +67,7 @@ class Deconv(Recipe):
             initial_estimate(problem, self.effects)
         else:
             start_scene(problem)
-        hold_out(problem, seed, max(LEAST, HELD_OUT / len(problem.data)))
+        hold_out(problem, seed, max(held_out.HELD_OUT, HELD_OUT_SHARE / len(problem.data)))
         weigh_scene(problem, self.sensor_weight)
         start_trials(problem, afresh=True)
 
@@ -87,7 +86,7 @@ class Deconv(Recipe):
         ]
         stages = [
             *(sensor if closed else [Stage("start", still, 40)]),
-            *cross_validation_stages(problem, first=0.0, least=LIGHTEST, iterations=ITERATIONS),
+            *cross_validation_stages(problem, first=0.0, least=MIN_LOG2_WEIGHT, iterations=TRIAL_ITERATIONS),
             Stage(
                 "scene", (Step(("scene",)),) if sharp else still, 120, prepare=self.finish, use_held_out=True
             ),
@@ -113,7 +112,9 @@ def hold_sensor(problem: Problem) -> list[str]:
     """Leave gain and offset as they are where the frames do not move, and say so: a scene would explain any pattern."""
     closed = problem.closed_form()
     motion = problem.values().get(problem.motion_unknown())
-    if not closed or (motion is not None and float((motion - motion[:1])[:, :2, 2].abs().max()) >= STILL):
+    if not closed or (
+        motion is not None and float((motion - motion[:1])[:, :2, 2].abs().max()) >= MAX_STILL_MOTION
+    ):
         return []
     for name in closed:
         problem.fields[name].requires_grad_(False)
@@ -142,7 +143,7 @@ def start_psf(problem: Problem) -> list[str]:
                     f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
                     f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius"
                 )
-            elif (width := float(field.width.detach())) < NARROW:
+            elif (width := float(field.width.detach())) < MIN_PSF_WIDTH:
                 messages.append(
                     f"hardly any blur is found (a width of {width:.2g} px): there is little to take away, "
                     "and what is fine in a frame that is sharp may be taken for noise. Of a burst take problem 'nuc'"
@@ -164,7 +165,7 @@ def start_noise(problem: Problem) -> None:
         return
     seen = float(problem.precision[usable].median().rsqrt())
     noise = spectral_noise(problem.fields[names[0]]().detach(), problem.data, usable)
-    if noise > TOLD * seen:
+    if noise > MIN_SPECTRAL_NOISE * seen:
         problem.precision.copy_(usable / noise**2)
 
 
@@ -177,7 +178,7 @@ def name_of(problem: Problem, unknown: str) -> str:
 def cut_off(field: PSF) -> bool:
     """Whether a point-spread function reaches beyond its array."""
     psf = field()[0, 0]
-    return float(max(psf[0].max(), psf[:, 0].max())) > CUT * float(psf.max())
+    return float(max(psf[0].max(), psf[:, 0].max())) > MAX_PSF_EDGE * float(psf.max())
 
 
 @torch.no_grad()

@@ -27,18 +27,19 @@ from deepir.registration import register as register_frames
 from deepir.registry import lookup, register
 from deepir.schedule import Schedule, Stage, Step
 
-ALONE = (
-    "one frame: stray flux is told from the scene by its being smooth, and by nothing else. A slope or a large glow of "
+ONE_FRAME_MESSAGE = (
+    "one frame: only its smoothness separates stray flux from the scene. A slope or a large glow of "
     "the scene is in it, its own fine parts and the pattern of the pixels are in the scene. Take 5 frames or more "
     "while the camera moves"
 )
 
 
-#: Times the iterations where the sensor is known: no pattern is eliminated, which takes stray flux with it.
-PATIENCE = 3
-#: Turns of the scene's own stage: strong stray flux has noise that its prior smooths far, and the scene's curvature
-#: changes with that.
-TURNS = 3
+KNOWN_SENSOR_FACTOR = (
+    3  # times the iterations where the sensor is known: no elimination speeds the stray flux up
+)
+SCENE_REPEATS = (
+    3  # of the scene's own stage: its curvature changes as the prior smooths the noise of strong stray flux
+)
 
 
 @register("problem", "narcissus")
@@ -63,7 +64,7 @@ class Narcissus(NUC):
         start_precision(problem)
         if len(problem.data) == 1:
             _start_alone(problem)
-            self.messages = [ALONE]
+            self.messages = [ONE_FRAME_MESSAGE]
         start_scene(problem)
         estimate_low_order(problem, start=True)
         rest = fixed_pattern_residual(problem)
@@ -90,12 +91,13 @@ class Narcissus(NUC):
             *(replace(each, prepare=_registered(each.prepare or self._first)) for each in rounds),
             *(
                 replace(scene, name=f"scene {i + 1}", prepare=None if i else self.finish)
-                for i in range(TURNS)
+                for i in range(SCENE_REPEATS)
                 for scene in scenes
             ),
         ]
         return Schedule(
-            replace(each, iterations=each.iterations * (1 if closed else PATIENCE)) for each in stages
+            replace(each, iterations=each.iterations * (1 if closed else KNOWN_SENSOR_FACTOR))
+            for each in stages
         )
 
     def _first(self, problem: Problem) -> None:

@@ -21,12 +21,12 @@ from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 
-FACTORS = (8, 4, 2)  # by which the pictures are coarser
-LEAST = 16  # px of a picture's shorter side
-SPACING = 4  # of the control points on each picture, in its px
-LOOSER = 0.3  # weight of the displacements' penalty, to the flow's own: a start has far to go
-ITERATIONS = 40
-ROUNDS = 3  # at each factor, with new weights
+PYRAMID_FACTORS = (8, 4, 2)  # of the coarser pictures
+MIN_SIDE = 16  # px, of the shorter side of a coarse picture
+CONTROL_POINT_SPACING = 4  # px of each coarse picture
+START_WEIGHT = 0.3  # of the displacements' penalty, relative to the flow's own: the start is far off
+LEVEL_ITERATIONS = 40  # at each level
+REWEIGHTINGS = 3  # at each level
 
 
 class Pictures(NamedTuple):
@@ -47,7 +47,11 @@ def optical_flow(frames: Tensor, known: Tensor, flow: Flow) -> Tensor:
     CPU, in float32.
     """
     height, width = frames.shape[1:]
-    coarse = [averaged(frames, known, factor) for factor in FACTORS if min(height, width) // factor >= LEAST]
+    coarse = [
+        averaged(frames, known, factor)
+        for factor in PYRAMID_FACTORS
+        if min(height, width) // factor >= MIN_SIDE
+    ]
     found = torch.zeros(len(frames), 2, height, width)
     for k in range(1, len(frames)):
         beside = found[:k]
@@ -70,8 +74,8 @@ def _fitted(pictures: Pictures, k: int, flow: Flow, guesses: Tensor) -> Tensor:
     """Displacements (1, 2, h, w) of frame `k`, from the best of the guesses (M, 2, h, w)."""
     factor, data, seen = pictures.factor, pictures.frames[[0, k]], pictures.known[[0, k]]
     size = (data.shape[1], data.shape[2])
-    spacing = max(factor * SPACING, flow.spacing)
-    field = Flow((2,), size=size, ratio=1 / factor, spacing=spacing, weight=LOOSER * float(flow.weight))
+    spacing = max(factor * CONTROL_POINT_SPACING, flow.spacing)
+    field = Flow((2,), size=size, ratio=1 / factor, spacing=spacing, weight=START_WEIGHT * float(flow.weight))
     field.start = resized(flow.start[[0, k]].permute(0, 3, 1, 2) / factor, size).permute(0, 2, 3, 1)
     problem = _problem(field, data, seen)
 
@@ -92,7 +96,7 @@ def _fitted(pictures: Pictures, k: int, flow: Flow, guesses: Tensor) -> Tensor:
         problem.precision.copy_(counts * (factor / spread) ** 2)  # a mean stands for factor² px
 
     step = (Step(("motion",)),)
-    solve(problem, [Stage(f"{i}", step, ITERATIONS, prepare=weigh) for i in range(ROUNDS)])
+    solve(problem, [Stage(f"{i}", step, LEVEL_ITERATIONS, prepare=weigh) for i in range(REWEIGHTINGS)])
     with torch.no_grad():
         beside = (field() - field.start).permute(0, 3, 1, 2)[1:]
     return factor * resized(beside, flow.size)
