@@ -54,17 +54,17 @@ class Problem(nn.Module):
     data: Tensor
     precision: Tensor
     held_out: Tensor
-    #: What the data have been divided by, (N, 1, 1, 1), about their middle.
+    #: Gains by which the frames were divided, (N, 1, 1, 1), about the median of the samples.
     contrast: Tensor
     #: The level that the data are measured from, (), float64; so is the scene.
     reference: Tensor
-    even: Tensor  # whether that was found to be the same for all
-    #: 1 or -1 where a sample is cut off, and the data a bound, (N, C, h, w) int8; None: nowhere.
+    even: Tensor  # whether all frames were found to share one gain, (), bool
+    #: 1 or -1 where a sample is saturated, and the data a bound, (N, C, h, w), int8; None: nowhere.
     ends: Tensor | None
-    moving: Tensor  # samples that show something that moves by itself, (N, 1, h, w), bool
-    #: The power of two by which a scene so plain bears stronger penalties; zero until it is known.
+    moving: Tensor  # samples that show a moving object, (N, 1, h, w), bool
+    #: log2 of the extra penalty weight that a smooth scene allows; 0 until it is estimated.
     plain: Tensor
-    #: Squared residuals, in variances of the noise, that the sensor's last round left; infinite until they are known.
+    #: Sum of squared residuals, in variances of the noise, after the sensor's last round; inf until it is known.
     rough: Tensor
 
     def __init__(
@@ -104,7 +104,7 @@ class Problem(nn.Module):
         self.register_buffer("rough", torch.tensor(torch.inf, dtype=torch.float64))
 
     def slot(self, kind: type[Operator], slot: str) -> str:
-        """The name of a slot of the first stage of a kind, whatever the stage is called; "" if there is none."""
+        """The name of a slot of the first stage of a kind; "" if there is none."""
         stages = [name for name, stage in self.operator.named() if isinstance(stage, kind)]
         name = f"{stages[0]}.{slot}" if stages else ""
         return name if name in self.slots else ""
@@ -142,16 +142,16 @@ class Problem(nn.Module):
         return self.operator(values["scene"], **self._slot_values(values))
 
     def flux(self, values: Values) -> Tensor:
-        """What falls on the detector: the prediction before the sensor, which must be the last stage."""
+        """Irradiance on the detector: the prediction before the sensor, which must be the last stage."""
         x, slots = values["scene"], self._slot_values(values)
         for name, stage in self.operator.named()[:-1]:
             x = stage(x, **slots_of(slots, name))
         return x.expand(len(self.data), *x.shape[1:])
 
     def measure_from(self, level: float) -> None:
-        """Measure the data from another level, in the units and from the zero that they came with.
+        """Subtract a reference level, in the units of the input, from the data.
 
-        The equation of the sensor is the same; its offset is that of the new level. The scene is to be started anew.
+        The sensor's equation is the same, with the offset at the new level. The scene is to be started anew.
         """
         self.data = self.data - (level - float(self.reference))  # the frames themselves stay as they are
         self.reference.fill_(level)
@@ -163,7 +163,7 @@ class Problem(nn.Module):
         self.contrast.mul_(gain)
 
     def middle(self) -> Tensor:
-        """The median of the samples that count: contrasts are about it."""
+        """The median of the samples that count, about which frames are divided by gains."""
         return self.data[self.precision > 0].median()
 
     def fitted(self) -> Tensor:
@@ -182,7 +182,7 @@ class Problem(nn.Module):
         return {"data": self.misfit(values, eliminated, precision)} | self.priors(values, eliminated)
 
     def priors(self, values: Values, eliminated: Collection[str] = ()) -> Values:
-        """Those of the terms that are of the unknowns alone, for which there are values."""
+        """Penalty terms by name, for the unknowns in `values`."""
         terms = {}
         for name, field in self.fields.items():
             if name not in values:
@@ -196,14 +196,11 @@ class Problem(nn.Module):
         return terms
 
     def shown(self, name: str, value: Tensor, penalty: Penalty) -> Tensor:
-        """What a penalty on an unknown is of: its value, or the picture that the scene shows."""
+        """What a penalty acts on: the unknown's value, or the scene's samples at pixel centres."""
         return self.operator.image(value) if penalty.of_image and name == "scene" else value
 
     def represent(self, name: str, field: Field, penalties: Mapping[str, Penalty]) -> None:
-        """Let another field of the same shape, with penalties of its own, stand for an unknown.
-
-        Those that may follow the scene from place to place go on as those before did.
-        """
+        """Replace the field and the penalties of an unknown; spatial weight maps are inherited."""
         before = self.penalties[name].values() if name in self.penalties else ()
         for old in before:
             for new in penalties.values():
@@ -213,7 +210,7 @@ class Problem(nn.Module):
         self.penalties[name] = nn.ModuleDict(penalties)  # type: ignore[index]
 
     def misfit(self, values: Values, eliminated: Collection[str], precision: Tensor) -> Tensor:
-        """That of them which is of the data, see `losses`."""
+        """Negative log-likelihood of the data, in nats; the `data` term of `losses`."""
         name, last = self.operator.named()[-1]
         if not isinstance(last, Sensor):
             return self.fidelity(self.predict(values), self.data, precision)
@@ -228,12 +225,12 @@ class Problem(nn.Module):
         return self.fidelity(last(flux, **slots), self.data, precision)
 
     def alive(self) -> Tensor:
-        """Pixels (h, w), bool, of which some sample counts, or is a bound that may count."""
+        """Pixels (h, w), bool, with a sample that counts, or a bound."""
         some = self.precision > 0
         return (some if self.ends is None else some | (self.ends != 0)).any(0).any(0)
 
     def free(self) -> list[str]:
-        """The unknowns that can move: those with parameters that are not fixed."""
+        """Unknowns with parameters that are not fixed."""
         return [
             name
             for name, field in self.fields.items()
@@ -241,7 +238,7 @@ class Problem(nn.Module):
         ]
 
     def closed_form(self) -> list[str]:
-        """The unknowns that can be eliminated: Gaussian parts of the sensor that ends the operator."""
+        """Unknowns with an optimum in closed form: Gaussian gain and offset of a sensor that ends the operator."""
         name, last = self.operator.named()[-1]
         if not (isinstance(last, Sensor) and self.fidelity.quadratic):
             return []
@@ -260,10 +257,15 @@ class Problem(nn.Module):
         return average(self.data - average.at_zero), average.weight
 
     def beside(self, values: Values, residual: Tensor, average: RegisteredAverage | None = None) -> Tensor:
-        """What is left of the data, (N, C, h, w), once the scene has followed what their `residual` has in common.
+        """Residual of the data, (N, C, h, w), after one averaging step of the scene.
 
-        In one step, by its registered `average`. What all frames show is no outlier: a peak that the scene does not
-        reach yet leaves as much as somebody who walks by, but the same in each frame.
+        What all frames show is no outlier: a peak that the scene does not reach yet leaves as large a residual as a
+        moving object, but the same in each frame.
+
+        Args:
+            values: Of the unknowns.
+            residual: Of the data, (N, C, h, w), whose registered average is added to the scene.
+            average: Spares its computation where it is known.
         """
         step = (average or RegisteredAverage(self, values))(residual)
         return self.data - self.predict(values | {"scene": values["scene"] + step})
@@ -289,7 +291,7 @@ class Problem(nn.Module):
 
     @torch.no_grad()
     def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Elimination:
-        """What `eliminate` finds, whole, of the samples that are fitted."""
+        """Posterior of gain and offset given the others, from the samples that are fitted."""
         return self._eliminate(values, group, self.flux(values) if flux is None else flux, self.fitted())
 
     @torch.no_grad()

@@ -1,8 +1,4 @@
-"""Contrasts of whole frames: of pictures, each stretched by its own, and of a camera whose response drifts.
-
-A frame that is a thousandth brighter throughout is brighter by more where the scene is bright: slow parts of scene and
-pattern that explain this, too, are larger than either.
-"""
+"""Gains of whole frames, as an automatic gain control (AGC) sets them."""
 
 from __future__ import annotations
 
@@ -25,10 +21,15 @@ REPORTED_AGC, REPORTED_DRIFT = 0.02, 0.001  # deviation of gains that is reporte
 
 @torch.no_grad()
 def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
-    """Divide the frames of stretched pictures by their contrasts, of mean one, as far as these are found by now.
+    """Divide AGC frames by their gains, of mean one, estimated by regression on the prediction.
 
-    At a start, contrasts that all differ by less than `least` are left as they are, and what stands still is not in the
-    prediction yet. Once a round has shown that all are alike, nothing more is done. Whether any was divided.
+    Args:
+        problem: Its data are divided, and its `contrast` multiplied.
+        least: In the initial estimate, gains that all deviate by less are left; the fixed pattern, which is not in
+            the prediction yet, is added to it.
+
+    Returns:
+        Whether frames were divided. Once a round has found all gains equal, none is.
     """
     if not problem.stretched or problem.even:
         return False
@@ -49,7 +50,7 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
 
 
 def frame_gain_message(problem: Problem) -> list[str]:
-    """Say so if contrasts differ."""
+    """A message if the gains of the frames differ."""
     apart = float((problem.contrast / problem.contrast.mean() - 1).abs().max())
     if problem.stretched and apart >= REPORTED_AGC:
         return [
@@ -62,7 +63,7 @@ def frame_gain_message(problem: Problem) -> list[str]:
 
 
 def contrast_slopes(frames: Tensor, expected: Tensor, weight: Tensor, degree: int) -> tuple[Tensor, Tensor]:
-    """Of frames on what is expected of them, (N, h, w), by least squares, less what is slow; and how sure, (N,)."""
+    """Least-squares slopes of frames (N, h, w) on their prediction, low-order parts aside; and their information."""
     y, x = (torch.linspace(-1, 1, side).to(frames).double() for side in frames.shape[1:])
     slow = torch.stack([(y**i)[:, None] * x**j for i in range(degree + 1) for j in range(degree + 1 - i)])
     design = torch.cat((expected[:, None].double(), slow.expand(len(frames), -1, -1, -1)), 1).flatten(2)
@@ -70,9 +71,9 @@ def contrast_slopes(frames: Tensor, expected: Tensor, weight: Tensor, degree: in
     normal = weighted @ design.mT
     normal.diagonal(dim1=1, dim2=2).mul_(1 + 1e-9)
     inverse, failed = torch.linalg.inv_ex(normal)
-    told = (inverse @ (weighted @ frames.double().flatten(1)[..., None]))[:, 0, 0]
+    slope = (inverse @ (weighted @ frames.double().flatten(1)[..., None]))[:, 0, 0]
     known = (failed == 0) & (inverse[:, 0, 0] > 0)
-    return told.where(known, 1.0), (1 / inverse[:, 0, 0]).where(known, 0.0)
+    return slope.where(known, 1.0), (1 / inverse[:, 0, 0]).where(known, 0.0)
 
 
 @register("effect", "frame_gain")

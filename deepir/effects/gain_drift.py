@@ -49,9 +49,9 @@ class GainDrift(Effect):
 
 @torch.no_grad()
 def detect_gain_drift(problem: Problem) -> bool:
-    """Whether frames that are no pictures have contrasts, too: whether their parts agree on them.
+    """Whether the gain drifts from frame to frame: whether the blocks of a frame agree on a deviation.
 
-    It is right only where scene and pattern have settled. Somebody who walks by is in one part or two.
+    Valid where scene and pattern have converged. A moving object is in one block or two.
     """
     if problem.stretched:
         return False
@@ -66,12 +66,12 @@ def detect_gain_drift(problem: Problem) -> bool:
 
 @torch.no_grad()
 def correct_gain_drift(problem: Problem) -> None:
-    """Divide the frames by what their contrasts are by now."""
+    """Divide the frames by the estimated gains."""
     problem.divide_frames(GainOffsetEvidence(problem, contrasts=True).contrasts())
 
 
 def _parts(problem: Problem, expected: Tensor) -> tuple[Tensor, Tensor]:
-    """Slopes of the parts of frames on what is expected of them, (N, parts), and how much each part tells, (parts,)."""
+    """Slopes of the blocks of frames on their prediction, (N, blocks), and the information of each block, (blocks,)."""
     h, w = problem.data.shape[-2:]
     step = max(round((h * w / MAX_SAMPLES) ** 0.5), 1)
     rows, columns = (

@@ -1,4 +1,4 @@
-"""Whether rows or columns jump from frame to frame, and by how much: from the means of the residuals along them."""
+"""Temporal row and column noise: its variance from the means of the residuals along the lines."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MIN_JUMP = 0.1  # standard deviation of jumps that matter, in those of a sample'
 def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
     """The stage of the scene; or, where lines jump, one in which the jumps follow the scene.
 
-    What all frames' jumps in a line of the scene have in common, these do not tell from the scene: its penalties do.
+    What the jumps of all frames have in common along a line of the scene, only the scene's penalties separate from it.
     """
     if not line_noise_fields(problem):
         return [scene]
@@ -42,7 +42,7 @@ def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
 
 @torch.no_grad()
 def line_noise_message(problem: Problem) -> list[str]:
-    """Say so if lines jump."""
+    """A message if lines jump."""
     noise = median_sigma(problem.precision)
     found = [(field.lines, float(field.sigma)) for field in line_noise_fields(problem) if field.sigma > 0]
     return [
@@ -54,10 +54,10 @@ def line_noise_message(problem: Problem) -> list[str]:
 
 @torch.no_grad()
 def estimate_line_noise(problem: Problem) -> None:
-    """Set by how much lines jump, and each jump to its mean with all else held.
+    """Set the standard deviation of the jumps of lines, and each jump to its posterior mean.
 
-    A line that jumps does so in both its halves, unlike noise and what the model lacks. Scene and fixed pattern
-    explain two of the n values of a line, whatever these are: of the variance of jumps `(n - 2) / n` is left.
+    A line that jumps does so in both its halves, unlike noise and model errors. Scene and fixed pattern explain two of
+    the n values of a line, so that `(n - 2) / n` of the variance of the jumps is left.
     """
     fields = line_noise_fields(problem)
     for field in fields:

@@ -1,4 +1,4 @@
-"""What moves by itself: samples that show somebody who walks by, and not the scene."""
+"""Moving objects: samples that show an object in front of the scene."""
 
 from __future__ import annotations
 
@@ -42,9 +42,12 @@ Region = tuple[tuple[slice, ...], Tensor]
 
 @dataclass(frozen=True)
 class MovingObjects:
-    """What moves by itself: `samples` (N, 1, h, w), bool, that show it, and those that `alone` see the scene behind it.
+    """Moving objects of a burst.
 
-    `apart`: by how many robust standard deviations it differs from the scene, in the median.
+    Args:
+        samples: That show an object, (N, 1, h, w), bool.
+        alone: Samples that are the only ones to see the scene behind an object, (N, 1, h, w), bool.
+        apart: Median difference between object and scene, robust standard deviations.
     """
 
     samples: Tensor
@@ -54,10 +57,13 @@ class MovingObjects:
 
 @torch.no_grad()
 def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
-    """Let samples count next to nothing that show something that moves by itself; see `detect_moving_objects`.
+    """Give samples of moving objects next to no weight; see `detect_moving_objects`.
 
-    Returned is by how many robust standard deviations it differs; zero where nothing moves. Who alone sees the scene
-    misfits what the others made of it, and is no longer doubted for that.
+    Samples that alone see the scene behind an object get their weight back: their residual is that of an object in the
+    scene that the other frames show.
+
+    Returns:
+        Median difference between object and scene, robust standard deviations; 0 without an object.
     """
     problem.moving.zero_()
     found = detect_moving_objects(problem, settled=settled)
@@ -71,11 +77,17 @@ def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
 
 @torch.no_grad()
 def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingObjects | None:
-    """What moves by itself, by the residuals, carried to the scene's grid; None where nothing does.
+    """Detect moving objects by the residuals, carried to the scene's grid.
 
-    In a place where the frames are of two minds, something stands before the scene in some of them; in which, see
-    `foreground`. Where the others still differ when he is out, it is the scene that bends, and nothing is found; unless
-    the scene has not `settled` enough to tell.
+    Where the frames fall into two groups at a place, an object is in front of the scene in one of them; `foreground`
+    decides in which.
+
+    Args:
+        problem: With a scene and a pattern that explain most of the frames.
+        settled: Scene and pattern have converged: places where the other frames still disagree are parallax.
+
+    Returns:
+        None where nothing moves.
     """
     values = problem.values()
     first, frames = problem.operator.named()[0][1], len(problem.data)
@@ -120,7 +132,7 @@ def moving_message(problem: Problem) -> list[str]:
 
 
 def _restore_weight(problem: Problem, samples: Tensor) -> None:
-    """Let some samples (N, 1, h, w), bool, count as much as is usual, if they are usable."""
+    """Give usable samples (N, 1, h, w), bool, at least the median precision."""
     usual = torch.full_like(problem.precision, median_sigma(problem.precision) ** -2)
     better = samples & (problem.precision > 0) & (problem.precision < usual)
     problem.precision.copy_(usual.where(better, problem.precision))
@@ -139,7 +151,7 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
 
 
 def _widest_gap(seen: Tensor, known: Tensor, least: float) -> tuple[Tensor, Tensor]:
-    """The widest gap between the frames' values at each place (H, W), and its middle; zero where all is nearer."""
+    """The widest gap between the frames' values at each place (H, W), and its middle; zero where it is below `least`."""
     low, high = seen.where(known, torch.inf).amin(0), seen.where(known, -torch.inf).amax(0)
     apart = high - low > least
     gap, middle = torch.zeros_like(low), torch.zeros_like(low)
@@ -159,8 +171,7 @@ def _usual(seen: Tensor, known: Tensor) -> float:
 
 
 def _regions(wide: Tensor, far: Tensor) -> Iterator[Region]:
-    """Regions of `wide` places (H, W) that are nowhere thin and hold a `far` one: for each a box around it, of
-    (N, H, W), and which places of the box it has."""
+    """Connected regions of `wide` places (H, W), nowhere thin, with a `far` one: a box of (N, H, W), and its places."""
     if not far.any():
         return
     thick = _dilated(1 - _dilated(1 - wide[None, None].float(), MIN_WIDTH), MIN_WIDTH)[0, 0] > 0.5
@@ -181,7 +192,7 @@ def _differ(seen: Tensor, some: Tensor) -> float:
 
 
 def _shown(flux: Tensor, known: Tensor, above: Tensor, regions: Sequence[Region]) -> Tensor:
-    """Frames (N, H, W), bool, that show in `regions` what moves: those `above` the gap or those below."""
+    """Frames (N, H, W), bool, that show an object in `regions`: those `above` the gap or those below."""
     inside = torch.zeros_like(known[0])
     for box, region in regions:
         inside[box[1:]] |= region

@@ -1,4 +1,4 @@
-"""Whether there is shading, and whether the levels drift: by the evidence of what is slow over the frame."""
+"""Shading of the offset and drift of the level, by the evidence of low-order parts of the frames."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ MIN_FRAMES = 3  # that separate shading and stray flux from the scene
 
 @torch.no_grad()
 def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
-    """Set the strengths of shading and drift as the evidence has them; with `start` the levels and the scene too.
+    """Set the standard deviations of shading and drift by their evidence; with `start` levels and scene, too.
 
-    Stray flux is shading of another shape: there is some if there is shading, and it is as strong as it was found.
+    Stray flux is shading of another shape: it is there if shading is, as strong as it was estimated.
     """
     shadings, stray, drifts = low_order_unknowns(problem)
     if not (shadings or stray or drifts):
@@ -32,7 +32,7 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
     # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
     sure = not (start and stray)
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
-    if smooth and len(problem.data) < MIN_FRAMES:  # then a drift is not told from it either
+    if smooth and len(problem.data) < MIN_FRAMES:  # a drift is not separated from it either
         smooth = drift = 0.0
     step = contrast(problem) / problem.data[0].numel() ** 0.5 if start else None
     for part in shadings:

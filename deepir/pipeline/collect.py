@@ -1,4 +1,4 @@
-"""The result of a solved problem: values where a user looks for them, in the gauge, with how sure they are."""
+"""The result of a solved problem: values in the gauge, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def make_result(
 
 
 def cost_message(cost: float, n_frames: int) -> list[str]:
-    """A line if it costs a good part of the frames that they have to tell the pattern from the scene."""
+    """A message if the unknown pattern costs a good part of what the frames show of the scene."""
     if not cost > REPORTED_PENALTY:
         return []
     return [

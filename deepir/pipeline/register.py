@@ -91,14 +91,14 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
     moved = (at - at[0]).abs().amax()
     if moved < MAX_STILL_MOTION:
         raise DataError(
-            f"{burst.source}: the frames do not move as a whole, or show too little to tell, so that the scene and the "
-            "sensor's fixed pattern cannot be told apart. Move the camera between frames, by 3 to 10 px in x and in y, "
+            f"{burst.source}: the frames do not move as a whole, or show too little to register, so that scene and "
+            "fixed pattern cannot be separated. Move the camera between frames, by 3 to 10 px in x and in y, "
             "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
             "data.mask"
         )
     few = [
-        f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to tell from "
-        "the scene. Move the camera between frames, by 3 to 10 px in x and in y"
+        f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to separate "
+        "from the scene. Move the camera between frames, by 3 to 10 px in x and in y"
         for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, burst.size), strict=True)
         if span < MIN_MOTION_SPAN
     ]
@@ -134,9 +134,9 @@ def _along_a_line(at: Tensor) -> list[str]:
     if (steps[0] - shift).norm(dim=1).max() > shift.norm():  # some point of the frames rests
         return [
             f"the frames turn about one point, by {along:.1f} px at their corners, and do not move: what is constant "
-            "around it is hard to tell from the scene. Move the camera too, by 3 to 10 px in x and in y"
+            "around it is hard to separate from the scene. Move the camera too, by 3 to 10 px in x and in y"
         ]
     return [
-        f"the frames move along one line, by {along:.1f} px: what is constant along it is hard to tell from the scene. "
-        "Move the camera at right angles to it too, by 3 to 10 px"
+        f"the frames move along one line, by {along:.1f} px: what is constant along it is hard to separate from the "
+        "scene. Move the camera at right angles to it too, by 3 to 10 px"
     ]

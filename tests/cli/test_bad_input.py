@@ -80,11 +80,11 @@ DATA = {
     "no frame but one that is not constant": (all_but_one_are(7.0), ["frame 1 is 7 everywhere"]),
     "identical frames": (
         stored(lambda f: f[[0, 0, 0]]),
-        ["do not move", "cannot be told apart", "3 to 10 px"],
+        ["do not move", "cannot be separated", "3 to 10 px"],
     ),
     "a camera at rest": (
         stored(lambda f: f[[0, 0, 0]] + RNG.normal(0, 3, f.shape)),
-        ["do not move", "cannot be told apart", "3 to 10 px"],
+        ["do not move", "cannot be separated", "3 to 10 px"],
     ),
     "unrelated frames": (stored(lambda f: RNG.normal(8000, 300, f.shape)), ["only 1 of 3 frames register"]),
 }
