@@ -35,7 +35,7 @@ SECTIONS = {
     "Concepts": ["how-it-works", "jitter", "sensor-physics", "conventions", "extending"],
     "Estimation": ["how-it-estimates", *(f"estimates-{each}" for each in ESTIMATES), "judging"],
     "Figures": ["results", "benchmarks", "bench-*", "rivals", "performance", "reliability"],
-    "Reference": ["components", "reference/*", "CHANGELOG"],
+    "Reference": ["glossary", "components", "reference/*", "CHANGELOG"],
 }
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
