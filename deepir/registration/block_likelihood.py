@@ -15,83 +15,89 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import carried, nearest_angle, rotation
-from deepir.registration.shift_likelihood import Spectra, likeliest
+from deepir.registration.shift_likelihood import ShiftLikelihood, maximise
 
-FOUR = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
-NINE = (0, 4), (3, 7), (6, 10)  # or tenths
+GRID_2X2 = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
+GRID_3X3 = (0, 4), (3, 7), (6, 10)  # or tenths
 
-Parts = tuple[tuple[int, int], ...]
+Grid = tuple[tuple[int, int], ...]
 
 
-def all_but_one(gained: list[float]) -> float:
+def leave_best_out_sum(ratios: list[float]) -> float:
     """The sum of all but the greatest."""
-    return sum(gained) - max(gained)
+    return sum(ratios) - max(ratios)
 
 
-def gains(frames: Tensor, before: Tensor, after: Tensor, parts: Parts) -> list[float]:
+def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) -> list[float]:
     """In nats, what each part of frames gains from motions `(N, 3, 3)` to others.
 
     A part only shifts, and its powers are those that are found at either.
     """
-    found = []
-    for spectra, centre in pieces(frames, parts):
-        at, gain = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
-        old, new = ((carried(motion[1:], at) - at[:2])[:, :, 0].numpy() for motion in (before, after))
-        for shifts in (new, old):
-            spectra.update(shifts)
-            gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]
-        found.append(gain)
-    return found
+    ratios = []
+    for likelihood, centre in blocks(frames, grid):
+        centre_point, ratio = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
+        shifts_before, shifts_after = (
+            (carried(motion[1:], centre_point) - centre_point[:2])[:, :, 0].numpy()
+            for motion in (before, after)
+        )
+        for shifts in (shifts_after, shifts_before):
+            likelihood.update_powers(shifts)
+            ratio += (
+                likelihood.negative_log_likelihood(shifts_before.ravel())[0]
+                - likelihood.negative_log_likelihood(shifts_after.ravel())[0]
+            )
+        ratios.append(ratio)
+    return ratios
 
 
-def pieces(frames: Tensor, parts: Parts) -> Iterator[tuple[Spectra, np.ndarray]]:
+def blocks(frames: Tensor, grid: Grid) -> Iterator[tuple[ShiftLikelihood, np.ndarray]]:
     """The parts of frames `(N, h, w)`, and their middles (x, y), from the frame's."""
     h, w = frames.shape[1:]
     rows, columns = (
-        [slice(a * side // parts[-1][1], b * side // parts[-1][1]) for a, b in parts] for side in (h, w)
+        [slice(a * side // grid[-1][1], b * side // grid[-1][1]) for a, b in grid] for side in (h, w)
     )
     for y, x in itertools.product(rows, columns):
-        yield Spectra(frames[:, y, x]), np.array([x.start + x.stop - w, y.start + y.stop - h]) / 2
+        yield ShiftLikelihood(frames[:, y, x]), np.array([x.start + x.stop - w, y.start + y.stop - h]) / 2
 
 
-def likeliest_turns(frames: Tensor, start: Tensor) -> Tensor:
+def maximise_rotation_likelihood(frames: Tensor, start: Tensor) -> Tensor:
     """Rigid motions `(N, 3, 3)` of frames `(N, h, w)`, relative to the first, from a start `(N, 3, 3)`."""
-    turns = _Turns(frames)
-    angles = turns.reach * nearest_angle(start[1:])
-    place = likeliest(turns, torch.cat((start[1:, :2, 2], angles[:, None]), 1).numpy())
+    likelihood = RotationLikelihood(frames)
+    angles = likelihood.half_diagonal * nearest_angle(start[1:])
+    parameters = maximise(likelihood, torch.cat((start[1:, :2, 2], angles[:, None]), 1).numpy())
     motion = start.clone()
-    motion[1:] = rotation(torch.from_numpy(place[:, 2] / turns.reach))
-    motion[1:, :2, 2] = torch.from_numpy(place[:, :2])
+    motion[1:] = rotation(torch.from_numpy(parameters[:, 2] / likelihood.half_diagonal))
+    motion[1:, :2, 2] = torch.from_numpy(parameters[:, :2])
     return motion
 
 
-class _Turns:
+class RotationLikelihood:
     """The parts' likelihood of x, y and angle, in px at the corners, of all frames but the first, `(N - 1, 3)`."""
 
     def __init__(self, frames: Tensor) -> None:
-        self.reach = float(np.hypot(*frames.shape[1:])) / 2
-        self.pieces = list(pieces(frames, NINE))
+        self.half_diagonal = float(np.hypot(*frames.shape[1:])) / 2
+        self.blocks = list(blocks(frames, GRID_3X3))
 
-    def nats(self, place: np.ndarray) -> tuple[float, np.ndarray]:
+    def negative_log_likelihood(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the log-likelihood, less what does not depend on the place; and its gradient."""
-        total, slope = 0.0, np.zeros((place.size // 3, 3))
-        for spectra, centre in self.pieces:
-            shifts, by_angle = self._shifts(place.reshape(-1, 3), centre)
-            nats, slopes = spectra.nats(shifts.ravel())
-            slopes = slopes.reshape(-1, 2)
-            total += nats
-            slope[:, :2] += slopes
-            slope[:, 2] += (slopes * by_angle).sum(1)
-        return total, slope.ravel()
+        total, gradient = 0.0, np.zeros((parameters.size // 3, 3))
+        for likelihood, centre in self.blocks:
+            shifts, angle_derivative = self._block_shifts(parameters.reshape(-1, 3), centre)
+            value, block_gradient = likelihood.negative_log_likelihood(shifts.ravel())
+            block_gradient = block_gradient.reshape(-1, 2)
+            total += value
+            gradient[:, :2] += block_gradient
+            gradient[:, 2] += (block_gradient * angle_derivative).sum(1)
+        return total, gradient.ravel()
 
-    def update(self, place: np.ndarray) -> None:
+    def update_powers(self, parameters: np.ndarray) -> None:
         """The powers that are likeliest there, of each part."""
-        for spectra, centre in self.pieces:
-            spectra.update(self._shifts(place, centre)[0])
+        for likelihood, centre in self.blocks:
+            likelihood.update_powers(self._block_shifts(parameters, centre)[0])
 
-    def _shifts(self, place: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _block_shifts(self, parameters: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far a part's middle moves, `(N - 1, 2)`, and how that changes with the angle."""
-        cosine, sine = (each(place[:, 2:] / self.reach) for each in (np.cos, np.sin))
-        across = np.array([-centre[1], centre[0]])
-        moved = place[:, :2] + (cosine - 1) * centre + sine * across
-        return moved, (cosine * across - sine * centre) / self.reach
+        cosine, sine = (each(parameters[:, 2:] / self.half_diagonal) for each in (np.cos, np.sin))
+        tangent = np.array([-centre[1], centre[0]])
+        shifts = parameters[:, :2] + (cosine - 1) * centre + sine * tangent
+        return shifts, (cosine * tangent - sine * centre) / self.half_diagonal

@@ -22,61 +22,67 @@ LITTLE, LEAST = 0.12, 4.5
 TRIED = 4  # frames that are tried as the one to compare with
 
 
-def search(images: Tensor, level: Level, model: str, standing: bool) -> tuple[Tensor, Tensor]:
+def correlation_search(
+    images: Tensor, level: Level, model: str, pattern_present: bool
+) -> tuple[Tensor, Tensor]:
     """Motions `(N, 3, 3)` of images `(N, h, w)` relative to one of them, and how clearly `(N,)` each stands out.
 
     That one is the first with which most agree; the frame itself stands out without bound.
     """
     n = len(images)
-    waiting, best = list(range(n)), None
+    candidates, best = list(range(n)), None
     for _ in range(min(TRIED, n)):
-        if not waiting:
+        if not candidates:
             break
-        motion, clear = match(images[waiting[0]], images, level, model, standing)
-        motion[waiting[0]], clear[waiting[0]] = torch.eye(3, dtype=torch.float64), math.inf
-        if best is None or (clear > 1).sum() > (best[1] > 1).sum():
-            best = motion, clear
-        if 2 * (clear > 1).sum() > n:
+        motion, match_score = match_to_reference(images[candidates[0]], images, level, model, pattern_present)
+        motion[candidates[0]], match_score[candidates[0]] = torch.eye(3, dtype=torch.float64), math.inf
+        if best is None or (match_score > 1).sum() > (best[1] > 1).sum():
+            best = motion, match_score
+        if 2 * (match_score > 1).sum() > n:
             break
-        waiting = [k for k in waiting if not clear[k] > 1]
+        candidates = [k for k in candidates if not match_score[k] > 1]
     assert best is not None
     return best
 
 
-def chance(level: Level) -> float:
+def detection_threshold(level: Level) -> float:
     """Deviations that a match has to stand out by; `clear` is in units of it."""
     return min(CLEAR, max(LEAST, LITTLE * level.weight.numel() ** 0.5))
 
 
-def match(
-    reference: Tensor, images: Tensor, level: Level, model: str, standing: bool
+def match_to_reference(
+    reference: Tensor, images: Tensor, level: Level, model: str, pattern_present: bool
 ) -> tuple[Tensor, Tensor]:
     """The best motion `(N, 3, 3)` of images `(N, h, w)` against a reference `(h, w)`, and how clear it is."""
     h, w = reference.shape
-    spectra = torch.fft.rfft2(images * window(h, w)).conj()
-    turns = rotation(torch.tensor(ANGLES[:1] if model == "shift" else ANGLES, dtype=torch.float64))
-    found = torch.eye(3, dtype=torch.float64).repeat(len(images), 1, 1)
-    height = torch.zeros(len(images))
-    for k, turn in enumerate(turns):
-        turned, _ = sample(reference[None], turn[None], level)
-        surface = correlation(turned[0], spectra, (h, w), standing)
-        peak, at = surface.flatten(1).max(1)
+    spectra = torch.fft.rfft2(images * hann_window(h, w)).conj()
+    rotations = rotation(torch.tensor(ANGLES[:1] if model == "shift" else ANGLES, dtype=torch.float64))
+    best_motion = torch.eye(3, dtype=torch.float64).repeat(len(images), 1, 1)
+    best_height = torch.zeros(len(images))
+    for k, turn in enumerate(rotations):
+        rotated, _ = sample(reference[None], turn[None], level)
+        surface = whitened_correlation(rotated[0], spectra, (h, w), pattern_present)
+        peak, peak_index = surface.flatten(1).max(1)
         peak = peak / surface.std((1, 2)).clamp_min(1e-20)
         # frame(p) = reference(turn (p + lag)): the lag is found in the turned reference's axes
-        lag = torch.stack(((at % w + w // 2) % w - w // 2, (at // w + h // 2) % h - h // 2), -1)
+        lag = torch.stack(
+            ((peak_index % w + w // 2) % w - w // 2, (peak_index // w + h // 2) % h - h // 2), -1
+        )
         motion = turn.repeat(len(images), 1, 1)
         motion[:, :2, 2] = lag.double() * level.factor @ turn[:2, :2].T
-        better = peak > height * (TURN_MARGIN if k else 1.0)
-        found[better], height[better] = motion[better], peak[better]
-    return found, height.double() / chance(level)
+        improved = peak > best_height * (TURN_MARGIN if k else 1.0)
+        best_motion[improved], best_height[improved] = motion[improved], peak[improved]
+    return best_motion, best_height.double() / detection_threshold(level)
 
 
-def window(h: int, w: int) -> Tensor:
+def hann_window(h: int, w: int) -> Tensor:
     """A Hann window `(h, w)`."""
     return torch.hann_window(h, periodic=False)[:, None] * torch.hann_window(w, periodic=False)
 
 
-def correlation(reference: Tensor, spectra: Tensor, size: tuple[int, int], standing: bool) -> Tensor:
+def whitened_correlation(
+    reference: Tensor, spectra: Tensor, size: tuple[int, int], pattern_present: bool
+) -> Tensor:
     """Partly whitened cross-correlation `(N, h, w)` with the reference; lag zero at [0, 0].
 
     standing: a fixed pattern is in the images. It correlates with itself at lag zero, a residue of stripes along
@@ -84,8 +90,8 @@ def correlation(reference: Tensor, spectra: Tensor, size: tuple[int, int], stand
     (Whitening: Knapp & Carter 1976; phase correlation: Kuglin & Hines 1975.)
     """
     h, w = size
-    cross = spectra * torch.fft.rfft2(reference * window(h, w))
-    if standing:
+    cross = spectra * torch.fft.rfft2(reference * hann_window(h, w))
+    if pattern_present:
         lags = torch.fft.irfft2(cross, s=size)
         lags[:, :, 0] = (lags[:, :, 1] + lags[:, :, -1]) / 2
         lags[:, 0] = (lags[:, 1] + lags[:, -1]) / 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from torch import Tensor
 
-from deepir.registration.shift_likelihood import Spectra
+from deepir.registration.shift_likelihood import ShiftLikelihood
 
 SLOWEST = 0.2  # radians a px: of longer waves more leaves the frame than what their noise is guessed to be
 PASSES = 4  # over all frames, at most
@@ -18,41 +18,46 @@ def integer_shifts(frames: Tensor) -> np.ndarray:
     waves, for all shifts d at once, is a Fourier transform: a correlation in which scene, pattern and noise have their
     weights. The powers are guessed. At lag zero the pattern is with itself, whatever its weight: that lag is left out.
     """
-    spectra = Spectra(frames)
-    h, w = spectra.size
-    at, placed = np.zeros((len(frames), 2), int), np.arange(len(frames)) == 0
+    likelihood = ShiftLikelihood(frames)
+    h, w = likelihood.size
+    shifts, is_placed = np.zeros((len(frames), 2), int), np.arange(len(frames)) == 0
     for _ in range(PASSES):
-        before = at.copy()
+        previous = shifts.copy()
         for k in range(1, len(frames)):
-            others = placed & (np.arange(len(frames)) != k)
-            nats = np.fft.irfft2(first_harmonic(spectra, k, others, at), s=(h, w))
-            nats[at[others, 1], at[others, 0]] = np.inf
-            y, x = np.unravel_index(nats.argmin(), nats.shape)
-            at[k] = (x + w // 2) % w - w // 2, (y + h // 2) % h - h // 2
-            placed[k] = True
-        if (at == before).all():
+            other_frames = is_placed & (np.arange(len(frames)) != k)
+            scores = np.fft.irfft2(first_harmonic(likelihood, k, other_frames, shifts), s=(h, w))
+            scores[shifts[other_frames, 1], shifts[other_frames, 0]] = np.inf
+            y, x = np.unravel_index(scores.argmin(), scores.shape)
+            shifts[k] = (x + w // 2) % w - w // 2, (y + h // 2) % h - h // 2
+            is_placed[k] = True
+        if (shifts == previous).all():
             break
-    return at[1:].astype(float)
+    return shifts[1:].astype(float)
 
 
-def first_harmonic(spectra: Spectra, k: int, others: np.ndarray, at: np.ndarray) -> np.ndarray:
+def first_harmonic(
+    likelihood: ShiftLikelihood, k: int, other_frames: np.ndarray, all_shifts: np.ndarray
+) -> np.ndarray:
     """What frame k says beside each of the others, which are at their places: minus log-likelihood, `(h, w / 2 + 1)`.
 
     The two frames' covariance has the determinant `p - q cos(k d)`, whose logarithm and inverse are series in `ratio`.
     """
-    scene, pattern, noise = spectra.scene, spectra.pattern, spectra.noise
+    scene, pattern, noise = likelihood.scene, likelihood.pattern, likelihood.noise
     cross = 2 * scene * pattern
-    rest = noise * (noise + 2 * (scene + pattern))
-    root = np.sqrt(rest * (rest + 2 * cross))
-    ratio = cross / (rest + cross + root)
-    shifts, frame = at[others], spectra.frames[k]
-    back_y, back_x = np.exp(-1j * shifts[:, 1:] * spectra.y), np.exp(-1j * shifts[:, :1] * spectra.x)
-    turn = back_y[:, :, None] * back_x[:, None]
-    there = spectra.frames[others]
-    ahead, behind = (there.conj() * turn).sum(0) * frame, (there * turn).sum(0) * frame.conj()
-    power = (turn * (np.abs(there) ** 2 + np.abs(frame) ** 2)).sum(0)
+    remainder = noise * (noise + 2 * (scene + pattern))
+    root = np.sqrt(remainder * (remainder + 2 * cross))
+    ratio = cross / (remainder + cross + root)
+    shifts, frame = all_shifts[other_frames], likelihood.frames[k]
+    back_y, back_x = np.exp(-1j * shifts[:, 1:] * likelihood.y), np.exp(-1j * shifts[:, :1] * likelihood.x)
+    phase = back_y[:, :, None] * back_x[:, None]
+    other_spectra = likelihood.frames[other_frames]
+    ahead, behind = (
+        (other_spectra.conj() * phase).sum(0) * frame,
+        (other_spectra * phase).sum(0) * frame.conj(),
+    )
+    power = (phase * (np.abs(other_spectra) ** 2 + np.abs(frame) ** 2)).sum(0)
     explained = (pattern + scene * ratio) * ratio * ahead + (pattern * ratio + scene) * behind
-    found = ((scene + pattern + noise) * ratio * power - explained) / root - ratio * turn.sum(0)
-    whole = np.zeros((spectra.size[0], spectra.size[1] // 2 + 1), complex)
-    whole[spectra.known] = np.where(spectra.length < SLOWEST, 0, found)
-    return whole
+    values = ((scene + pattern + noise) * ratio * power - explained) / root - ratio * phase.sum(0)
+    harmonic = np.zeros((likelihood.size[0], likelihood.size[1] // 2 + 1), complex)
+    harmonic[likelihood.band] = np.where(likelihood.wavenumber < SLOWEST, 0, values)
+    return harmonic

@@ -6,12 +6,12 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import carried, increment, nearest_rigid, relative
-from deepir.registration.alternating_alignment import align, standing
-from deepir.registration.block_likelihood import NINE, all_but_one, gains
-from deepir.registration.block_vote import reduced, scaled
-from deepir.registration.gauss_newton import solved, sums
+from deepir.registration.alternating_alignment import align, estimate_pattern
+from deepir.registration.block_likelihood import GRID_3X3, block_log_ratios, leave_best_out_sum
+from deepir.registration.block_vote import change_pixel_size, likelihood_frames
+from deepir.registration.gauss_newton import normal_equations, solve_normal_equations
 from deepir.registration.pyramid import Level
-from deepir.registration.warp_back import pull
+from deepir.registration.warp_back import warp_to_reference
 
 FEWEST, SHORTEST = 3, 64  # frames, and px: fewer and smaller ones are rigid
 BAND = 8  # rows of which a step is made, and the next ones left to the other
@@ -20,41 +20,53 @@ LEAST = 0.06  # px, root mean square along the frame's edge: what bends less is 
 SURE = 20.0  # nats by which frames that bend are the likelier, in all parts but one
 
 
-def bent(frames: Tensor, weight: Tensor, level: Level, motion: Tensor, rounds: int) -> Tensor:
+def select_homography(
+    frames: Tensor, weight: Tensor, level: Level, motion: Tensor, max_rounds: int
+) -> Tensor:
     """Homographies `(N, 3, 3)` where frames `(N, H, W)` at rigid motions bend; else these, as they are.
 
     Residuals find the homographies, and are always less with them: pattern and scene follow. So the parts of the frame
     decide, which know nothing of each other, by the likelihood of where each has gone. weight: `(H, W)`.
     """
-    if len(motion) < FEWEST or min(level.shape) < SHORTEST or not may_bend(level, motion):
+    if len(motion) < FEWEST or min(level.shape) < SHORTEST or not half_steps_agree(level, motion):
         return motion
-    found = align(level, motion, "homography", rounds).motion
-    small, factor = reduced(frames, weight)
-    gained = gains(small, scaled(relative(motion), factor), scaled(found, factor), NINE)
-    return found if all_but_one(gained) > SURE else motion
+    homography = align(level, motion, "homography", max_rounds).motion
+    reduced, factor = likelihood_frames(frames, weight)
+    block_ratios = block_log_ratios(
+        reduced, change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor), GRID_3X3
+    )
+    return homography if leave_best_out_sum(block_ratios) > SURE else motion
 
 
-def may_bend(level: Level, motion: Tensor) -> bool:
+def half_steps_agree(level: Level, motion: Tensor) -> bool:
     """Whether frames at rigid motions `(N, 3, 3)` would bend, and alike by two halves of their rows.
 
     A step of Gauss and Newton towards homographies is taken by bands of rows, the even ones and the odd ones: what
     noise makes of it is chance, and another in each. What lines and edges make of it may be the same.
     """
-    pattern, _ = standing(level, motion)
-    rows = sums(pull(level, pattern, motion), level, "homography")
-    odd = torch.arange(len(rows)) // BAND % 2 == 1
-    size = max(level.shape) / 2
-    one, other = (
-        bend(level, relative(increment("homography", solved(rows[half]), size) @ motion))
+    pattern, _ = estimate_pattern(level, motion)
+    row_equations = normal_equations(warp_to_reference(level, pattern, motion), level, "homography")
+    odd = torch.arange(len(row_equations)) // BAND % 2 == 1
+    half_size = max(level.shape) / 2
+    odd_displacement, even_displacement = (
+        nonrigid_displacement(
+            level,
+            relative(
+                increment("homography", solve_normal_equations(row_equations[half]), half_size) @ motion
+            ),
+        )
         for half in (odd, ~odd)
     )
-    both = float((one * other).sum())
-    return both > max(ALIKE * float(one.norm() * other.norm()), LEAST**2 * one[:, 0].numel())
+    inner_product = float((odd_displacement * even_displacement).sum())
+    return inner_product > max(
+        ALIKE * float(odd_displacement.norm() * even_displacement.norm()),
+        LEAST**2 * odd_displacement[:, 0].numel(),
+    )
 
 
-def bend(level: Level, motion: Tensor) -> Tensor:
+def nonrigid_displacement(level: Level, motion: Tensor) -> Tensor:
     """How far motions `(N, 3, 3)` take points along the frame's edge from where rigid ones do, in px: (N - 1, 2, 8)."""
     h, w = (side / 2 for side in level.shape)
-    points = [(x * w, y * h, 1.0) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
-    at = torch.tensor(points, dtype=motion.dtype).T
-    return carried(motion[1:], at) - carried(nearest_rigid(motion[1:]), at)
+    coordinates = [(x * w, y * h, 1.0) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
+    edge_points = torch.tensor(coordinates, dtype=motion.dtype).T
+    return carried(motion[1:], edge_points) - carried(nearest_rigid(motion[1:]), edge_points)

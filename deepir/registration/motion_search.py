@@ -7,10 +7,16 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from deepir.operators.motion_models import relative
-from deepir.registration.alternating_alignment import Aligned, align, standing
-from deepir.registration.block_likelihood import NINE, gains, likeliest_turns
-from deepir.registration.block_vote import apart, likelier, reduced, scaled, turns
-from deepir.registration.frame_groups import one_scene
+from deepir.registration.alternating_alignment import Alignment, align, estimate_pattern
+from deepir.registration.block_likelihood import GRID_3X3, block_log_ratios, maximise_rotation_likelihood
+from deepir.registration.block_vote import (
+    change_pixel_size,
+    corner_distance,
+    has_linear_part,
+    likelihood_frames,
+    select_by_blocks,
+)
+from deepir.registration.frame_groups import largest_consistent_set
 from deepir.registration.pyramid import Level, build_level
 
 COARSE = 160  # px: the search runs where the frame's longer side is at most this
@@ -25,7 +31,7 @@ NEAR = 0.4  # px of these, at the corners: so far are turns off by chance, and r
 
 
 @dataclass(frozen=True)
-class Placed:
+class MotionEstimate:
     """Frames and where they are.
 
     frames, flat: `(N, H, W)`, as they are and flat. coarse: the level of the search. clear: `(N,)`, how clearly they
@@ -34,92 +40,99 @@ class Placed:
     """
 
     frames: Tensor
-    flat: Tensor
-    coarse: Level
-    clear: Tensor
+    preprocessed: Tensor
+    coarse_level: Level
+    match_score: Tensor
     used: Tensor
-    found: Aligned
+    alignment: Alignment
     motion: Tensor
 
 
-def place(frames: Tensor, flat: Tensor, weight: Tensor, model: str) -> Placed:
+def estimate_motion(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
     """Where frames `(N, H, W)` that show one scene are; weight: `(H, W)`, zero where a pixel is bad."""
-    return settled(searched(frames, flat, weight, model), weight, model)
+    return refine(coarse_search(frames, preprocessed, weight, model), weight, model)
 
 
-def searched(frames: Tensor, flat: Tensor, weight: Tensor, model: str) -> Placed:
+def coarse_search(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
     """The same as the search finds them, nearly."""
-    coarse = search_level(flat, weight)
-    clear, used, found = one_scene(coarse, "shift" if model == "shift" else "rigid")
-    return Placed(frames, flat, coarse, clear, used, found, found.motion)
+    coarse_level = search_level(preprocessed, weight)
+    selection = largest_consistent_set(coarse_level, "shift" if model == "shift" else "rigid")
+    used, alignment = selection.used, selection.alignment
+    return MotionEstimate(
+        frames, preprocessed, coarse_level, selection.match_score, used, alignment, alignment.motion
+    )
 
 
-def settled(placed: Placed, weight: Tensor, model: str) -> Placed:
+def refine(estimate: MotionEstimate, weight: Tensor, model: str) -> MotionEstimate:
     """Frames that are nearly placed, by the least residuals, or by likelihood."""
-    used, before = placed.used, placed.motion
+    used, initial = estimate.used, estimate.motion
     if used.sum() < 2:
-        return placed
-    some = slice(None) if used.all() else used  # no copy of all
-    levels = fine(placed.flat[some], weight, placed.coarse.factor)
-    moved = refined(levels, before, model)
-    liked = likelier(placed.frames[some], weight, moved, model)
+        return estimate
+    kept = slice(None) if used.all() else used  # no copy of all
+    levels = final_levels(estimate.preprocessed[kept], weight, estimate.coarse_level.factor)
+    refined = align_levels(levels, initial, model)
+    selected = select_by_blocks(estimate.frames[kept], weight, refined, model)
     # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
-    level = placed.coarse.of(used)
-    if liked is not moved and (not turns(moved, weight) or misfit(level, liked) < misfit(level, moved)):
-        moved = liked
+    level = estimate.coarse_level.subset(used)
+    if selected is not refined and (
+        not has_linear_part(refined, weight) or misfit_at(level, selected) < misfit_at(level, refined)
+    ):
+        refined = selected
     if model == "rigid":
-        moved = turned(placed.frames[some], weight, levels, moved)
-    return replace(placed, motion=moved)
+        refined = refine_rotation(estimate.frames[kept], weight, levels, refined)
+    return replace(estimate, motion=refined)
 
 
-def turned(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
+def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
     """Motions `(N, 3, 3)`, or those that residuals find from the likeliest turns, if the frame's parts like these."""
-    likeliest = turning(frames, weight, motion)
-    if likeliest is motion:
+    proposed = most_likely_rotations(frames, weight, motion)
+    if proposed is motion:
         return motion
-    small, factor = reduced(frames, weight, TURNS)
-    before, near = (scaled(relative(each), factor) for each in (motion, likeliest))
-    if apart(before, near, small) < NEAR:
+    reduced, factor = likelihood_frames(frames, weight, TURNS)
+    before, proposed_reduced = (change_pixel_size(relative(each), factor) for each in (motion, proposed))
+    if corner_distance(before, proposed_reduced, reduced) < NEAR:
         return motion
-    found = refined(levels, likeliest, "rigid")
-    after = scaled(relative(found), factor)
-    gained = sorted(gains(small, before, after, NINE))
-    return found if sum(gained[:-SPARED]) > 0 else motion
+    refined = align_levels(levels, proposed, "rigid")
+    after = change_pixel_size(relative(refined), factor)
+    block_ratios = sorted(block_log_ratios(reduced, before, after, GRID_3X3))
+    return refined if sum(block_ratios[:-SPARED]) > 0 else motion
 
 
-def turning(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
+def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
     """The likeliest turns of frames `(N, H, W)` near motions `(N, 3, 3)`; the same of frames that say too little."""
     if len(frames) < ENOUGH or min(weight.shape) < SMALL:
         return motion
-    small, factor = reduced(frames, weight, TURNS)
-    return scaled(likeliest_turns(small, scaled(relative(motion), factor)), 1 / factor)
+    reduced, factor = likelihood_frames(frames, weight, TURNS)
+    return change_pixel_size(
+        maximise_rotation_likelihood(reduced, change_pixel_size(relative(motion), factor)), 1 / factor
+    )
 
 
-def misfit(level: Level, motion: Tensor) -> float:
+def misfit_at(level: Level, motion: Tensor) -> float:
     """The share of the frames' mean square that neither scene nor pattern explain at these motions."""
-    return standing(level, motion)[1]
+    return estimate_pattern(level, motion)[1]
 
 
-def search_level(flat: Tensor, weight: Tensor) -> Level:
+def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
     """The level of flat frames `(N, H, W)` on which they are searched."""
-    return build_level(flat, weight, halvings(max(weight.shape) / COARSE))
+    return build_level(preprocessed, weight, power_of_two_factor(max(weight.shape) / COARSE))
 
 
-def fine(flat: Tensor, weight: Tensor, coarse: int) -> list[Level]:
+def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
     """The levels of flat frames `(N, H, W)` on which they are registered in the end, after one of factor `coarse`."""
-    last = halvings((weight.numel() / FINEST) ** 0.5)
-    factors = (2 * last, last) if 2 * last < coarse else (last,)
-    return [build_level(flat, weight, factor) for factor in factors]
+    last_factor = power_of_two_factor((weight.numel() / FINEST) ** 0.5)
+    factors = (2 * last_factor, last_factor) if 2 * last_factor < coarse_factor else (last_factor,)
+    return [build_level(preprocessed, weight, factor) for factor in factors]
 
 
-def refined(levels: list[Level], motion: Tensor, model: str) -> Tensor:
+def align_levels(levels: list[Level], motion: Tensor, model: str) -> Tensor:
     """The motion after rounds on these levels, fewer on the last of two."""
     for level, rounds in zip(levels, (ROUNDS - FINE, FINE) if levels[1:] else (ROUNDS,), strict=True):
         motion = align(level, motion, model, rounds).motion
     return motion
 
 
-def halvings(ratio: float) -> int:
+def power_of_two_factor(ratio: float) -> int:
     """The least power of two that is at least `ratio`, and at least one."""
     factor = 1
     while factor < ratio:

@@ -9,15 +9,29 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity, relative
-from deepir.registration.alternating_alignment import Aligned, standing
-from deepir.registration.block_likelihood import FOUR, all_but_one, gains
-from deepir.registration.block_vote import FAR, apart, reduced, scaled, turns
+from deepir.registration.alternating_alignment import Alignment, estimate_pattern
+from deepir.registration.block_likelihood import GRID_2X2, block_log_ratios, leave_best_out_sum
+from deepir.registration.block_vote import (
+    FAR,
+    change_pixel_size,
+    corner_distance,
+    has_linear_part,
+    likelihood_frames,
+)
 from deepir.registration.integer_shifts import integer_shifts
-from deepir.registration.motion_search import Placed, fine, misfit, search_level, searched, settled, turning
-from deepir.registration.moving_object_masks import blanked, filled, someone
-from deepir.registration.reregister_worst import repaired
-from deepir.registration.robust_score import cost, log_likelihood_ratio
-from deepir.registration.shift_likelihood import likeliest_shifts
+from deepir.registration.motion_search import (
+    MotionEstimate,
+    coarse_search,
+    final_levels,
+    misfit_at,
+    most_likely_rotations,
+    refine,
+    search_level,
+)
+from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
+from deepir.registration.reregister_worst import reregister_worst_frames
+from deepir.registration.robust_score import log_likelihood_ratio, robust_nll
+from deepir.registration.shift_likelihood import maximise_shift_likelihood
 
 #: Nats that each sample costs where most frames show one scene and nothing else; and up to which edges of dark scenes
 #: may do it: what no motion leaves is then so many times more, of a scene or of him, not of both.
@@ -31,128 +45,168 @@ PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest
 ENOUGH = 0.4  # of the frame beside his way, to be searched in
 
 
-def beside_walker(one: Placed, weight: Tensor, model: str, holes: Tensor | None = None) -> Placed:
+def register_beside_moving_objects(
+    estimate: MotionEstimate, weight: Tensor, model: str, missing: Tensor | None = None
+) -> MotionEstimate:
     """Frames that are placed once more without whoever walks through them, if that explains more of them.
 
     weight: `(H, W)`, zero where a pixel is bad. holes: `(N, H, W)` bool, samples that nothing is known of, as if
     somebody stood there; in the end what the other frames show is filled in.
     """
-    stands = someone(one.flat) if len(one.frames) > 2 else torch.zeros(one.flat.shape, dtype=torch.bool)
-    stands = stands if holes is None else stands | holes
-    frames, flat, level = torch.where(weight > 0, one.frames.float(), 0.0), one.flat, one.coarse
-    if len(frames) > 2 and stands.any():
-        lost = holes is not None and not one.used.all()
-        if lost or not well(one, weight):
-            for sought in others(one, frames, stands, weight, model):
-                other = at(sought, repaired(level, every(sought), model))
-                gained = log_likelihood_ratio(level, every(one), every(other))
-                if gained > CLEAR or (gained > -DOUBT and better(one, other, frames, stands, weight)):
-                    one = without(other, frames, flat, stands, weight, model)
-    return one if holes is None else without(one, frames, flat, holes, weight, model)
+    mask = (
+        detect_moving_objects(estimate.preprocessed)
+        if len(estimate.frames) > 2
+        else torch.zeros(estimate.preprocessed.shape, dtype=torch.bool)
+    )
+    mask = mask if missing is None else mask | missing
+    frames, preprocessed, level = (
+        torch.where(weight > 0, estimate.frames.float(), 0.0),
+        estimate.preprocessed,
+        estimate.coarse_level,
+    )
+    if len(frames) > 2 and mask.any():
+        frames_lost = missing is not None and not estimate.used.all()
+        if frames_lost or not is_well_explained(estimate, weight):
+            for candidate in alternative_estimates(estimate, frames, mask, weight, model):
+                repaired = with_motion(
+                    candidate, reregister_worst_frames(level, full_motion(candidate), model)
+                )
+                gain = log_likelihood_ratio(level, full_motion(estimate), full_motion(repaired))
+                if gain > CLEAR or (gain > -DOUBT and is_likelier(estimate, repaired, frames, mask, weight)):
+                    estimate = refine_with_inpainting(repaired, frames, preprocessed, mask, weight, model)
+    return (
+        estimate
+        if missing is None
+        else refine_with_inpainting(estimate, frames, preprocessed, missing, weight, model)
+    )
 
 
-def well(one: Placed, weight: Tensor) -> bool:
+def is_well_explained(estimate: MotionEstimate, weight: Tensor) -> bool:
     """Whether its motions explain most of the frames; that, or less of them in samples but in squares next to all.
 
     Not where all but one seem to stand still: that one may have lost lines on its way, and all follow the pattern.
     """
-    shifts = every(one)[one.used][:, :2, 2]
-    still = (shifts - shifts.median(0).values).norm(dim=1) < STILL
-    if len(shifts) > 3 and still.sum() == len(shifts) - 1:
+    shifts = full_motion(estimate)[estimate.used][:, :2, 2]
+    resting = (shifts - shifts.median(0).values).norm(dim=1) < STILL
+    if len(shifts) > 3 and resting.sum() == len(shifts) - 1:
         return False
-    left = cost(one.coarse, every(one))
-    if not PLAIN < left < ROUGH:
-        return left <= PLAIN
-    level = fine(one.flat, weight, one.coarse.factor)[-1].of(
-        one.used
+    nll = robust_nll(estimate.coarse_level, full_motion(estimate))
+    if not PLAIN < nll < ROUGH:
+        return nll <= PLAIN
+    level = final_levels(estimate.preprocessed, weight, estimate.coarse_level.factor)[-1].subset(
+        estimate.used
     )  # there, what moves by a few px differs
-    return misfit(level, one.motion) < WHOLE * misfit(level, identity(len(one.motion)))
+    return misfit_at(level, estimate.motion) < WHOLE * misfit_at(level, identity(len(estimate.motion)))
 
 
-def every(placed: Placed) -> Tensor:
+def full_motion(estimate: MotionEstimate) -> Tensor:
     """Its motions `(N, 3, 3)`, NaN where a frame is not used."""
-    motion = torch.full((len(placed.used), 3, 3), torch.nan, dtype=torch.float64)
-    motion[placed.used] = relative(placed.motion)
+    motion = torch.full((len(estimate.used), 3, 3), torch.nan, dtype=torch.float64)
+    motion[estimate.used] = relative(estimate.motion)
     return motion
 
 
-def at(placed: Placed, motion: Tensor) -> Placed:
+def with_motion(estimate: MotionEstimate, motion: Tensor) -> MotionEstimate:
     """The same at motions `(N, 3, 3)`, NaN where a frame is not used."""
     used = motion.isfinite().all((1, 2))
-    return replace(placed, used=used, motion=relative(motion[used]))
+    return replace(estimate, used=used, motion=relative(motion[used]))
 
 
-def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: str) -> Iterator[Placed]:
+def alternative_estimates(
+    estimate: MotionEstimate, frames: Tensor, mask: Tensor, weight: Tensor, model: str
+) -> Iterator[MotionEstimate]:
     """Where else frames `(N, H, W)` may be: as if he were not there; by what is beside his way, if that is enough.
 
     Only what the search puts elsewhere is settled there: where it finds the same, he did no harm.
     """
-    seen, flat = (blanked(each, stands, weight) for each in (frames, one.flat))
-    beside = weight * ~stands.any(0)
-    sought = searched(seen, flat, weight, model)
-    if any_else := elsewhere(one, sought):
-        yield settled(sought, weight, model)
-    if beside.mean() > ENOUGH:
-        sought = searched(frames, one.flat * (beside > 0), beside, model)
-        if elsewhere(one, sought):
-            any_else = True
-            yield settled(sought, beside, model)
-        if any_else and one.used.sum() > 2:
-            yield replace(one, motion=likeliest(frames[one.used], beside, model))
+    inpainted, preprocessed = (inpaint_mean(each, mask, weight) for each in (frames, estimate.preprocessed))
+    background = weight * ~mask.any(0)
+    candidate = coarse_search(inpainted, preprocessed, weight, model)
+    if any_differs := differs(estimate, candidate):
+        yield refine(candidate, weight, model)
+    if background.mean() > ENOUGH:
+        candidate = coarse_search(frames, estimate.preprocessed * (background > 0), background, model)
+        if differs(estimate, candidate):
+            any_differs = True
+            yield refine(candidate, background, model)
+        if any_differs and estimate.used.sum() > 2:
+            yield replace(estimate, motion=most_likely_motion(frames[estimate.used], background, model))
 
 
-def elsewhere(one: Placed, other: Placed) -> bool:
+def differs(estimate: MotionEstimate, other: MotionEstimate) -> bool:
     """Whether others of the frames are used, or these are in other places."""
-    if not torch.equal(one.used, other.used):
+    if not torch.equal(estimate.used, other.used):
         return True
-    return len(one.motion) > 1 and apart(relative(one.motion), relative(other.motion), one.frames) > FAR
+    return (
+        len(estimate.motion) > 1
+        and corner_distance(relative(estimate.motion), relative(other.motion), estimate.frames) > FAR
+    )
 
 
-def likeliest(frames: Tensor, weight: Tensor, model: str) -> Tensor:
+def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:
     """The likeliest motions `(N, 3, 3)` of frames `(N, H, W)`: shifts, or turns where these are others."""
-    seen, factor = reduced(frames, weight)
-    motion = identity(len(seen))
-    motion[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, integer_shifts(seen)))
+    reduced, factor = likelihood_frames(frames, weight)
+    motion = identity(len(reduced))
+    motion[1:, :2, 2] = factor * torch.from_numpy(maximise_shift_likelihood(reduced, integer_shifts(reduced)))
     if model != "rigid":
         return motion
-    turned = turning(frames, weight, motion)
-    return turned if apart(motion, turned, frames) > FAR else motion
+    rotated = most_likely_rotations(frames, weight, motion)
+    return rotated if corner_distance(motion, rotated, frames) > FAR else motion
 
 
-def better(one: Placed, other: Placed, frames: Tensor, stands: Tensor, weight: Tensor) -> bool:
+def is_likelier(
+    estimate: MotionEstimate, candidate: MotionEstimate, frames: Tensor, mask: Tensor, weight: Tensor
+) -> bool:
     """Whether frames `(N, H, W)` are likelier at the motions of `other`; if these are the same, whether it has more.
 
     Beside his way, if that is enough. Else he is filled in, by either's motions in turn, for which that speaks. None
     is better that is of fewer frames, nor of more which it does not explain.
     """
-    both, had_frames, has_frames = one.used & other.used, int(one.used.sum()), int(other.used.sum())
-    if has_frames >= had_frames and both.sum() > 2:
-        places = [relative(each.motion[both[each.used]]) for each in (one, other)]
-        level = search_level(blanked(one.flat, stands, weight), weight).of(both)
-        none, had, has = (misfit(level, each) for each in (identity(int(both.sum())), *places))
-        passed = stands[both].any(0)
-        if passed.float().mean() < PASSED:
-            seen = [reduced(frames[both], weight * ~passed)]
+    common, n_before, n_after = (
+        estimate.used & candidate.used,
+        int(estimate.used.sum()),
+        int(candidate.used.sum()),
+    )
+    if n_after >= n_before and common.sum() > 2:
+        motions = [relative(each.motion[common[each.used]]) for each in (estimate, candidate)]
+        level = search_level(inpaint_mean(estimate.preprocessed, mask, weight), weight).subset(common)
+        misfit_at_rest, misfit_before, misfit_after = (
+            misfit_at(level, each) for each in (identity(int(common.sum())), *motions)
+        )
+        swept = mask[common].any(0)
+        if swept.float().mean() < PASSED:
+            reduced_sets = [likelihood_frames(frames[common], weight * ~swept)]
         else:
-            seen = [reduced(filled(frames[both], stands[both], weight, each), weight) for each in places]
-        small, factor = seen[0]
-        before, after = (scaled(each, factor) for each in places)
-        if factor * apart(before, after, small) > FAR:
-            gained = [gains(each, before, after, FOUR) for each, _ in seen]
-            likelier = all_but_one([sum(part) for part in zip(*gained, strict=True)]) > 0
+            reduced_sets = [
+                likelihood_frames(inpaint_background(frames[common], mask[common], weight, each), weight)
+                for each in motions
+            ]
+        reduced, factor = reduced_sets[0]
+        before, after = (change_pixel_size(each, factor) for each in motions)
+        if factor * corner_distance(before, after, reduced) > FAR:
+            block_ratios = [block_log_ratios(each, before, after, GRID_2X2) for each, _ in reduced_sets]
+            accepted = leave_best_out_sum([sum(part) for part in zip(*block_ratios, strict=True)]) > 0
             # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
-            most = CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none)
-            return likelier and has < most
-    return has_frames > had_frames and well(other, weight)
+            limit = (
+                CLEARLY * misfit_before
+                if has_linear_part(motions[0], weight)
+                else max(misfit_before, NOTHING * misfit_at_rest)
+            )
+            return accepted and misfit_after < limit
+    return n_after > n_before and is_well_explained(candidate, weight)
 
 
-def without(
-    placed: Placed, frames: Tensor, flat: Tensor, stands: Tensor, weight: Tensor, model: str
-) -> Placed:
+def refine_with_inpainting(
+    estimate: MotionEstimate, frames: Tensor, preprocessed: Tensor, mask: Tensor, weight: Tensor, model: str
+) -> MotionEstimate:
     """The same, refined where he is filled in by what its motions say of his place."""
     motion = identity(len(frames))
-    motion[placed.used] = placed.motion
-    frames, flat = (filled(each, stands, weight, motion) for each in (frames, flat))
-    coarse = search_level(flat, weight)
-    found = Aligned(placed.motion, *standing(coarse.of(placed.used), placed.motion))
-    return settled(replace(placed, frames=frames, flat=flat, coarse=coarse, found=found), weight, model)
+    motion[estimate.used] = estimate.motion
+    frames, preprocessed = (inpaint_background(each, mask, weight, motion) for each in (frames, preprocessed))
+    level = search_level(preprocessed, weight)
+    alignment = Alignment(estimate.motion, *estimate_pattern(level.subset(estimate.used), estimate.motion))
+    return refine(
+        replace(estimate, frames=frames, preprocessed=preprocessed, coarse_level=level, alignment=alignment),
+        weight,
+        model,
+    )

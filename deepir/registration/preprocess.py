@@ -23,39 +23,39 @@ def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
         good &= ~ignore
     if not good.any():
         return torch.zeros(frames.shape), good.float()
-    y = logarithm(frames, good)
+    y = log_or_centre(frames, good)
     mean = y.mean(0)
-    standing = stripes(mean, 0) + stripes(mean, 1)
-    good &= ~stuck(mean - standing)
+    lines = line_pattern(mean, 0) + line_pattern(mean, 1)
+    good &= ~stuck_pixels(mean - lines)
     if len(frames) < 3:
-        y -= standing
+        y -= lines
     return y.mul_(good), good.float()
 
 
-def logarithm(frames: Tensor, good: Tensor) -> Tensor:
+def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
     """Logarithm over the median, at least 0.05 of it; or what differs from it, if the frames are not positive."""
     values, known = subsample(frames, good.expand_as(frames))
-    few = values[known]
-    middle = float(few.median())
-    positive = middle > 0 and float((few <= 0).double().mean()) <= 0.05
+    known_values = values[known]
+    centre = float(known_values.median())
+    positive = centre > 0 and float((known_values <= 0).double().mean()) <= 0.05
     y = torch.empty(frames.shape)
     for frame, out in zip(frames, y, strict=True):
-        out.copy_(frame).masked_fill_(~good, middle)
+        out.copy_(frame).masked_fill_(~good, centre)
         if positive:
-            out.div_(middle).clamp_min_(0.05).log_()
+            out.div_(centre).clamp_min_(0.05).log_()
         else:
-            out.sub_(middle)
+            out.sub_(centre)
     return y
 
 
-def stripes(image: Tensor, axis: int) -> Tensor:
+def line_pattern(image: Tensor, axis: int) -> Tensor:
     """Structure of lines along `axis`: their median of what differs from the mean over some px across them."""
     broad = scipy.ndimage.uniform_filter1d(image.numpy(), WINDOW, axis=1 - axis, mode="nearest")
     return (image - torch.from_numpy(broad)).median(axis, keepdim=True).values
 
 
-def stuck(image: Tensor) -> Tensor:
+def stuck_pixels(image: Tensor) -> Tensor:
     """Pixels `(H, W)` that differ from their 3 x 3 median by `STUCK` robust deviations."""
-    apart = (image - median_filter(image[None, None])[0, 0]).abs()
-    scale = MAD * float(subsample(apart[None])[0].median())
-    return apart > (STUCK * scale or torch.inf)
+    deviation = (image - median_filter(image[None, None])[0, 0]).abs()
+    scale = MAD * float(subsample(deviation[None])[0].median())
+    return deviation > (STUCK * scale or torch.inf)

@@ -25,15 +25,15 @@ class Level:
     factor: int
     frames: Tensor
     weight: Tensor
-    whole: bool
+    fully_known: bool
     shape: tuple[int, int]
 
-    def of(self, some: Tensor) -> Level:
+    def subset(self, selection: Tensor) -> Level:
         """The level of some of the frames."""
-        return replace(self, frames=self.frames[some])
+        return replace(self, frames=self.frames[selection])
 
     @cached_property
-    def place(self) -> Tensor:
+    def index_to_px(self) -> Tensor:
         """From indices (x, y, 1) of the level to centred px of the full frame, `(3, 3)` float64.
 
         Averaging drops an odd last row or column, which moves the array's centre.
@@ -44,23 +44,23 @@ class Level:
         )
 
     @cached_property
-    def index(self) -> Tensor:
+    def px_to_index(self) -> Tensor:
         """The inverse of `place`."""
-        return torch.linalg.inv(self.place)
+        return torch.linalg.inv(self.index_to_px)
 
-    def indexed(self, motion: Tensor) -> Tensor:
+    def index_motion(self, motion: Tensor) -> Tensor:
         """Motions `(N, 3, 3)` of centred px as ones of indices, float32."""
-        return (self.index @ motion @ self.place).float()
+        return (self.px_to_index @ motion @ self.index_to_px).float()
 
-    def points(self, stride: int) -> Tensor:
+    def grid_points(self, stride: int) -> Tensor:
         """Centred px `(2, rows, columns)` of every `stride`-th pixel along each axis, without the outermost."""
         h, w = self.weight.shape
         y, x = torch.meshgrid(torch.arange(1, h - 1, stride), torch.arange(1, w - 1, stride), indexing="ij")
         index = torch.stack((x, y, torch.ones_like(x))).double()
-        return torch.einsum("ij,jyx->iyx", self.place, index)[:2].float()
+        return torch.einsum("ij,jyx->iyx", self.index_to_px, index)[:2].float()
 
 
-def smooth(images: Tensor, sigma: float) -> Tensor:
+def gaussian_blur(images: Tensor, sigma: float) -> Tensor:
     """Gaussian blur of `(..., h, w)`, cut at three sigma, zero outside; by shifted sums, for few taps."""
     radius = math.ceil(3 * sigma)
     kernel = [math.exp(-0.5 * (x / sigma) ** 2) for x in range(radius + 1)]
@@ -75,16 +75,16 @@ def smooth(images: Tensor, sigma: float) -> Tensor:
     return images
 
 
-def broad(images: Tensor) -> Tensor:
+def smooth_shading(images: Tensor) -> Tensor:
     """The shading in `(B, h, w)`: a wide Gaussian, at a quarter of the size."""
     h, w = images.shape[-2:]
-    small = F.avg_pool2d(images[:, None], SHRINK, ceil_mode=True, count_include_pad=False)
-    small = F.pad(smooth(small, BROAD), (1, 1, 1, 1), mode="replicate")
-    up = F.interpolate(small, scale_factor=SHRINK, mode="bilinear", align_corners=False)
-    return up[:, 0, SHRINK : SHRINK + h, SHRINK : SHRINK + w]
+    reduced = F.avg_pool2d(images[:, None], SHRINK, ceil_mode=True, count_include_pad=False)
+    reduced = F.pad(gaussian_blur(reduced, BROAD), (1, 1, 1, 1), mode="replicate")
+    upsampled = F.interpolate(reduced, scale_factor=SHRINK, mode="bilinear", align_corners=False)
+    return upsampled[:, 0, SHRINK : SHRINK + h, SHRINK : SHRINK + w]
 
 
-def average(images: Tensor, factor: int) -> Tensor:
+def block_mean(images: Tensor, factor: int) -> Tensor:
     """Means of `(B, h, w)` over blocks of `factor` x `factor` px."""
     return images if factor == 1 else F.avg_pool2d(images[:, None], factor)[:, 0]
 
@@ -94,19 +94,19 @@ def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
 
     Filters are normalised convolutions (Knutsson & Westin 1993): single bad pixels are filled in.
     """
-    share = average(weight[None], factor)
-    shading = broad(share).clamp_min(1e-6)
-    flat = torch.stack([average(f[None], factor)[0] for f in frames])
-    for frame in flat:
-        frame.sub_(share[0] * (broad(frame[None]) / shading)[0])
-    support = smooth(share, FINE)
-    known = (support > 0.5 * smooth(torch.ones_like(share), FINE)).float()[0]
+    known_fraction = block_mean(weight[None], factor)
+    shading = smooth_shading(known_fraction).clamp_min(1e-6)
+    averaged = torch.stack([block_mean(f[None], factor)[0] for f in frames])
+    for frame in averaged:
+        frame.sub_(known_fraction[0] * (smooth_shading(frame[None]) / shading)[0])
+    support = gaussian_blur(known_fraction, FINE)
+    known = (support > 0.5 * gaussian_blur(torch.ones_like(known_fraction), FINE)).float()[0]
     scale = known / support[0].clamp_min(1e-6)
-    for frame in flat:
-        frame.copy_(smooth(frame, FINE) * scale)
-    parallel_for = float(flat.square().mean().sqrt())
-    flat /= max(parallel_for, 1e-12)
-    return Level(factor, flat, known, bool(known.all()), (frames.shape[1], frames.shape[2]))
+    for frame in averaged:
+        frame.copy_(gaussian_blur(frame, FINE) * scale)
+    rms = float(averaged.square().mean().sqrt())
+    averaged /= max(rms, 1e-12)
+    return Level(factor, averaged, known, bool(known.all()), (frames.shape[1], frames.shape[2]))
 
 
 def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]:
@@ -116,6 +116,13 @@ def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor
 
     values, known = (torch.empty(len(motion), *level.weight.shape) for _ in range(2))
     parallel_for(
-        loops.pull, len(values[0]), images, level.weight, level.whole, level.indexed(motion), values, known
+        loops.pull,
+        len(values[0]),
+        images,
+        level.weight,
+        level.fully_known,
+        level.index_motion(motion),
+        values,
+        known,
     )
     return values, known

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from deepir.errors import DataError, nearest
 from deepir.operators.motion_models import AUTO, PARAMETERS, identity, relative
-from deepir.registration.alternating_alignment import Aligned, standing
-from deepir.registration.frame_groups import FAILED, agreement, at_rest, left
-from deepir.registration.model_selection import bent
-from deepir.registration.motion_search import ROUNDS, fine, place, search_level
-from deepir.registration.moving_object_masks import blanked
-from deepir.registration.moving_objects import CLEAR, beside_walker, every
+from deepir.registration.alternating_alignment import Alignment, estimate_pattern
+from deepir.registration.frame_groups import FAILED, concordance, frames_at_rest, misfit_per_dof
+from deepir.registration.model_selection import select_homography
+from deepir.registration.motion_search import ROUNDS, estimate_motion, final_levels, search_level
+from deepir.registration.moving_object_masks import inpaint_mean
+from deepir.registration.moving_objects import CLEAR, full_motion, register_beside_moving_objects
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import log_likelihood_ratio
 from deepir.registration.shutter_frames import FEWEST, shutter_frames
@@ -54,73 +54,91 @@ def register(
     something finite. start: the number of the first frame, for messages.
     Raises DataError where the shapes or the model's name are wrong.
     """
-    check(frames, model, ignore)
+    check_arguments(frames, model, ignore)
     frames = frames.detach().cpu()
-    holes = None if valid is None or valid.all() else ~valid.cpu()
-    if holes is not None:
-        frames = blanked(frames, holes, torch.ones(frames.shape[1:]))
-    flat, weight = preprocess(frames, None if ignore is None else ignore.cpu())
-    first = "rigid" if model == AUTO else model
+    missing = None if valid is None or valid.all() else ~valid.cpu()
+    if missing is not None:
+        frames = inpaint_mean(frames, missing, torch.ones(frames.shape[1:]))
+    preprocessed, weight = preprocess(frames, None if ignore is None else ignore.cpu())
+    base_model = "rigid" if model == AUTO else model
     n = len(frames)
-    why = dict.fromkeys(copies(frames), "is the same as the one before it")
+    excluded = dict.fromkeys(repeated_frames(frames), "is the same as the one before it")
     if n > FEWEST:
-        shut = shutter_frames(search_level(flat, weight), first).nonzero()[:, 0].tolist()
-        why |= dict.fromkeys(shut, "shows the pattern and no scene, as where a shutter closes")
+        shutter = shutter_frames(search_level(preprocessed, weight), base_model).nonzero()[:, 0].tolist()
+        excluded |= dict.fromkeys(shutter, "shows the pattern and no scene, as where a shutter closes")
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
     confidence = torch.zeros(n, dtype=torch.float64)
-    some = [k for k in range(n) if k not in why] if why else slice(None)  # no copy of all
-    motion[some], confidence[some] = moved(
-        frames[some], flat[some], weight, model, None if holes is None else holes[some]
+    kept = [k for k in range(n) if k not in excluded] if excluded else slice(None)  # no copy of all
+    motion[kept], confidence[kept] = estimate_burst(
+        frames[kept], preprocessed[kept], weight, model, None if missing is None else missing[kept]
     )
-    return verdict(motion, confidence, start, why)
+    return make_registration(motion, confidence, start, excluded)
 
 
-def copies(frames: Tensor) -> list[int]:
+def repeated_frames(frames: Tensor) -> list[int]:
     """Frames `(N, H, W)` that are the one before them once more, as where a camera is read faster than it looks.
 
     None if all are: then nothing moves.
     """
-    found = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
-    return found if len(found) < len(frames) - 1 else []
+    repeated = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
+    return repeated if len(repeated) < len(frames) - 1 else []
 
 
-def moved(
-    frames: Tensor, flat: Tensor, weight: Tensor, model: str, holes: Tensor | None
+def estimate_burst(
+    frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str, missing: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """Motions `(N, 3, 3)` of frames and how well they agree `(N,)`, on which `verdict` decides."""
-    first = "rigid" if model == AUTO else model
-    placed = beside_walker(place(frames, flat, weight, first), weight, first, holes)
-    coarse, used, found, motion = placed.coarse, placed.used, placed.found, placed.motion
+    base_model = "rigid" if model == AUTO else model
+    estimate = register_beside_moving_objects(
+        estimate_motion(frames, preprocessed, weight, base_model), weight, base_model, missing
+    )
+    coarse_level, used, alignment, motion = (
+        estimate.coarse_level,
+        estimate.used,
+        estimate.alignment,
+        estimate.motion,
+    )
     if used.sum() > 1:
         if model == AUTO:
-            level = fine(placed.flat[used], weight, coarse.factor)[-1]
-            motion = bent(placed.frames[used], weight, level, motion, ROUNDS)
-        found = min(found, Aligned(motion, *standing(coarse.of(used), motion)), key=left)
-    if (still := at_rest(coarse, found)).any():
+            final_level = final_levels(estimate.preprocessed[used], weight, coarse_level.factor)[-1]
+            motion = select_homography(estimate.frames[used], weight, final_level, motion, ROUNDS)
+        alignment = min(
+            alignment,
+            Alignment(motion, *estimate_pattern(coarse_level.subset(used), motion)),
+            key=misfit_per_dof,
+        )
+    if (resting := frames_at_rest(coarse_level, alignment)).any():
         # Unless most of the frame moves: somebody changes the frames as much, whether the camera moves or rests.
-        rest, moves = (every(replace(placed, motion=each)) for each in (identity(len(motion)), motion))
-        if log_likelihood_ratio(coarse, rest, moves) < CLEAR:
-            return identity(len(frames)), still.double()
-    found_at = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
-    confidence = 0.5 * FAILED * placed.clear.clamp_max(1)
+        at_rest, moving = (
+            full_motion(replace(estimate, motion=each)) for each in (identity(len(motion)), motion)
+        )
+        if log_likelihood_ratio(coarse_level, at_rest, moving) < CLEAR:
+            return identity(len(frames)), resting.double()
+    all_motions = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    confidence = 0.5 * FAILED * estimate.match_score.clamp_max(1)
     if used.sum() > 1:
-        found_at[used], confidence[used] = motion, agreement(coarse.of(used), found.pattern, motion)
-    return found_at, confidence
+        all_motions[used], confidence[used] = (
+            motion,
+            concordance(coarse_level.subset(used), alignment.pattern, motion),
+        )
+    return all_motions, confidence
 
 
-def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, str]) -> Registration:
+def make_registration(
+    motion: Tensor, confidence: Tensor, start: int, excluded: Mapping[int, str]
+) -> Registration:
     """Confidence and messages; frames that fail are left out by name, some of which it is known why."""
     confidence = confidence.clamp(0, 1)
     used = confidence >= FAILED
     if used.sum() < 2:  # nothing agrees: the first frame stands for itself
-        first = next(k for k in range(len(used)) if k not in why)
+        first = next(k for k in range(len(used)) if k not in excluded)
         used = torch.arange(len(used)) == first
         confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * FAILED))
         motion[first] = torch.eye(3, dtype=torch.float64)
     messages = []
     for k in range(len(used)):
-        if k in why:
-            messages.append(f"frame {start + k} {why[k]}: left out")
+        if k in excluded:
+            messages.append(f"frame {start + k} {excluded[k]}: left out")
         elif not used[k]:
             messages.append(
                 f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
@@ -140,7 +158,7 @@ def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, st
     return Registration(motion, confidence, used, messages)
 
 
-def check(frames: Tensor, model: str, ignore: Tensor | None) -> None:
+def check_arguments(frames: Tensor, model: str, ignore: Tensor | None) -> None:
     """Raise DataError where the arguments of `register` cannot be used."""
     if frames.ndim != 3:
         raise DataError(f"registration wants frames (N, height, width), not {tuple(frames.shape)}")

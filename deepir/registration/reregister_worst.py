@@ -5,32 +5,42 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.registration.block_vote import FAR, apart
-from deepir.registration.cross_correlation import match
+from deepir.registration.block_vote import FAR, corner_distance
+from deepir.registration.cross_correlation import match_to_reference
 from deepir.registration.pyramid import Level
-from deepir.registration.robust_score import explained, log_likelihood_ratio, residuals, unexplained, width
+from deepir.registration.robust_score import (
+    absolute_residuals,
+    log_likelihood_ratio,
+    median_model,
+    robust_sigma,
+    sample_nll,
+)
 
 FEWEST = 3  # other frames in which one is sought
 CLEAR = 0.08  # nats by which each sample is better explained where it is found
 
 
-def repaired(level: Level, motion: Tensor, model: str) -> Tensor:
+def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
     """Motions `(N, 3, 3)`, NaN where a frame is not used, with that of the worst that is, where it is better elsewhere.
 
     And of the next, as long as that helps.
     """
     used = motion.isfinite().all((1, 2))
     for _ in range(len(motion)):
-        rest = residuals(level, motion)
-        worst = int(unexplained(rest, width(rest)).mean((1, 2)).where(used, -torch.inf).argmax())
-        other = motion.clone()
-        other[worst] = torch.nan
-        if other.isfinite().all((1, 2)).sum() < FEWEST:
+        residual = absolute_residuals(level, motion)
+        worst = int(
+            sample_nll(residual, robust_sigma(residual)).mean((1, 2)).where(used, -torch.inf).argmax()
+        )
+        candidate = motion.clone()
+        candidate[worst] = torch.nan
+        if candidate.isfinite().all((1, 2)).sum() < FEWEST:
             break
-        scene, pattern, _ = explained(level, other)
-        other[[worst]], _ = match(scene, level.frames[[worst]] - pattern, level, model, standing=False)
-        near = apart(motion[[worst]], other[[worst]], level.frames) < FAR
-        if near or log_likelihood_ratio(level, motion, other) < CLEAR:
+        rest = median_model(level, candidate)
+        candidate[[worst]], _ = match_to_reference(
+            rest.scene, level.frames[[worst]] - rest.pattern, level, model, pattern_present=False
+        )
+        unchanged = corner_distance(motion[[worst]], candidate[[worst]], level.frames) < FAR
+        if unchanged or log_likelihood_ratio(level, motion, candidate) < CLEAR:
             break
-        motion = other
+        motion = candidate
     return motion

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -28,62 +30,78 @@ def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
     """
     if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < SEEN:
         return 0.0
-    had, has = (residuals(level, motion) for motion in (before, after))
-    usual = min(width(had), width(has))
-    gained = (unexplained(had, usual) - unexplained(has, usual)).mean(0)
-    parts = sorted(float(part.mean()) for rows in gained.chunk(3) for part in rows.chunk(3, 1))
-    middle = parts[SPARED:-SPARED] or parts  # frames of a few lines have fewer
-    return sum(middle) / len(middle)
+    residuals_before, residuals_after = (absolute_residuals(level, motion) for motion in (before, after))
+    sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
+    sample_gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
+    block_gains = sorted(float(part.mean()) for rows in sample_gain.chunk(3) for part in rows.chunk(3, 1))
+    central = block_gains[SPARED:-SPARED] or block_gains  # frames of a few lines have fewer
+    return sum(central) / len(central)
 
 
-def cost(level: Level, motion: Tensor) -> float:
+def robust_nll(level: Level, motion: Tensor) -> float:
     """How much motions `(N, 3, 3)` leave unexplained of the frames that are used, in nats for each sample."""
-    rest = residuals(level, motion)[motion.isfinite().all((1, 2))]
-    return float(unexplained(rest, width(rest)).mean())
+    residual = absolute_residuals(level, motion)[motion.isfinite().all((1, 2))]
+    return float(sample_nll(residual, robust_sigma(residual)).mean())
 
 
-def width(rest: Tensor) -> float:
+def robust_sigma(residual: Tensor) -> float:
     """Robust standard deviation of residuals whose magnitudes are known where they are finite."""
-    known = rest[rest.isfinite()]
-    return max(MAD * float(known.median()), 1e-12) if len(known) else torch.inf
+    finite = residual[residual.isfinite()]
+    return max(MAD * float(finite.median()), 1e-12) if len(finite) else torch.inf
 
 
-def unexplained(rest: Tensor, usual: float) -> Tensor:
+def sample_nll(residual: Tensor, sigma: float) -> Tensor:
     """Minus the log-likelihood of samples `(N, h, w)`, the rest of which has a `usual` width."""
-    return torch.log1p((rest / usual).where(rest.isfinite(), BOUND).clamp_max(BOUND).square() / TAILS)
+    return torch.log1p((residual / sigma).where(residual.isfinite(), BOUND).clamp_max(BOUND).square() / TAILS)
 
 
-def residuals(level: Level, motion: Tensor) -> Tensor:
+def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
     """Magnitudes `(N, h, w)` of what is neither scene nor pattern; infinite where no other frames see the place."""
     used = motion.isfinite().all((1, 2))
-    rest = torch.full_like(level.frames, torch.inf)
+    residual = torch.full_like(level.frames, torch.inf)
     if used.any():
-        scene, pattern, often = explained(level, motion)
-        expected, known = sample(scene[None], motion[used], level)
-        rest[used] = (level.frames[used] - expected - pattern).abs().where(often & (known > 0), torch.inf)
-    return rest
+        model = median_model(level, motion)
+        expected, known = sample(model.scene[None], motion[used], level)
+        residual[used] = (
+            (level.frames[used] - expected - model.pattern)
+            .abs()
+            .where(model.overlapping & (known > 0), torch.inf)
+        )
+    return residual
 
 
-def explained(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+@dataclass(frozen=True)
+class MedianModel:
+    """Robust model of frames at given motions.
+
+    scene, pattern: `(h, w)`. overlapping: `(M, h, w)` bool, samples of the M used frames that others see, too.
+    """
+
+    scene: Tensor
+    pattern: Tensor
+    overlapping: Tensor
+
+
+def median_model(level: Level, motion: Tensor) -> MedianModel:
     """Scene and pattern `(h, w)`, and which samples `(M, h, w)` of the M frames that are used others see, too.
 
     Both are medians over these frames, so that somebody who is in a place in a few of them is in neither.
     """
     used = motion.isfinite().all((1, 2))
-    level, motion = level.of(used), motion[used]
-    back, pattern = torch.linalg.inv(motion), torch.zeros_like(level.weight)
-    before = pattern
-    seen = sample(level.frames, back, level)[1] > 0
-    often = (sample(seen.sum(0)[None].float(), motion, level)[0] > SEEN) & (level.weight > 0)
+    level, motion = level.subset(used), motion[used]
+    inverse, pattern = torch.linalg.inv(motion), torch.zeros_like(level.weight)
+    previous = pattern
+    visible = sample(level.frames, inverse, level)[1] > 0
+    overlapping = (sample(visible.sum(0)[None].float(), motion, level)[0] > SEEN) & (level.weight > 0)
     for _ in range(PASSES):
-        ahead = pattern + HASTE * (pattern - before)
-        scene = _median(sample(level.frames - ahead, back, level)[0], seen)
+        extrapolated = pattern + HASTE * (pattern - previous)
+        scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
         expected, known = sample(scene[None], motion, level)
-        before, pattern = pattern, _median(level.frames - expected, often & (known > 0))
-    return scene, pattern, often
+        previous, pattern = pattern, _masked_median(level.frames - expected, overlapping & (known > 0))
+    return MedianModel(scene, pattern, overlapping)
 
 
-def _median(images: Tensor, known: Tensor) -> Tensor:
+def _masked_median(images: Tensor, known: Tensor) -> Tensor:
     """That over the known of images `(N, h, w)`, of two middle ones the mean; zero where none is known."""
     order, last = images.where(known, torch.inf).sort(0).values, known.sum(0) - 1
     middle = [order.gather(0, at.clamp_min(0)[None])[0] for at in (last // 2, last - last // 2)]

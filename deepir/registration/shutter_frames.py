@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity
-from deepir.registration.alternating_alignment import standing
-from deepir.registration.cross_correlation import search
-from deepir.registration.frame_groups import consistent
+from deepir.registration.alternating_alignment import estimate_pattern
+from deepir.registration.cross_correlation import correlation_search
+from deepir.registration.frame_groups import reject_frames
 from deepir.registration.pyramid import Level
 
 FEWEST = 3  # other frames
@@ -29,19 +29,26 @@ def shutter_frames(level: Level, model: str) -> Tensor:
     """
     images = level.frames.flatten(1)
     none = torch.zeros(len(images), dtype=torch.bool)
-    far = torch.cdist(images, images).square()
-    usual = far[~torch.eye(len(images), dtype=torch.bool)].median()
-    best, others = EVENLY, none
-    for one in far:
-        apart = one > SAME * usual
-        if apart.sum() >= FEWEST and (evenly := float(one[apart].max() / one[apart].min())) < best:
-            best, others = evenly, apart
-    if not others.any():
+    distance = torch.cdist(images, images).square()
+    typical = distance[~torch.eye(len(images), dtype=torch.bool)].median()
+    least_spread, scene_frames = EVENLY, none
+    for distances in distance:
+        different = distances > SAME * typical
+        if (
+            different.sum() >= FEWEST
+            and (spread := float(distances[different].max() / distances[different].min())) < least_spread
+        ):
+            least_spread, scene_frames = spread, different
+    if not scene_frames.any():
         return none
-    this = (~others).nonzero()[:, 0]
-    seen = replace(level, frames=level.frames[others] - level.frames[this].mean(0))
-    motion, clear = search(seen.frames, seen, model, standing=False)
-    used, found = consistent(seen, clear > 1, motion, model)
-    still = standing(seen.of(used), identity(int(used.sum())))[1]
-    stands = found.pattern.square().mean() > STANDS * seen.frames.square().mean()
-    return ~others if used.float().mean() > MOST and found.misfit < LEFT * still and not stands else none
+    shutter = (~scene_frames).nonzero()[:, 0]
+    difference = replace(level, frames=level.frames[scene_frames] - level.frames[shutter].mean(0))
+    motion, match_score = correlation_search(difference.frames, difference, model, pattern_present=False)
+    used, alignment = reject_frames(difference, match_score > 1, motion, model)
+    misfit_at_rest = estimate_pattern(difference.subset(used), identity(int(used.sum())))[1]
+    is_static = alignment.pattern.square().mean() > STANDS * difference.frames.square().mean()
+    return (
+        ~scene_frames
+        if used.float().mean() > MOST and alignment.misfit < LEFT * misfit_at_rest and not is_static
+        else none
+    )

@@ -21,31 +21,39 @@ def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
     Gains and offsets with variances `a` and `b` are a pattern of variance `a z^2 + b` in a flux z, and an even one in
     `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): a logarithm where gains rule, next to nothing where offsets do.
     """
-    frames = filled(frames, weight == 1)
+    frames = fill_bad_pixels(frames, weight == 1)
     return (frames / asinh_scale(frames.mean(0).numpy())).asinh()
 
 
-def filled(frames: Tensor, good: Tensor) -> Tensor:
+def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
     """Frames `(N, h, w)` float64 whose pixels that are not good are means over the least window in which some are."""
-    found, unknown, side = torch.where(good, frames.double(), 0.0), ~good, BESIDE
+    found, unknown, window = torch.where(good, frames.double(), 0.0), ~good, BESIDE
     if not good.any():
         return found
-    known, share = found.numpy(), good.double().numpy()
+    known, fraction = found.numpy(), good.double().numpy()
     while unknown.any():
-        near = scipy.ndimage.uniform_filter(share, side, mode="constant")
-        means = scipy.ndimage.uniform_filter(known, (0, side, side), mode="constant") / near.clip(1e-9)
-        now = unknown & torch.from_numpy(near > LITTLE)
-        found, unknown, side = torch.where(now, torch.from_numpy(means), found), unknown & ~now, 2 * side + 1
+        local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")
+        means = scipy.ndimage.uniform_filter(
+            known, (0, window, window), mode="constant"
+        ) / local_fraction.clip(1e-9)
+        fillable = unknown & torch.from_numpy(local_fraction > LITTLE)
+        found, unknown, window = (
+            torch.where(fillable, torch.from_numpy(means), found),
+            unknown & ~fillable,
+            2 * window + 1,
+        )
     return found
 
 
 def asinh_scale(image: np.ndarray) -> float:
     """The flux at which gains make as strong a pattern as offsets, as the bright and dark parts of an image tell."""
-    slow = scipy.ndimage.uniform_filter(image, NEAR, mode="nearest")
-    size = float(np.sqrt(np.mean(slow**2))) or 1.0
-    parts = np.array_split(slow.ravel().argsort(), PARTS)
-    flux, apart = slow.ravel() / size, np.abs(image - slow).ravel() / size
-    square = np.array([np.mean(flux[part] ** 2) for part in parts])
-    power = np.array([np.median(apart[part]) ** 2 for part in parts]).clip(1e-20)
-    (offset, gain), _ = scipy.optimize.nnls(np.stack((1 / power, square / power), 1), np.ones(PARTS))
-    return size * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *KNEE))
+    local_mean = scipy.ndimage.uniform_filter(image, NEAR, mode="nearest")
+    rms = float(np.sqrt(np.mean(local_mean**2))) or 1.0
+    bins = np.array_split(local_mean.ravel().argsort(), PARTS)
+    flux, deviation = local_mean.ravel() / rms, np.abs(image - local_mean).ravel() / rms
+    mean_square = np.array([np.mean(flux[pixels] ** 2) for pixels in bins])
+    pattern_power = np.array([np.median(deviation[pixels]) ** 2 for pixels in bins]).clip(1e-20)
+    (offset, gain), _ = scipy.optimize.nnls(
+        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(PARTS)
+    )
+    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *KNEE))

@@ -11,7 +11,7 @@ from deepir.registration.pyramid import Level, sample
 
 
 @dataclass(frozen=True)
-class Pulled:
+class WarpedFrames:
     """Frames `(N, h, w)` on the grid of the first, where they are known, and over the frames the sums of both."""
 
     frames: Tensor
@@ -24,19 +24,19 @@ class Pulled:
         """The scene `(h, w)`."""
         return self.total / self.count.clamp_min(1)
 
-    def others(self) -> tuple[Tensor, Tensor]:
+    def leave_one_out_mean(self) -> tuple[Tensor, Tensor]:
         """For each frame the mean of all others, and where both are known."""
         count = self.count - self.known
         return (self.total - self.frames) / count.clamp_min(1), self.known * (count > 0.5)
 
-    def thinned(self, stride: int) -> Pulled:
+    def subsampled(self, stride: int) -> WarpedFrames:
         """Every `stride`-th pixel along each axis."""
-        every = slice(None, None, stride)
+        strided = slice(None, None, stride)
         images = (self.frames, self.known, self.total, self.count)
-        return Pulled(*(each[..., every, every] for each in images))
+        return WarpedFrames(*(each[..., strided, strided] for each in images))
 
 
-def pull(level: Level, pattern: Tensor, motion: Tensor) -> Pulled:
+def warp_to_reference(level: Level, pattern: Tensor, motion: Tensor) -> WarpedFrames:
     """Frames less the pattern, pulled back."""
     frames, known = sample(level.frames - pattern, torch.linalg.inv(motion), level)
-    return Pulled(frames, known, frames.sum(0), known.sum(0))
+    return WarpedFrames(frames, known, frames.sum(0), known.sum(0))

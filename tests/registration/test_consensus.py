@@ -7,8 +7,8 @@ from registered import simulated
 
 from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
-from deepir.registration.reregister_worst import repaired
-from deepir.registration.robust_score import cost, log_likelihood_ratio, residuals
+from deepir.registration.reregister_worst import reregister_worst_frames
+from deepir.registration.robust_score import absolute_residuals, log_likelihood_ratio, robust_nll
 
 
 def burst(name="astronaut", n=6):
@@ -43,16 +43,16 @@ def test_a_frame_that_is_not_used_explains_nothing_but_costs_nothing_either():
     level, truth = burst()
     fewer = truth.clone()
     fewer[3] = torch.nan
-    assert residuals(level, fewer)[3].isinf().all()
+    assert absolute_residuals(level, fewer)[3].isinf().all()
     assert log_likelihood_ratio(level, truth, fewer) < 0
-    assert cost(level, fewer) == pytest.approx(cost(level, truth), rel=0.2)
+    assert robust_nll(level, fewer) == pytest.approx(robust_nll(level, truth), rel=0.2)
 
 
 def test_frames_that_share_nothing_explain_nothing():
     level, truth = burst()
     apart = shifted(truth, 1000.0)
     assert log_likelihood_ratio(level, apart, truth) > 1
-    assert np.isfinite(cost(level, apart))
+    assert np.isfinite(robust_nll(level, apart))
 
 
 def test_a_frame_in_a_wrong_place_is_found_again_and_the_others_stay():
@@ -60,7 +60,7 @@ def test_a_frame_in_a_wrong_place_is_found_again_and_the_others_stay():
     for k in range(6):
         wrong = truth.clone()
         wrong[k, :2, 2] += torch.tensor([17.0, -9.0])
-        found = repaired(level, wrong, "rigid")
+        found = reregister_worst_frames(level, wrong, "rigid")
         rest = [j for j in range(6) if j != k]
         assert torch.equal(found[rest], wrong[rest])
         assert (found[k] - truth[k])[:2, 2].abs().max() < 1.5 * level.factor
@@ -69,7 +69,7 @@ def test_a_frame_in_a_wrong_place_is_found_again_and_the_others_stay():
 def test_a_frame_that_is_left_out_stays_so():
     level, truth = burst()
     truth[2] = torch.nan
-    assert torch.equal(repaired(level, truth, "rigid").isnan(), truth.isnan())
+    assert torch.equal(reregister_worst_frames(level, truth, "rigid").isnan(), truth.isnan())
 
 
 def test_two_frames_say_nothing():

@@ -6,7 +6,7 @@ import torch
 from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 
 from deepir.registration import register, shift_likelihood
-from deepir.registration.variance_stabilise import filled, variance_stabilise
+from deepir.registration.variance_stabilise import fill_bad_pixels, variance_stabilise
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky
@@ -76,7 +76,9 @@ def test_somebody_who_walks_does_not_take_the_likelihood_along():
     sim = simulate(procedural(3, (430, 500)), camera_of_tones(n_frames=5, shape=(96, 128), **walker), seed=57)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     shifts = register(frames).motion[:, :2, 2].numpy()
-    followed = shift_likelihood.likeliest_shifts(variance_stabilise(frames, torch.ones(96, 128)), shifts[1:])
+    followed = shift_likelihood.maximise_shift_likelihood(
+        variance_stabilise(frames, torch.ones(96, 128)), shifts[1:]
+    )
     assert apart(sim, np.vstack((shifts[:1], followed))) < 0.3
     assert apart(sim, shifts) < 0.2
 
@@ -102,7 +104,7 @@ def test_a_hole_is_filled_from_around_it():
     rows = torch.arange(40.0)[:, None].expand(40, 50)
     good = torch.ones(40, 50, dtype=torch.bool)
     good[10:30, 20:40] = good[3, 3] = False
-    found = filled(rows[None], good)[0]
+    found = fill_bad_pixels(rows[None], good)[0]
     assert torch.equal(found[good].float(), rows[good])
     assert float((found - rows)[~good].abs().max()) < 12
     assert float(found[3, 3]) == pytest.approx(3)

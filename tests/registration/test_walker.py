@@ -9,8 +9,8 @@ from registered import apart, camera_of_tones, simulated
 
 from deepir.operators.motion_models import identity
 from deepir.registration import moving_objects, register
-from deepir.registration.motion_search import place
-from deepir.registration.moving_object_masks import blanked, filled, someone
+from deepir.registration.motion_search import estimate_motion
+from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
 from deepir.registration.preprocess import preprocess
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
@@ -27,7 +27,7 @@ def flat_of(sim):
 @pytest.mark.parametrize("camera", [{}, COUNTS], ids=["tones", "counts"])
 def test_who_stands_before_a_sky_is_found_in_each_frame(camera):
     sim = simulate(sky(2, (430, 500)), camera_of_tones(n_frames=10, **WALKER, **camera), seed=6)
-    stands = someone(flat_of(sim)[0]).numpy()
+    stands = detect_moving_objects(flat_of(sim)[0]).numpy()
     assert stands[sim.truth.moving].mean() > 0.9
     assert stands[~sim.truth.moving].mean() < 0.15
 
@@ -35,7 +35,7 @@ def test_who_stands_before_a_sky_is_found_in_each_frame(camera):
 def test_a_frame_of_another_place_is_nobody():
     frames = simulated("camera")[0].clone()
     frames[3] = simulated("gravel")[0][2]
-    assert not someone(preprocess(frames, None)[0])[3].any()
+    assert not detect_moving_objects(preprocess(frames, None)[0])[3].any()
 
 
 def test_he_is_filled_in_by_what_is_behind_him():
@@ -48,7 +48,7 @@ def test_he_is_filled_in_by_what_is_behind_him():
     frames, weight = torch.from_numpy(sim.frames).float(), torch.ones(stands.shape[1:])
 
     def wrong(at):
-        there = filled(frames, stands, weight, at).numpy()
+        there = inpaint_background(frames, stands, weight, at).numpy()
         return np.median(np.abs(there - empty.frames)[stands.numpy()])
 
     assert wrong(motion) < 0.65 * wrong(identity(len(motion)))
@@ -73,24 +73,24 @@ def test_what_registers_is_the_scene(picture, n_frames, seed, camera):
 
 
 def test_frames_that_are_well_explained_are_not_placed_again(monkeypatch):
-    monkeypatch.setattr(moving_objects, "searched", None)
+    monkeypatch.setattr(moving_objects, "coarse_search", None)
     frames = simulated("astronaut")[0]
-    one = place(frames, *preprocess(frames, None), "rigid")
-    assert moving_objects.beside_walker(one, torch.ones(frames.shape[1:]), "rigid") is one
+    one = estimate_motion(frames, *preprocess(frames, None), "rigid")
+    assert moving_objects.register_beside_moving_objects(one, torch.ones(frames.shape[1:]), "rigid") is one
 
 
 def test_bright_things_before_a_dark_scene_are_nobody_where_one_motion_explains_all(monkeypatch):
     sim = simulate(scene("camera"), camera_of_tones(gain_column=0.1), seed=10)
     frames = torch.from_numpy(sim.frames)
     flat, weight = flat_of(sim)
-    one = place(frames, flat, weight, "rigid")
-    assert someone(flat).any()
+    one = estimate_motion(frames, flat, weight, "rigid")
+    assert detect_moving_objects(flat).any()
     with monkeypatch.context() as patch:
-        patch.setattr(moving_objects, "searched", None)
-        assert moving_objects.beside_walker(one, weight, "rigid") is one
+        patch.setattr(moving_objects, "coarse_search", None)
+        assert moving_objects.register_beside_moving_objects(one, weight, "rigid") is one
     still = dataclasses.replace(one, motion=identity(len(frames)))
-    assert moving_objects.well(one, weight)
-    assert not moving_objects.well(still, weight)
+    assert moving_objects.is_well_explained(one, weight)
+    assert not moving_objects.is_well_explained(still, weight)
 
 
 def test_a_scene_that_turns_is_nobody_who_walks():
@@ -105,7 +105,8 @@ def test_as_if_nothing_moved_he_is_the_mean_of_the_others():
     stands = torch.rand(frames.shape, generator=torch.Generator().manual_seed(0)) < 0.4
     weight[3:5, 7:9] = 0
     torch.testing.assert_close(
-        blanked(frames, stands, weight), filled(frames, stands, weight, identity(len(frames)))
+        inpaint_mean(frames, stands, weight),
+        inpaint_background(frames, stands, weight, identity(len(frames))),
     )
 
 
