@@ -12,9 +12,10 @@ from deepir.registration.gauss_newton import gauss_newton_step
 from deepir.registration.pyramid import Level
 from deepir.registration.warp_back import warp_to_reference
 
-AHEAD = 4  # passes over scene and pattern before the motions, where the pattern is the stronger
-SHORTEST, LONGEST = 0.5, 3.0  # times a Gauss-Newton step
-SETTLED = 5e-3  # px of the level: a smaller step ends the rounds
+PATTERN_PASSES = 4  # alternations of scene and pattern at fixed motions
+MIN_RELAXATION = 0.5  # Gauss-Newton steps; lower bound of the relaxation factor
+MAX_RELAXATION = 3.0  # Gauss-Newton steps; upper bound of the relaxation factor
+CONVERGED_STEP = 5e-3  # px of the level; a smaller step ends the rounds
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def align(level: Level, motion: Tensor, model: str, max_rounds: int) -> Alignmen
         previous_step = step
         motion = relative(increment(model, relaxation * step, size) @ motion)
         pattern, misfit = update_pattern(level, warped.mean, motion)
-        if not remaining or float((relaxation * step).abs().max()) < SETTLED * level.factor:
+        if not remaining or float((relaxation * step).abs().max()) < CONVERGED_STEP * level.factor:
             break
         warped = warp_to_reference(level, pattern, motion)
     return Alignment(motion, pattern, misfit)
@@ -60,7 +61,7 @@ def align(level: Level, motion: Tensor, model: str, max_rounds: int) -> Alignmen
 def estimate_pattern(level: Level, motion: Tensor) -> tuple[Tensor, float]:
     """The pattern `(h, w)` at these motions, from all that the frames have in common, and the misfit."""
     pattern = level.frames.mean(0)
-    for _ in range(AHEAD):
+    for _ in range(PATTERN_PASSES):
         pattern, misfit = update_pattern(level, warp_to_reference(level, pattern, motion).mean, motion)
     return pattern, misfit
 
@@ -72,7 +73,7 @@ def aitken_relaxation(relaxation: Tensor, step: Tensor, previous_step: Tensor) -
     at once onto the mean of the others.
     """
     ratio = (step * previous_step).sum(0) / previous_step.square().sum(0).clamp_min(1e-12)
-    return (relaxation / (1 - ratio).clamp_min(0.3)).clamp(SHORTEST, LONGEST)
+    return (relaxation / (1 - ratio).clamp_min(0.3)).clamp(MIN_RELAXATION, MAX_RELAXATION)
 
 
 def update_pattern(level: Level, scene: Tensor, motion: Tensor) -> tuple[Tensor, float]:

@@ -13,16 +13,17 @@ from deepir.registration.pyramid import block_mean
 from deepir.registration.shift_likelihood import maximise_shift_likelihood
 from deepir.registration.variance_stabilise import variance_stabilise
 
-SIZE = 320  # px: of larger frames, means over blocks are looked at
-TURNED = 6.0  # px at the frame's edge up to which a motion may be a shift
-MOST = 20  # frames up to which it is asked where else the likelihood may climb to: that takes their square in time
-FAR = 2.0  # px: what is nearer to whole shifts is where a climb from there would end, too
-APART = 0.2  # px at the frame's corners: what is closer is the same
-STRETCHED = ("affine", "homography")  # models of which only the shift is changed
-LEAST = 16  # px: of smaller frames a part says too little
-SIDE = 20  # px: so wide is what is looked at of a frame that is long, for a ninth part of less has no waves
-#: Of the frame: of places further apart the likelihood, for which what leaves a frame comes in again, knows nothing.
-SHARED = 0.5
+LIKELIHOOD_SIDE = 320  # px; larger frames are reduced to block means of this longer side
+MIN_REDUCED_SIDE = 20  # px; shorter side below which frames are not reduced: a ninth of less holds no waves
+MIN_SIDE = 16  # px; blocks of smaller frames say too little
+MAX_SHIFT_RANGE = 0.5  # of the frame's side; the likelihood is periodic, so that larger shifts alias
+MAX_LINEAR_DISPLACEMENT = (
+    6.0  # px at the frame's edge; a motion whose linear part moves it less may be a shift
+)
+MAX_FRAMES_OF_INTEGER_SEARCH = 20  # its time grows with the square of the frames
+DISTINCT_DISTANCE = 2.0  # px; the likelihood climbs from closer starts to the same maximum
+NEGLIGIBLE_DISTANCE = 0.2  # px at the frame's corners; closer motions are the same
+MODELS_WITH_STRETCH = ("affine", "homography")  # models whose linear part is kept while shifts are replaced
 
 
 def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
@@ -32,26 +33,30 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
     them up. The likelihood knows that, but not that something may walk through one part of the frame: so what counts is
     the gain of all parts but the one that gains most. weight: `(H, W)`, zero where a pixel is bad.
     """
-    if len(frames) < 3 or min(weight.shape) < LEAST or relative_shift_range(motion, weight) > SHARED:
+    if (
+        len(frames) < 3
+        or min(weight.shape) < MIN_SIDE
+        or relative_shift_range(motion, weight) > MAX_SHIFT_RANGE
+    ):
         return motion
     reduced, factor = likelihood_frames(frames, weight)
     current = relative(motion)
     rotated, current = has_linear_part(current, weight), change_pixel_size(current, factor)
     best = current
-    linear = best.clone() if model in STRETCHED else identity(len(motion))
+    linear = best.clone() if model in MODELS_WITH_STRETCH else identity(len(motion))
     for initial in initial_shifts(reduced, current[1:, :2, 2].numpy(), rotated):
         after = linear.clone()
         after[1:, :2, 2] = torch.from_numpy(maximise_shift_likelihood(reduced, initial))
-        if factor * corner_distance(best, after, reduced) >= APART and accepted_by_blocks(
+        if factor * corner_distance(best, after, reduced) >= NEGLIGIBLE_DISTANCE and accepted_by_blocks(
             reduced, best, after
         ):
             best = after
     return motion if best is current else change_pixel_size(best, 1 / factor)
 
 
-def likelihood_frames(frames: Tensor, weight: Tensor, size: int = SIZE) -> tuple[Tensor, int]:
+def likelihood_frames(frames: Tensor, weight: Tensor, size: int = LIKELIHOOD_SIDE) -> tuple[Tensor, int]:
     """Frames `(N, h, w)` as the likelihood looks at frames `(N, H, W)`, and how much smaller they are."""
-    factor = max(1, min(-(-max(weight.shape) // size), min(weight.shape) // SIDE))
+    factor = max(1, min(-(-max(weight.shape) // size), min(weight.shape) // MIN_REDUCED_SIDE))
     return variance_stabilise(block_mean(frames.float(), factor), block_mean(weight[None], factor)[0]), factor
 
 
@@ -65,7 +70,10 @@ def change_pixel_size(motion: Tensor, factor: float) -> Tensor:
 
 def has_linear_part(motion: Tensor, weight: Tensor) -> bool:
     """Whether relative motions `(N, 3, 3)` of frames that are as large as `weight` are no shifts."""
-    return float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2 > TURNED
+    return (
+        float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
+        > MAX_LINEAR_DISPLACEMENT
+    )
 
 
 def relative_shift_range(motion: Tensor, weight: Tensor) -> float:
@@ -80,10 +88,14 @@ def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, rotated: bool) -
     A turn is no shift; but where the search was taken in by the pattern, it found a turn, as often as not.
     """
     candidates = [] if rotated else [residual_shifts.copy()]
-    if len(frames) > MOST:
+    if len(frames) > MAX_FRAMES_OF_INTEGER_SEARCH:
         return candidates
     whole_shifts = integer_shifts(frames)
-    return [*candidates, whole_shifts] if np.abs(whole_shifts - residual_shifts).max() > FAR else candidates
+    return (
+        [*candidates, whole_shifts]
+        if np.abs(whole_shifts - residual_shifts).max() > DISTINCT_DISTANCE
+        else candidates
+    )
 
 
 def corner_distance(before: Tensor, after: Tensor, frames: Tensor) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -10,16 +11,27 @@ from torch import Tensor
 from deepir.operators.motion_models import rotation
 from deepir.registration.pyramid import Level, sample
 
-ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]
-#: Factor by which the correlation of a turned frame has to be higher than that of the best start before it: where
-#: depth or a plain scene makes all of them low, one is the highest by chance, by 1 to 3 %.
-TURN_MARGIN = 1.08
-WHITEN = 0.7  # 0: plain correlation, 1: phase correlation
-PASSED = 0.12  # cycles a px of the level: Gaussian in which lags are compared
-CLEAR = 8.0  # deviations of the correlations at all lags: other scenes seldom reach it, the same 11 and more,
-#: Or, as the root of the number of px limits it, so many times that, and at least so much.
-LITTLE, LEAST = 0.12, 4.5
-TRIED = 4  # frames that are tried as the one to compare with
+SEARCH_ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]  # radians
+#: Ratio by which the peak of a rotated frame must exceed the best one before it. Among several low peaks (depth, plain
+#: scenes) the highest exceeds the others by 1 to 3 % by chance.
+ROTATION_MARGIN = 1.08
+WHITENING_EXPONENT = 0.7  # 0: cross-correlation, 1: phase correlation
+BAND_SIGMA = 0.12  # cycles per px of the level; Gaussian band in which spectra are correlated
+MAX_REFERENCES = 4  # frames tried as the reference
+
+
+@dataclass(frozen=True)
+class PeakCriteria:
+    """Height of a correlation peak, in standard deviations over all lags, from which two frames match."""
+
+    max_threshold: float = 8.0  # frames of other scenes seldom reach it, those of one scene reach 11 and more
+    per_root_pixel: float = (
+        0.12  # of small frames the threshold is this, times the root of the number of pixels
+    )
+    min_threshold: float = 4.5  # and at least this
+
+
+PEAK = PeakCriteria()
 
 
 def correlation_search(
@@ -31,7 +43,7 @@ def correlation_search(
     """
     n = len(images)
     candidates, best = list(range(n)), None
-    for _ in range(min(TRIED, n)):
+    for _ in range(min(MAX_REFERENCES, n)):
         if not candidates:
             break
         motion, match_score = match_to_reference(images[candidates[0]], images, level, model, pattern_present)
@@ -47,7 +59,7 @@ def correlation_search(
 
 def detection_threshold(level: Level) -> float:
     """Deviations that a match has to stand out by; `clear` is in units of it."""
-    return min(CLEAR, max(LEAST, LITTLE * level.weight.numel() ** 0.5))
+    return min(PEAK.max_threshold, max(PEAK.min_threshold, PEAK.per_root_pixel * level.weight.numel() ** 0.5))
 
 
 def match_to_reference(
@@ -56,7 +68,9 @@ def match_to_reference(
     """The best motion `(N, 3, 3)` of images `(N, h, w)` against a reference `(h, w)`, and how clear it is."""
     h, w = reference.shape
     spectra = torch.fft.rfft2(images * hann_window(h, w)).conj()
-    rotations = rotation(torch.tensor(ANGLES[:1] if model == "shift" else ANGLES, dtype=torch.float64))
+    rotations = rotation(
+        torch.tensor(SEARCH_ANGLES[:1] if model == "shift" else SEARCH_ANGLES, dtype=torch.float64)
+    )
     best_motion = torch.eye(3, dtype=torch.float64).repeat(len(images), 1, 1)
     best_height = torch.zeros(len(images))
     for k, turn in enumerate(rotations):
@@ -70,7 +84,7 @@ def match_to_reference(
         )
         motion = turn.repeat(len(images), 1, 1)
         motion[:, :2, 2] = lag.double() * level.factor @ turn[:2, :2].T
-        improved = peak > best_height * (TURN_MARGIN if k else 1.0)
+        improved = peak > best_height * (ROTATION_MARGIN if k else 1.0)
         best_motion[improved], best_height[improved] = motion[improved], peak[improved]
     return best_motion, best_height.double() / detection_threshold(level)
 
@@ -98,6 +112,6 @@ def whitened_correlation(
         cross = torch.fft.rfft2(lags)
     power = cross.abs()
     fy, fx = torch.fft.fftfreq(h)[:, None], torch.fft.rfftfreq(w)
-    band = torch.exp(-0.5 * (fy**2 + fx**2) / PASSED**2)
+    band = torch.exp(-0.5 * (fy**2 + fx**2) / BAND_SIGMA**2)
     floor = 1e-3 * power.amax((1, 2), keepdim=True) + 1e-20
-    return torch.fft.irfft2(band * cross / (power + floor) ** WHITEN, s=size)
+    return torch.fft.irfft2(band * cross / (power + floor) ** WHITENING_EXPONENT, s=size)

@@ -16,16 +16,28 @@ from deepir.registration.pyramid import Level
 from deepir.registration.spanning_tree import spanning_tree_motions
 from deepir.registration.warp_back import warp_to_reference
 
-FAILED = 0.6  # agreement below which a frame is left out: other scenes reach 0.5, once aligned
-OVERLAP = 0.15  # share of the frame that must see what others see
-CLEARLY = 1.5  # times more unexplained: a worse motion
-SAME = 1.3  # times what is left with motions, for each degree of freedom: frames that do not move
-#: Motions by more than this share of the frame explain frames that do not move, too, down to so many times less: what
-#: few frames see is easily explained.
-FAR, SAME_IF_FAR = 0.3, 4.0
-ROUGH = 3  # rounds of alignment
-#: Share of the frame from which a camera pans, and times that frames are looked for in those found before.
-PANNED, PANS = 0.2, 3
+MIN_CONCORDANCE = 0.6  # frames below it are rejected; aligned frames of other scenes reach 0.5
+MIN_OVERLAP = 0.15  # of the frame, that other frames must show
+CLEAR_MISFIT_RATIO = 1.5  # ratio of misfits per degree of freedom from which the lower one is clearly lower
+SELECTION_ROUNDS = 3  # Gauss-Newton rounds of an alignment before frames are rejected
+PAN_SHIFT = 0.2  # of the frame; larger shifts are those of a pan
+MAX_PAN_ROUNDS = 3  # spanning trees, each with the pattern of the one before
+
+
+@dataclass(frozen=True)
+class RestCriteria:
+    """When frames do not move: the misfit at rest, over that at the estimated motions, is below a ratio.
+
+    Misfits are per degree of freedom. Few frames share a scene point after large motions, which explains any frames
+    well: the ratio is larger then.
+    """
+
+    max_ratio: float = 1.3
+    far_shift: float = 0.3  # of the frame; larger shifts are large motions
+    max_ratio_if_far: float = 4.0
+
+
+REST = RestCriteria()
 
 
 @dataclass(frozen=True)
@@ -53,11 +65,11 @@ def largest_consistent_set(level: Level, model: str) -> FrameSelection:
         images = level.frames if pattern_present else level.frames - level.frames.median(0).values
         motion, match_score = correlation_search(images, level, model, pattern_present)
         used, alignment = reject_frames(level, match_score > 1, motion, model)
-        if best is None or CLEARLY * misfit_per_dof(alignment) < misfit_per_dof(best.alignment):
+        if best is None or CLEAR_MISFIT_RATIO * misfit_per_dof(alignment) < misfit_per_dof(best.alignment):
             best = FrameSelection(match_score, used, alignment)
     assert best is not None
     match_score, used, alignment = best.match_score, best.used, best.alignment
-    if used.sum() > 2 and exceeds_shift(level, alignment.motion, PANNED):
+    if used.sum() > 2 and exceeds_shift(level, alignment.motion, PAN_SHIFT):
         return register_pan(level, best, model)
     if 1 < used.sum() < len(used):  # the mean of these frames sees more of the scene than one of them
         scene = warp_to_reference(level.subset(used), alignment.pattern, alignment.motion).mean
@@ -79,12 +91,12 @@ def register_pan(level: Level, selection: FrameSelection, model: str) -> FrameSe
     n = len(level.frames)
     known = torch.arange(n) == int(selection.match_score.argmax())
     motion, pattern = identity(n), level.frames.median(0).values
-    for _ in range(PANS):
+    for _ in range(MAX_PAN_ROUNDS):
         motion, new_score = spanning_tree_motions(level.frames - pattern, level, model, motion, known)
         new_used, new_alignment = reject_frames(level, new_score > 1, motion, model)
         before, after = misfit_per_dof(selection.alignment), misfit_per_dof(new_alignment)
-        worse = new_used.sum() < selection.used.sum() or after > CLEARLY * before
-        if worse and not CLEARLY * after < before:
+        worse = new_used.sum() < selection.used.sum() or after > CLEAR_MISFIT_RATIO * before
+        if worse and not CLEAR_MISFIT_RATIO * after < before:
             break
         grown = bool((new_used & ~known).any())
         selection = FrameSelection(new_score, new_used, new_alignment)
@@ -106,9 +118,9 @@ def reject_frames(level: Level, used: Tensor, motion: Tensor, model: str) -> tup
     """
     used = used.clone()
     while True:
-        alignment = align(level.subset(used), motion[used], model, ROUGH)
+        alignment = align(level.subset(used), motion[used], model, SELECTION_ROUNDS)
         concordances = concordance(level.subset(used), alignment.pattern, alignment.motion)
-        if len(concordances) < 3 or concordances.min() >= FAILED:
+        if len(concordances) < 3 or concordances.min() >= MIN_CONCORDANCE:
             return used, alignment
         used[used.nonzero()[concordances.argmin()]] = False
 
@@ -121,12 +133,16 @@ def misfit_per_dof(alignment: Alignment) -> float:
 
 def frames_at_rest(level: Level, alignment: Alignment) -> Tensor:
     """Frames `(N,)` that are the same but for noise; none, if the motions that were found explain more than that."""
-    unchanged = concordance(level, torch.zeros_like(level.weight), identity(len(level.frames))) >= FAILED
+    unchanged = (
+        concordance(level, torch.zeros_like(level.weight), identity(len(level.frames))) >= MIN_CONCORDANCE
+    )
     frames = level.frames[unchanged]
     if len(frames) < 3:
         return torch.zeros_like(unchanged)
     change = float((frames - frames.mean(0)).square().mean() / frames.square().mean().clamp_min(1e-12))
-    ratio = SAME_IF_FAR if exceeds_shift(level, alignment.motion, FAR) else SAME
+    ratio = (
+        REST.max_ratio_if_far if exceeds_shift(level, alignment.motion, REST.far_shift) else REST.max_ratio
+    )
     return unchanged & (change / (len(frames) - 1) < ratio * misfit_per_dof(alignment))
 
 
@@ -141,5 +157,5 @@ def concordance(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:
     observed, expected, known = (image.flatten(1) for image in (warped.frames, expected, known))
     weight = tukey_weights(observed - expected, known)
     power = (weight * (expected.square() + observed.square())).sum(1).clamp_min(1e-12)
-    overlapping = known.mean(1) > OVERLAP
+    overlapping = known.mean(1) > MIN_OVERLAP
     return (2 * (weight * expected * observed).sum(1) / power * overlapping).double()

@@ -9,9 +9,9 @@ from deepir.operators.motion_models import generators
 from deepir.registration.pyramid import Level
 from deepir.registration.warp_back import WarpedFrames
 
-TUKEY = 4.0  # robust standard deviations beyond which a sample has no weight
-FEW = 3  # each so manieth sample along an axis is enough for a standard deviation
-DENSE = 40_000  # px: of larger levels every second pixel counts; what is band-passed is known from these
+TUKEY_CUTOFF = 4.0  # robust standard deviations; residuals beyond have no weight
+SIGMA_STRIDE = 3  # the robust standard deviation is that of every third sample along each axis
+MAX_DENSE_PIXELS = 40_000  # px; larger levels, which are band-passed, use every second pixel along each axis
 
 
 def gauss_newton_step(warped: WarpedFrames, level: Level, model: str) -> Tensor:
@@ -27,9 +27,9 @@ def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
     from deepir.kernels import registration as loops
     from deepir.kernels.compile import parallel_for
 
-    stride = 2 if level.weight.numel() > DENSE else 1
+    stride = 2 if level.weight.numel() > MAX_DENSE_PIXELS else 1
     ax, ay = generators(model, level.grid_points(stride), max(level.shape) / 2)
-    sparse = warped.subsampled(stride * FEW)
+    sparse = warped.subsampled(stride * SIGMA_STRIDE)
     expected, known = sparse.leave_one_out_mean()
     centre, cutoff = centre_and_cutoff((sparse.frames - expected).flatten(1), known.flatten(1))
     n, (p, rows, _) = len(sparse.frames), ax.shape
@@ -58,4 +58,4 @@ def centre_and_cutoff(residual: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Mean `(N)` of what a mask lets through of `(N, M)`, and from where on a sample has no weight."""
     centre = (mask * residual).sum(1) / mask.sum(1).clamp_min(1)
     deviation = torch.where(mask > 0, (residual - centre[:, None]).abs(), torch.nan).nanmedian(1).values
-    return centre, TUKEY * (1.4826 * deviation).nan_to_num(1.0).clamp_min(1e-9)
+    return centre, TUKEY_CUTOFF * (1.4826 * deviation).nan_to_num(1.0).clamp_min(1e-9)

@@ -7,8 +7,10 @@ from torch import Tensor
 
 from deepir.registration.shift_likelihood import ShiftLikelihood
 
-SLOWEST = 0.2  # radians a px: of longer waves more leaves the frame than what their noise is guessed to be
-PASSES = 4  # over all frames, at most
+MIN_WAVENUMBER = (
+    0.2  # rad per px; longer waves change more by what leaves the frame than the guessed noise allows
+)
+MAX_SWEEPS = 4  # sweeps over all frames
 
 
 def integer_shifts(frames: Tensor) -> np.ndarray:
@@ -21,7 +23,7 @@ def integer_shifts(frames: Tensor) -> np.ndarray:
     likelihood = ShiftLikelihood(frames)
     h, w = likelihood.size
     shifts, is_placed = np.zeros((len(frames), 2), int), np.arange(len(frames)) == 0
-    for _ in range(PASSES):
+    for _ in range(MAX_SWEEPS):
         previous = shifts.copy()
         for k in range(1, len(frames)):
             other_frames = is_placed & (np.arange(len(frames)) != k)
@@ -59,5 +61,5 @@ def first_harmonic(
     explained = (pattern + scene * ratio) * ratio * ahead + (pattern * ratio + scene) * behind
     values = ((scene + pattern + noise) * ratio * power - explained) / root - ratio * phase.sum(0)
     harmonic = np.zeros((likelihood.size[0], likelihood.size[1] // 2 + 1), complex)
-    harmonic[likelihood.band] = np.where(likelihood.wavenumber < SLOWEST, 0, values)
+    harmonic[likelihood.band] = np.where(likelihood.wavenumber < MIN_WAVENUMBER, 0, values)
     return harmonic

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -13,11 +15,20 @@ from deepir.registration.gauss_newton import normal_equations, solve_normal_equa
 from deepir.registration.pyramid import Level
 from deepir.registration.warp_back import warp_to_reference
 
-FEWEST, SHORTEST = 3, 64  # frames, and px: fewer and smaller ones are rigid
-BAND = 8  # rows of which a step is made, and the next ones left to the other
-ALIKE = 0.6  # cosine between what two steps bend from which it may be no chance
-LEAST = 0.06  # px, root mean square along the frame's edge: what bends less is rigid
-SURE = 20.0  # nats by which frames that bend are the likelier, in all parts but one
+
+@dataclass(frozen=True)
+class HomographyCriteria:
+    """When homographies replace rigid motions."""
+
+    min_frames: int = 3
+    min_side: int = 64  # px
+    band_rows: int = 8  # rows of a band; the two half steps use alternate bands
+    min_cosine: float = 0.6  # between the non-rigid displacements of the two half steps
+    min_rms: float = 0.06  # px along the frame's edge; smaller non-rigid displacements are neglected
+    min_nats: float = 20.0  # log-likelihood ratio in sum over all blocks but the best
+
+
+HOMOGRAPHY = HomographyCriteria()
 
 
 def select_homography(
@@ -28,14 +39,18 @@ def select_homography(
     Residuals find the homographies, and are always less with them: pattern and scene follow. So the parts of the frame
     decide, which know nothing of each other, by the likelihood of where each has gone. weight: `(H, W)`.
     """
-    if len(motion) < FEWEST or min(level.shape) < SHORTEST or not half_steps_agree(level, motion):
+    if (
+        len(motion) < HOMOGRAPHY.min_frames
+        or min(level.shape) < HOMOGRAPHY.min_side
+        or not half_steps_agree(level, motion)
+    ):
         return motion
     homography = align(level, motion, "homography", max_rounds).motion
     reduced, factor = likelihood_frames(frames, weight)
     block_ratios = block_log_ratios(
         reduced, change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor), GRID_3X3
     )
-    return homography if leave_best_out_sum(block_ratios) > SURE else motion
+    return homography if leave_best_out_sum(block_ratios) > HOMOGRAPHY.min_nats else motion
 
 
 def half_steps_agree(level: Level, motion: Tensor) -> bool:
@@ -46,7 +61,7 @@ def half_steps_agree(level: Level, motion: Tensor) -> bool:
     """
     pattern, _ = estimate_pattern(level, motion)
     row_equations = normal_equations(warp_to_reference(level, pattern, motion), level, "homography")
-    odd = torch.arange(len(row_equations)) // BAND % 2 == 1
+    odd = torch.arange(len(row_equations)) // HOMOGRAPHY.band_rows % 2 == 1
     half_size = max(level.shape) / 2
     odd_displacement, even_displacement = (
         nonrigid_displacement(
@@ -59,8 +74,8 @@ def half_steps_agree(level: Level, motion: Tensor) -> bool:
     )
     inner_product = float((odd_displacement * even_displacement).sum())
     return inner_product > max(
-        ALIKE * float(odd_displacement.norm() * even_displacement.norm()),
-        LEAST**2 * odd_displacement[:, 0].numel(),
+        HOMOGRAPHY.min_cosine * float(odd_displacement.norm() * even_displacement.norm()),
+        HOMOGRAPHY.min_rms**2 * odd_displacement[:, 0].numel(),
     )
 
 

@@ -19,15 +19,26 @@ from deepir.registration.block_vote import (
 from deepir.registration.frame_groups import largest_consistent_set
 from deepir.registration.pyramid import Level, build_level
 
-COARSE = 160  # px: the search runs where the frame's longer side is at most this
-FINEST = 400_000  # px: larger frames are registered at half their size
-ROUNDS = 8  # of alignment at most
-FINE = 2  # of them on the last level, if there is one of half the size before
-TURNS = 100  # px: of larger frames, means over blocks say how they turn
-ENOUGH = 4  # frames: the parts of three are taken in by noise
-SMALL = 48  # px: of smaller frames a ninth part says nothing
-SPARED = 3  # of the nine parts, which somebody who walks by may be in
-NEAR = 0.4  # px of these, at the corners: so far are turns off by chance, and residuals know better
+SEARCH_SIDE = 160  # px; longer side of the level of the coarse search, at most
+MAX_FINAL_PIXELS = 400_000  # px; larger frames are registered at half their size
+MAX_ROUNDS = 8  # Gauss-Newton rounds of the alignment, over all levels
+LAST_LEVEL_ROUNDS = 2  # of these, rounds on the last level if a level of half the size precedes it
+
+
+@dataclass(frozen=True)
+class RotationCriteria:
+    """When a rotation that maximises the block-wise likelihood replaces that of least residuals."""
+
+    image_side: int = 100  # px; longer side of the block means on which the likelihood is computed
+    min_frames: int = 4  # with three, noise decides
+    min_side: int = 48  # px; a ninth of a smaller frame holds too few waves
+    n_left_out: int = 3  # of nine blocks, those that gain most: a moving object may cover them
+    min_change: float = (
+        0.4  # px at the corners of the block means; the likelihood is no more accurate than this
+    )
+
+
+ROTATION = RotationCriteria()
 
 
 @dataclass(frozen=True)
@@ -88,21 +99,21 @@ def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion:
     proposed = most_likely_rotations(frames, weight, motion)
     if proposed is motion:
         return motion
-    reduced, factor = likelihood_frames(frames, weight, TURNS)
+    reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
     before, proposed_reduced = (change_pixel_size(relative(each), factor) for each in (motion, proposed))
-    if corner_distance(before, proposed_reduced, reduced) < NEAR:
+    if corner_distance(before, proposed_reduced, reduced) < ROTATION.min_change:
         return motion
     refined = align_levels(levels, proposed, "rigid")
     after = change_pixel_size(relative(refined), factor)
     block_ratios = sorted(block_log_ratios(reduced, before, after, GRID_3X3))
-    return refined if sum(block_ratios[:-SPARED]) > 0 else motion
+    return refined if sum(block_ratios[: -ROTATION.n_left_out]) > 0 else motion
 
 
 def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
     """The likeliest turns of frames `(N, H, W)` near motions `(N, 3, 3)`; the same of frames that say too little."""
-    if len(frames) < ENOUGH or min(weight.shape) < SMALL:
+    if len(frames) < ROTATION.min_frames or min(weight.shape) < ROTATION.min_side:
         return motion
-    reduced, factor = likelihood_frames(frames, weight, TURNS)
+    reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
     return change_pixel_size(
         maximise_rotation_likelihood(reduced, change_pixel_size(relative(motion), factor)), 1 / factor
     )
@@ -115,19 +126,23 @@ def misfit_at(level: Level, motion: Tensor) -> float:
 
 def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
     """The level of flat frames `(N, H, W)` on which they are searched."""
-    return build_level(preprocessed, weight, power_of_two_factor(max(weight.shape) / COARSE))
+    return build_level(preprocessed, weight, power_of_two_factor(max(weight.shape) / SEARCH_SIDE))
 
 
 def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
     """The levels of flat frames `(N, H, W)` on which they are registered in the end, after one of factor `coarse`."""
-    last_factor = power_of_two_factor((weight.numel() / FINEST) ** 0.5)
+    last_factor = power_of_two_factor((weight.numel() / MAX_FINAL_PIXELS) ** 0.5)
     factors = (2 * last_factor, last_factor) if 2 * last_factor < coarse_factor else (last_factor,)
     return [build_level(preprocessed, weight, factor) for factor in factors]
 
 
 def align_levels(levels: list[Level], motion: Tensor, model: str) -> Tensor:
     """The motion after rounds on these levels, fewer on the last of two."""
-    for level, rounds in zip(levels, (ROUNDS - FINE, FINE) if levels[1:] else (ROUNDS,), strict=True):
+    for level, rounds in zip(
+        levels,
+        (MAX_ROUNDS - LAST_LEVEL_ROUNDS, LAST_LEVEL_ROUNDS) if levels[1:] else (MAX_ROUNDS,),
+        strict=True,
+    ):
         motion = align(level, motion, model, rounds).motion
     return motion
 

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from scipy.ndimage import binary_dilation, binary_opening, label, uniform_filter
 from torch import Tensor
 
 from deepir.arrays.median import MAD
-from deepir.registration.block_vote import SIZE
+from deepir.registration.block_vote import LIKELIHOOD_SIDE
 from deepir.registration.pyramid import Level, block_mean, sample
 
-SMOOTH = 3  # px, of frames of 320 px at most: side of the windows whose mean change is looked at
-#: Robust standard deviations of it: where somebody stands; and what he reaches somewhere.
-STANDS, REACHES = 8.0, 16.0
-THIN = 5  # px of these: what is thinner is an edge of the scene
-RIM = 4  # px of these by which he is larger than he looks
-MOST = 1 / 3  # share of a frame that he covers: where more differs, it is of another place
-CLEAR = 0.99  # share of a sample between pixels that are of the scene, if it is
-PASSES = 3  # over scene and pattern
+
+@dataclass(frozen=True)
+class DetectionCriteria:
+    """Which regions of the temporal change are moving objects: hysteresis thresholding, then morphology.
+
+    Lengths are px of frames of which the longer side is at most `LIKELIHOOD_SIDE` px.
+    """
+
+    window: int = 3  # px; side of the window over which the change is averaged
+    low_threshold: float = 8.0  # robust standard deviations; all samples of an object exceed it
+    high_threshold: float = 16.0  # robust standard deviations; one sample of an object exceeds it
+    min_thickness: int = 5  # px; thinner regions are edges of a scene that moves
+    margin: int = 4  # px by which regions are dilated
+    max_fraction: float = 1 / 3  # of a frame; where more changes, the frame shows another place
+
+
+DETECTION = DetectionCriteria()
+MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight from which a sample shows the background only
+INPAINTING_PASSES = 3  # alternations of scene and pattern
 
 
 def detect_moving_objects(preprocessed: Tensor) -> Tensor:
@@ -27,17 +40,22 @@ def detect_moving_objects(preprocessed: Tensor) -> Tensor:
     They differ from the median of all frames in regions that are nowhere thin, as the edges of a scene that moves are.
     """
     h, w = preprocessed.shape[1:]
-    factor = max(1, -(-max(h, w) // SIZE))
+    factor = max(1, -(-max(h, w) // LIKELIHOOD_SIDE))
     reduced = block_mean(preprocessed, factor)
     reduced = reduced - reduced.flatten(1).median(1).values[:, None, None]
-    change = np.abs(uniform_filter((reduced - reduced.median(0).values).numpy(), (0, SMOOTH, SMOOTH)))
+    change = np.abs(
+        uniform_filter((reduced - reduced.median(0).values).numpy(), (0, DETECTION.window, DETECTION.window))
+    )
     sigma = MAD * float(np.median(change))
-    candidates = binary_opening(change > STANDS * sigma, np.ones((1, THIN, THIN)))
+    candidates = binary_opening(
+        change > DETECTION.low_threshold * sigma,
+        np.ones((1, DETECTION.min_thickness, DETECTION.min_thickness)),
+    )
     neighbours = np.arange(27).reshape(3, 3, 3) // 9 == 1  # neighbours of a sample
     regions, _ = label(candidates, neighbours)
-    confirmed = np.unique(regions[candidates & (change > REACHES * sigma)])
-    mask = binary_dilation(np.isin(regions, confirmed), neighbours, iterations=RIM)
-    mask &= mask.mean((1, 2), keepdims=True) < MOST
+    confirmed = np.unique(regions[candidates & (change > DETECTION.high_threshold * sigma)])
+    mask = binary_dilation(np.isin(regions, confirmed), neighbours, iterations=DETECTION.margin)
+    mask &= mask.mean((1, 2), keepdims=True) < DETECTION.max_fraction
     mask = mask.repeat(factor, 1).repeat(factor, 2)
     padding = (0, 0), (0, h - mask.shape[1]), (0, w - mask.shape[2])
     return torch.from_numpy(np.pad(mask, padding, mode="edge"))
@@ -60,9 +78,9 @@ def inpaint_background(frames: Tensor, mask: Tensor, weight: Tensor, motion: Ten
     centred, visible, inverse = frames - levels, weight * ~mask, torch.linalg.inv(motion)
     mean = _masked_mean(centred, visible)
     visible_weight, known = sample(visible, inverse, level)
-    visible_weight = known * (visible_weight > CLEAR)
+    visible_weight = known * (visible_weight > MIN_VISIBLE_WEIGHT)
     pattern = torch.zeros_like(mean)
-    for _ in range(PASSES):
+    for _ in range(INPAINTING_PASSES):
         scene = (sample(centred - pattern, inverse, level)[0] * visible_weight).sum(0) / visible_weight.sum(
             0
         ).clamp_min(1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from deepir.operators.motion_models import identity, relative
 from deepir.registration.alternating_alignment import Alignment, estimate_pattern
 from deepir.registration.block_likelihood import GRID_2X2, block_log_ratios, leave_best_out_sum
 from deepir.registration.block_vote import (
-    FAR,
+    DISTINCT_DISTANCE,
     change_pixel_size,
     corner_distance,
     has_linear_part,
@@ -30,19 +30,39 @@ from deepir.registration.motion_search import (
 )
 from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
 from deepir.registration.reregister_worst import reregister_worst_frames
-from deepir.registration.robust_score import log_likelihood_ratio, robust_nll
+from deepir.registration.robust_score import MIN_CLEAR_GAIN, log_likelihood_ratio, robust_nll
 from deepir.registration.shift_likelihood import maximise_shift_likelihood
 
-#: Nats that each sample costs where most frames show one scene and nothing else; and up to which edges of dark scenes
-#: may do it: what no motion leaves is then so many times more, of a scene or of him, not of both.
-PLAIN, ROUGH, WHOLE = 0.7, 1.0, 0.08
-STILL = 0.5  # px up to which a frame seems to stand still
-CLEAR = 0.08  # nats by which each sample is better explained, beyond doubt
-DOUBT = 0.25  # and up to which it may be worse, where the likelihood of what is beside him says better
-NOTHING = 0.7  # of what no motion leaves where he is filled in: a motion that leaves more explains nothing
-CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
-PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
-ENOUGH = 0.4  # of the frame beside his way, to be searched in
+
+@dataclass(frozen=True)
+class FitCriteria:
+    """When motions explain the frames well, so that no moving object needs to be searched."""
+
+    good_nll: float = 0.7  # nats per sample; less: one scene and little else
+    poor_nll: float = 1.0  # nats per sample; more: not explained. Between the two the next ratio decides
+    max_rest_ratio: float = (
+        0.08  # misfit over that at rest, on the final level; edges of dark scenes reach less
+    )
+    rest_distance: float = 0.5  # px from the median shift; a frame that is closer seems to be at rest
+
+
+@dataclass(frozen=True)
+class CandidateCriteria:
+    """When a candidate motion replaces the estimate in the presence of moving objects."""
+
+    max_loss: float = (
+        0.25  # nats per sample of the robust score, if the blocks' likelihood prefers the candidate
+    )
+    max_rest_ratio: float = 0.7  # misfit over that at rest, the moving objects inpainted
+    max_rotated_ratio: float = 0.95  # misfit over that of the estimate, if frames rotate
+    max_swept: float = (
+        3 / 8
+    )  # of the frame; where objects pass through more, they are inpainted, not left out
+    min_background: float = 0.4  # of the frame; through the rest, objects pass
+
+
+FIT = FitCriteria()
+CANDIDATE = CandidateCriteria()
 
 
 def register_beside_moving_objects(
@@ -72,7 +92,9 @@ def register_beside_moving_objects(
                     candidate, reregister_worst_frames(level, full_motion(candidate), model)
                 )
                 gain = log_likelihood_ratio(level, full_motion(estimate), full_motion(repaired))
-                if gain > CLEAR or (gain > -DOUBT and is_likelier(estimate, repaired, frames, mask, weight)):
+                if gain > MIN_CLEAR_GAIN or (
+                    gain > -CANDIDATE.max_loss and is_likelier(estimate, repaired, frames, mask, weight)
+                ):
                     estimate = refine_with_inpainting(repaired, frames, preprocessed, mask, weight, model)
     return (
         estimate
@@ -87,16 +109,18 @@ def is_well_explained(estimate: MotionEstimate, weight: Tensor) -> bool:
     Not where all but one seem to stand still: that one may have lost lines on its way, and all follow the pattern.
     """
     shifts = full_motion(estimate)[estimate.used][:, :2, 2]
-    resting = (shifts - shifts.median(0).values).norm(dim=1) < STILL
+    resting = (shifts - shifts.median(0).values).norm(dim=1) < FIT.rest_distance
     if len(shifts) > 3 and resting.sum() == len(shifts) - 1:
         return False
     nll = robust_nll(estimate.coarse_level, full_motion(estimate))
-    if not PLAIN < nll < ROUGH:
-        return nll <= PLAIN
+    if not FIT.good_nll < nll < FIT.poor_nll:
+        return nll <= FIT.good_nll
     level = final_levels(estimate.preprocessed, weight, estimate.coarse_level.factor)[-1].subset(
         estimate.used
     )  # there, what moves by a few px differs
-    return misfit_at(level, estimate.motion) < WHOLE * misfit_at(level, identity(len(estimate.motion)))
+    return misfit_at(level, estimate.motion) < FIT.max_rest_ratio * misfit_at(
+        level, identity(len(estimate.motion))
+    )
 
 
 def full_motion(estimate: MotionEstimate) -> Tensor:
@@ -124,7 +148,7 @@ def alternative_estimates(
     candidate = coarse_search(inpainted, preprocessed, weight, model)
     if any_differs := differs(estimate, candidate):
         yield refine(candidate, weight, model)
-    if background.mean() > ENOUGH:
+    if background.mean() > CANDIDATE.min_background:
         candidate = coarse_search(frames, estimate.preprocessed * (background > 0), background, model)
         if differs(estimate, candidate):
             any_differs = True
@@ -139,7 +163,8 @@ def differs(estimate: MotionEstimate, other: MotionEstimate) -> bool:
         return True
     return (
         len(estimate.motion) > 1
-        and corner_distance(relative(estimate.motion), relative(other.motion), estimate.frames) > FAR
+        and corner_distance(relative(estimate.motion), relative(other.motion), estimate.frames)
+        > DISTINCT_DISTANCE
     )
 
 
@@ -151,7 +176,7 @@ def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:
     if model != "rigid":
         return motion
     rotated = most_likely_rotations(frames, weight, motion)
-    return rotated if corner_distance(motion, rotated, frames) > FAR else motion
+    return rotated if corner_distance(motion, rotated, frames) > DISTINCT_DISTANCE else motion
 
 
 def is_likelier(
@@ -174,7 +199,7 @@ def is_likelier(
             misfit_at(level, each) for each in (identity(int(common.sum())), *motions)
         )
         swept = mask[common].any(0)
-        if swept.float().mean() < PASSED:
+        if swept.float().mean() < CANDIDATE.max_swept:
             reduced_sets = [likelihood_frames(frames[common], weight * ~swept)]
         else:
             reduced_sets = [
@@ -183,14 +208,14 @@ def is_likelier(
             ]
         reduced, factor = reduced_sets[0]
         before, after = (change_pixel_size(each, factor) for each in motions)
-        if factor * corner_distance(before, after, reduced) > FAR:
+        if factor * corner_distance(before, after, reduced) > DISTINCT_DISTANCE:
             block_ratios = [block_log_ratios(each, before, after, GRID_2X2) for each, _ in reduced_sets]
             accepted = leave_best_out_sum([sum(part) for part in zip(*block_ratios, strict=True)]) > 0
             # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
             limit = (
-                CLEARLY * misfit_before
+                CANDIDATE.max_rotated_ratio * misfit_before
                 if has_linear_part(motions[0], weight)
-                else max(misfit_before, NOTHING * misfit_at_rest)
+                else max(misfit_before, CANDIDATE.max_rest_ratio * misfit_at_rest)
             )
             return accepted and misfit_after < limit
     return n_after > n_before and is_well_explained(candidate, weight)

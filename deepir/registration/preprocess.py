@@ -10,8 +10,8 @@ from deepir.arrays.median import MAD
 from deepir.arrays.subsample import subsample
 from deepir.arrays.windows import median_filter
 
-STUCK = 10.0  # robust standard deviations beyond which a pixel of the mean frame is stuck
-WINDOW = 31  # px across the stripes: what is broader is none
+STUCK_THRESHOLD = 10.0  # robust standard deviations; pixels of the mean frame beyond are stuck
+STRIPE_WINDOW = 31  # px across the lines; broader structure is no stripe
 
 
 def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -50,7 +50,7 @@ def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
 
 def line_pattern(image: Tensor, axis: int) -> Tensor:
     """Structure of lines along `axis`: their median of what differs from the mean over some px across them."""
-    broad = scipy.ndimage.uniform_filter1d(image.numpy(), WINDOW, axis=1 - axis, mode="nearest")
+    broad = scipy.ndimage.uniform_filter1d(image.numpy(), STRIPE_WINDOW, axis=1 - axis, mode="nearest")
     return (image - torch.from_numpy(broad)).median(axis, keepdim=True).values
 
 
@@ -58,4 +58,4 @@ def stuck_pixels(image: Tensor) -> Tensor:
     """Pixels `(H, W)` that differ from their 3 x 3 median by `STUCK` robust deviations."""
     deviation = (image - median_filter(image[None, None])[0, 0]).abs()
     scale = MAD * float(subsample(deviation[None])[0].median())
-    return deviation > (STUCK * scale or torch.inf)
+    return deviation > (STUCK_THRESHOLD * scale or torch.inf)

@@ -10,8 +10,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-FINE = 0.8  # px of the level: Gaussian low-pass
-SHRINK, BROAD = 4, 1.5  # shading and drift are broader than a Gaussian of BROAD px after shrinking
+LOW_PASS_SIGMA = 0.8  # px of the level; Gaussian low-pass of all frames
+SHADING_SHRINK = 4  # factor by which frames are reduced before shading is estimated
+SHADING_SIGMA = 1.5  # px of the reduced frames; shading and drift are smoother than this Gaussian
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,10 @@ def gaussian_blur(images: Tensor, sigma: float) -> Tensor:
 def smooth_shading(images: Tensor) -> Tensor:
     """The shading in `(B, h, w)`: a wide Gaussian, at a quarter of the size."""
     h, w = images.shape[-2:]
-    reduced = F.avg_pool2d(images[:, None], SHRINK, ceil_mode=True, count_include_pad=False)
-    reduced = F.pad(gaussian_blur(reduced, BROAD), (1, 1, 1, 1), mode="replicate")
-    upsampled = F.interpolate(reduced, scale_factor=SHRINK, mode="bilinear", align_corners=False)
-    return upsampled[:, 0, SHRINK : SHRINK + h, SHRINK : SHRINK + w]
+    reduced = F.avg_pool2d(images[:, None], SHADING_SHRINK, ceil_mode=True, count_include_pad=False)
+    reduced = F.pad(gaussian_blur(reduced, SHADING_SIGMA), (1, 1, 1, 1), mode="replicate")
+    upsampled = F.interpolate(reduced, scale_factor=SHADING_SHRINK, mode="bilinear", align_corners=False)
+    return upsampled[:, 0, SHADING_SHRINK : SHADING_SHRINK + h, SHADING_SHRINK : SHADING_SHRINK + w]
 
 
 def block_mean(images: Tensor, factor: int) -> Tensor:
@@ -99,11 +100,11 @@ def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
     averaged = torch.stack([block_mean(f[None], factor)[0] for f in frames])
     for frame in averaged:
         frame.sub_(known_fraction[0] * (smooth_shading(frame[None]) / shading)[0])
-    support = gaussian_blur(known_fraction, FINE)
-    known = (support > 0.5 * gaussian_blur(torch.ones_like(known_fraction), FINE)).float()[0]
+    support = gaussian_blur(known_fraction, LOW_PASS_SIGMA)
+    known = (support > 0.5 * gaussian_blur(torch.ones_like(known_fraction), LOW_PASS_SIGMA)).float()[0]
     scale = known / support[0].clamp_min(1e-6)
     for frame in averaged:
-        frame.copy_(gaussian_blur(frame, FINE) * scale)
+        frame.copy_(gaussian_blur(frame, LOW_PASS_SIGMA) * scale)
     rms = float(averaged.square().mean().sqrt())
     averaged /= max(rms, 1e-12)
     return Level(factor, averaged, known, bool(known.all()), (frames.shape[1], frames.shape[2]))

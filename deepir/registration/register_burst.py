@@ -11,16 +11,16 @@ from torch import Tensor
 from deepir.errors import DataError, nearest
 from deepir.operators.motion_models import AUTO, PARAMETERS, identity, relative
 from deepir.registration.alternating_alignment import Alignment, estimate_pattern
-from deepir.registration.frame_groups import FAILED, concordance, frames_at_rest, misfit_per_dof
+from deepir.registration.frame_groups import MIN_CONCORDANCE, concordance, frames_at_rest, misfit_per_dof
 from deepir.registration.model_selection import select_homography
-from deepir.registration.motion_search import ROUNDS, estimate_motion, final_levels, search_level
+from deepir.registration.motion_search import MAX_ROUNDS, estimate_motion, final_levels, search_level
 from deepir.registration.moving_object_masks import inpaint_mean
-from deepir.registration.moving_objects import CLEAR, full_motion, register_beside_moving_objects
+from deepir.registration.moving_objects import full_motion, register_beside_moving_objects
 from deepir.registration.preprocess import preprocess
-from deepir.registration.robust_score import log_likelihood_ratio
-from deepir.registration.shutter_frames import FEWEST, shutter_frames
+from deepir.registration.robust_score import MIN_CLEAR_GAIN, log_likelihood_ratio
+from deepir.registration.shutter_frames import SHUTTER, shutter_frames
 
-UNSURE = 0.85  # confidence below which a frame's motion may be wrong
+UNCERTAIN_CONFIDENCE = 0.85  # confidence below which a message says that a frame's motion may be wrong
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def register(
     base_model = "rigid" if model == AUTO else model
     n = len(frames)
     excluded = dict.fromkeys(repeated_frames(frames), "is the same as the one before it")
-    if n > FEWEST:
+    if n > SHUTTER.min_scene_frames:
         shutter = shutter_frames(search_level(preprocessed, weight), base_model).nonzero()[:, 0].tolist()
         excluded |= dict.fromkeys(shutter, "shows the pattern and no scene, as where a shutter closes")
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
@@ -101,7 +101,7 @@ def estimate_burst(
     if used.sum() > 1:
         if model == AUTO:
             final_level = final_levels(estimate.preprocessed[used], weight, coarse_level.factor)[-1]
-            motion = select_homography(estimate.frames[used], weight, final_level, motion, ROUNDS)
+            motion = select_homography(estimate.frames[used], weight, final_level, motion, MAX_ROUNDS)
         alignment = min(
             alignment,
             Alignment(motion, *estimate_pattern(coarse_level.subset(used), motion)),
@@ -112,10 +112,10 @@ def estimate_burst(
         at_rest, moving = (
             full_motion(replace(estimate, motion=each)) for each in (identity(len(motion)), motion)
         )
-        if log_likelihood_ratio(coarse_level, at_rest, moving) < CLEAR:
+        if log_likelihood_ratio(coarse_level, at_rest, moving) < MIN_CLEAR_GAIN:
             return identity(len(frames)), resting.double()
     all_motions = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
-    confidence = 0.5 * FAILED * estimate.match_score.clamp_max(1)
+    confidence = 0.5 * MIN_CONCORDANCE * estimate.match_score.clamp_max(1)
     if used.sum() > 1:
         all_motions[used], confidence[used] = (
             motion,
@@ -129,11 +129,11 @@ def make_registration(
 ) -> Registration:
     """Confidence and messages; frames that fail are left out by name, some of which it is known why."""
     confidence = confidence.clamp(0, 1)
-    used = confidence >= FAILED
+    used = confidence >= MIN_CONCORDANCE
     if used.sum() < 2:  # nothing agrees: the first frame stands for itself
         first = next(k for k in range(len(used)) if k not in excluded)
         used = torch.arange(len(used)) == first
-        confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * FAILED))
+        confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * MIN_CONCORDANCE))
         motion[first] = torch.eye(3, dtype=torch.float64)
     messages = []
     for k in range(len(used)):
@@ -143,7 +143,7 @@ def make_registration(
             messages.append(
                 f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
             )
-        elif confidence[k] < UNSURE:
+        elif confidence[k] < UNCERTAIN_CONFIDENCE:
             messages.append(
                 f"frame {start + k} shows little that registers (confidence {float(confidence[k]):.2f}): "
                 "its motion may be wrong"

@@ -5,10 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.registration.block_vote import FAR, corner_distance
+from deepir.registration.block_vote import DISTINCT_DISTANCE, corner_distance
 from deepir.registration.cross_correlation import match_to_reference
 from deepir.registration.pyramid import Level
 from deepir.registration.robust_score import (
+    MIN_CLEAR_GAIN,
     absolute_residuals,
     log_likelihood_ratio,
     median_model,
@@ -16,8 +17,7 @@ from deepir.registration.robust_score import (
     sample_nll,
 )
 
-FEWEST = 3  # other frames in which one is sought
-CLEAR = 0.08  # nats by which each sample is better explained where it is found
+MIN_OTHER_FRAMES = 3  # frames in which another one is searched
 
 
 def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
@@ -33,14 +33,14 @@ def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
         )
         candidate = motion.clone()
         candidate[worst] = torch.nan
-        if candidate.isfinite().all((1, 2)).sum() < FEWEST:
+        if candidate.isfinite().all((1, 2)).sum() < MIN_OTHER_FRAMES:
             break
         rest = median_model(level, candidate)
         candidate[[worst]], _ = match_to_reference(
             rest.scene, level.frames[[worst]] - rest.pattern, level, model, pattern_present=False
         )
-        unchanged = corner_distance(motion[[worst]], candidate[[worst]], level.frames) < FAR
-        if unchanged or log_likelihood_ratio(level, motion, candidate) < CLEAR:
+        unchanged = corner_distance(motion[[worst]], candidate[[worst]], level.frames) < DISTINCT_DISTANCE
+        if unchanged or log_likelihood_ratio(level, motion, candidate) < MIN_CLEAR_GAIN:
             break
         motion = candidate
     return motion

@@ -10,15 +10,17 @@ from torch import Tensor
 from deepir.arrays.median import MAD
 from deepir.registration.pyramid import Level, sample
 
-SEEN = 2.5  # frames that must show a place of the scene, for it to say something
-TAILS = 4.0  # variances, from which a residual counts little more,
-BOUND = (
-    10.0  # and standard deviations, from which no more, and as which a sample counts that others do not see
+MIN_OVERLAPPING = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
+TAIL_VARIANCE = 4.0  # variances; squared scale of the heavy-tailed (Cauchy) likelihood
+MAX_RESIDUAL = (
+    10.0  # standard deviations; bound of a residual, and that of a sample that no other frame shows
 )
-SPARED = 2  # of the nine parts, at either end
-#: Passes over scene and pattern, and the share of the last one's change that each goes on by: where the camera moves
-#: little they settle slowly, and motions would be best that are too large.
-PASSES, HASTE = 10, 0.8
+N_TRIMMED = 2  # of nine blocks, left out at either end of the sorted gains
+MEDIAN_PASSES = 10  # alternations of median scene and median pattern
+#: Share of its last change by which the pattern is extrapolated in each pass. With little motion, scene and pattern
+#: separate slowly; unconverged, too large motions would score best.
+EXTRAPOLATION = 0.8
+MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
 
 
 def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
@@ -28,13 +30,13 @@ def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
     explained: else motions would be best that share nothing. Of nine parts of the frame, those that gain most and
     least do not count: somebody may walk there. Two frames are explained by anything: they gain and lose nothing.
     """
-    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < SEEN:
+    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < MIN_OVERLAPPING:
         return 0.0
     residuals_before, residuals_after = (absolute_residuals(level, motion) for motion in (before, after))
     sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
     sample_gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
     block_gains = sorted(float(part.mean()) for rows in sample_gain.chunk(3) for part in rows.chunk(3, 1))
-    central = block_gains[SPARED:-SPARED] or block_gains  # frames of a few lines have fewer
+    central = block_gains[N_TRIMMED:-N_TRIMMED] or block_gains  # frames of a few lines have fewer
     return sum(central) / len(central)
 
 
@@ -52,7 +54,10 @@ def robust_sigma(residual: Tensor) -> float:
 
 def sample_nll(residual: Tensor, sigma: float) -> Tensor:
     """Minus the log-likelihood of samples `(N, h, w)`, the rest of which has a `usual` width."""
-    return torch.log1p((residual / sigma).where(residual.isfinite(), BOUND).clamp_max(BOUND).square() / TAILS)
+    return torch.log1p(
+        (residual / sigma).where(residual.isfinite(), MAX_RESIDUAL).clamp_max(MAX_RESIDUAL).square()
+        / TAIL_VARIANCE
+    )
 
 
 def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
@@ -92,9 +97,11 @@ def median_model(level: Level, motion: Tensor) -> MedianModel:
     inverse, pattern = torch.linalg.inv(motion), torch.zeros_like(level.weight)
     previous = pattern
     visible = sample(level.frames, inverse, level)[1] > 0
-    overlapping = (sample(visible.sum(0)[None].float(), motion, level)[0] > SEEN) & (level.weight > 0)
-    for _ in range(PASSES):
-        extrapolated = pattern + HASTE * (pattern - previous)
+    overlapping = (sample(visible.sum(0)[None].float(), motion, level)[0] > MIN_OVERLAPPING) & (
+        level.weight > 0
+    )
+    for _ in range(MEDIAN_PASSES):
+        extrapolated = pattern + EXTRAPOLATION * (pattern - previous)
         scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
         expected, known = sample(scene[None], motion, level)
         previous, pattern = pattern, _masked_median(level.frames - expected, overlapping & (known > 0))

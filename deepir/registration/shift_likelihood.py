@@ -19,12 +19,16 @@ from torch import Tensor
 
 from deepir.registration.cross_correlation import hann_window
 
-HIGHEST = 2.5  # radians a px: of shorter waves there is next to no scene
-RINGS = 14  # of waves as long
-LINE = 2.5  # waves along rows or columns up to which lines are seen, for the window's sake
-SETTLED = 0.05  # px: a smaller step ends the rounds
-ROUNDS, STEPS, PASSES = 3, 20, 6  # of powers after shifts; of the shifts at most; of the powers
-STEEP = 1.0  # nats a px: less ends the steps
+MAX_WAVENUMBER = 2.5  # rad per px; shorter waves hold almost no scene
+N_RINGS = 14  # rings of waves of about one length, each with one power of scene and one of noise
+AXIS_EXCLUSION = (
+    2.5  # cycles per frame; waves up to here along an axis hold the pattern's lines, by the taper's leakage
+)
+CONVERGED_SHIFT = 0.05  # px; a smaller step ends the alternation of shifts and powers
+MAX_ALTERNATIONS = 3  # of shifts and powers
+MAX_LBFGS_STEPS = 20  # L-BFGS steps of the shifts at fixed powers
+EM_ITERATIONS = 6  # expectation-maximisation steps of the powers at fixed shifts
+GRADIENT_TOLERANCE = 1.0  # nats per px; a smaller gradient ends L-BFGS
 
 
 class Likelihood(Protocol):
@@ -39,8 +43,8 @@ class Likelihood(Protocol):
 
 def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
     """The places `(K, P)` to which the likelihood climbs from a start `(K, P)`; all in px."""
-    options = {"maxiter": STEPS, "gtol": STEEP}
-    for _ in range(ROUNDS):
+    options = {"maxiter": MAX_LBFGS_STEPS, "gtol": GRADIENT_TOLERANCE}
+    for _ in range(MAX_ALTERNATIONS):
         result = minimize(
             likelihood.negative_log_likelihood,
             parameters.ravel(),
@@ -49,7 +53,7 @@ def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
             options=options,
         )
         previous, parameters = parameters, result.x.reshape(parameters.shape)
-        if np.abs(parameters - previous).max() < SETTLED:
+        if np.abs(parameters - previous).max() < CONVERGED_SHIFT:
             break
         likelihood.update_powers(parameters)
     return parameters
@@ -69,7 +73,7 @@ class ShiftLikelihood:
         frames = (frames - (frames * taper).sum((1, 2), keepdim=True) / taper.sum()) * taper
         y, x = (2 * np.pi * waves for waves in (np.fft.fftfreq(h), np.fft.rfftfreq(w)))
         rows, columns = (
-            (LINE * 2 * np.pi / side < np.abs(each)) & (np.abs(each) < HIGHEST)
+            (AXIS_EXCLUSION * 2 * np.pi / side < np.abs(each)) & (np.abs(each) < MAX_WAVENUMBER)
             for side, each in ((h, y), (w, x))
         )
         self.y, self.x = y[rows], x[columns]
@@ -78,9 +82,9 @@ class ShiftLikelihood:
         self.frames = spectra[:, rows][:, :, columns]
         self.real, self.imag = (np.ascontiguousarray(each) for each in (self.frames.real, self.frames.imag))
         self.wavenumber = np.hypot(self.y[:, None], self.x)
-        self.ring = np.digitize(self.wavenumber, np.geomspace(2 * np.pi / max(h, w), HIGHEST, RINGS))
-        self.ring_sizes = np.bincount(self.ring.ravel(), minlength=RINGS + 1)
-        self._set_initial_powers(self.wavenumber > 0.8 * HIGHEST)
+        self.ring = np.digitize(self.wavenumber, np.geomspace(2 * np.pi / max(h, w), MAX_WAVENUMBER, N_RINGS))
+        self.ring_sizes = np.bincount(self.ring.ravel(), minlength=N_RINGS + 1)
+        self._set_initial_powers(self.wavenumber > 0.8 * MAX_WAVENUMBER)
 
     def _set_initial_powers(self, high_band: np.ndarray) -> None:
         """Of the shortest waves, what differs from frame to frame is noise, and what does not is pattern."""
@@ -93,7 +97,7 @@ class ShiftLikelihood:
             2
         )  # a wave's power has an exponential distribution: its mean from its median
         pattern = max(median_to_mean * float(np.median(power[high_band])) - noise, 0.1 * noise)
-        total = np.bincount(self.ring.ravel(), power.ravel(), RINGS + 1)
+        total = np.bincount(self.ring.ravel(), power.ravel(), N_RINGS + 1)
         self.scene = np.maximum(
             (total / np.maximum(self.ring_sizes, 1))[self.ring] - pattern - noise, 0.02 * pattern
         )
@@ -113,8 +117,8 @@ class ShiftLikelihood:
         from deepir.kernels.shift_likelihood import powers
 
         n, rows = len(self.real), len(self.y)
-        expected, pattern_powers = np.empty((rows, RINGS + 1, 2)), np.empty(rows)
-        for _ in range(PASSES):
+        expected, pattern_powers = np.empty((rows, N_RINGS + 1, 2)), np.empty(rows)
+        for _ in range(EM_ITERATIONS):
             powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
             scene, noise = (expected.sum(0) / np.maximum(self.ring_sizes, 1)[:, None]).T
             self.scene, self.noise = scene[self.ring], np.maximum(noise / n, self.noise_floor)[self.ring]

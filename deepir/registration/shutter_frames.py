@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -13,12 +13,24 @@ from deepir.registration.cross_correlation import correlation_search
 from deepir.registration.frame_groups import reject_frames
 from deepir.registration.pyramid import Level
 
-FEWEST = 3  # other frames
-EVENLY = 1.35  # times further from the furthest frame than from the nearest: of a scene, frames are by how they move
-SAME = 0.1  # of the usual distance: frames that are the same but for noise
-STANDS = 0.06  # of the others less this frame, what may stand still in them
-LEFT = 0.1  # of what no motion explains of them, what motions may leave
-MOST = 0.7  # of these that have to show one scene
+
+@dataclass(frozen=True)
+class ShutterCriteria:
+    """When frames show a closed shutter: the fixed pattern only."""
+
+    min_scene_frames: int = 3
+    max_spread: float = (
+        1.35  # largest over smallest squared distance to scene frames; of a scene frame it is larger
+    )
+    duplicate_distance: float = 0.1  # of the median squared distance; closer frames are equal up to noise
+    max_static_power: float = (
+        0.06  # of the mean square of scene minus shutter frames, which static structure may have
+    )
+    max_misfit_ratio: float = 0.1  # misfit of scene minus shutter frames at their motions, over that at rest
+    min_consistent: float = 0.7  # share of the scene frames that must show one scene
+
+
+SHUTTER = ShutterCriteria()
 
 
 def shutter_frames(level: Level, model: str) -> Tensor:
@@ -31,11 +43,11 @@ def shutter_frames(level: Level, model: str) -> Tensor:
     none = torch.zeros(len(images), dtype=torch.bool)
     distance = torch.cdist(images, images).square()
     typical = distance[~torch.eye(len(images), dtype=torch.bool)].median()
-    least_spread, scene_frames = EVENLY, none
+    least_spread, scene_frames = SHUTTER.max_spread, none
     for distances in distance:
-        different = distances > SAME * typical
+        different = distances > SHUTTER.duplicate_distance * typical
         if (
-            different.sum() >= FEWEST
+            different.sum() >= SHUTTER.min_scene_frames
             and (spread := float(distances[different].max() / distances[different].min())) < least_spread
         ):
             least_spread, scene_frames = spread, different
@@ -46,9 +58,13 @@ def shutter_frames(level: Level, model: str) -> Tensor:
     motion, match_score = correlation_search(difference.frames, difference, model, pattern_present=False)
     used, alignment = reject_frames(difference, match_score > 1, motion, model)
     misfit_at_rest = estimate_pattern(difference.subset(used), identity(int(used.sum())))[1]
-    is_static = alignment.pattern.square().mean() > STANDS * difference.frames.square().mean()
+    is_static = (
+        alignment.pattern.square().mean() > SHUTTER.max_static_power * difference.frames.square().mean()
+    )
     return (
         ~scene_frames
-        if used.float().mean() > MOST and alignment.misfit < LEFT * misfit_at_rest and not is_static
+        if used.float().mean() > SHUTTER.min_consistent
+        and alignment.misfit < SHUTTER.max_misfit_ratio * misfit_at_rest
+        and not is_static
         else none
     )

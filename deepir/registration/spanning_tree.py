@@ -8,7 +8,7 @@ from torch import Tensor
 from deepir.registration.cross_correlation import match_to_reference
 from deepir.registration.pyramid import Level
 
-SURE = 3.0  # how clear a frame is that need not be looked for in others
+CERTAIN_SCORE = 3.0  # match score from which a frame is not searched in further frames
 
 
 def spanning_tree_motions(
@@ -25,7 +25,7 @@ def spanning_tree_motions(
     while True:
         k = int(torch.where(unvisited, match_score, -1.0).argmax())
         unvisited[k] = False
-        weak = (unvisited & (match_score < SURE)).nonzero()[:, 0]
+        weak = (unvisited & (match_score < CERTAIN_SCORE)).nonzero()[:, 0]
         if not match_score[k] > 1 or not len(weak):
             return motion, match_score
         relative_motion, new_score = match_to_reference(

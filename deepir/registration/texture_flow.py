@@ -15,22 +15,19 @@ from skimage.registration import optical_flow_ilk
 
 Array = np.ndarray
 
-#: Shorter side, px, to which frames are averaged at least.
-SHORT_SIDE = 120
-#: Standard deviation of the Gaussian below which detail is texture, and of that which evens its contrast, px.
-TEXTURE_SIGMA, CONTRAST_SIGMA = 8.0, 16.0
-#: Contrast added to the local one, of the frame's median, so that plain places do not become texture.
-CONTRAST_FLOOR = 0.3
-#: Half-width of the window of the Lucas-Kanade flow, px, and its warps.
-RADIUS, WARPS = 7, 10
-#: Largest distance, px, by which a displacement there and back may miss its start.
-LOOP_ERROR = 1.0
-#: Least normalised correlation of texture within `CORRELATION_SIGMA` px, where a displacement is trusted.
-CORRELATION, CORRELATION_SIGMA = 0.7, 5.0
-#: px of the frames in which displacements are sought, from which they are a motion.
-LEAST_MOVED = 0.5
-#: px from the border within which nothing is trusted.
-BORDER = 2
+SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
+TEXTURE_SIGMA = 8.0  # px; Gaussian that separates texture from what is broader
+CONTRAST_SIGMA = 16.0  # px; Gaussian over which the contrast of the texture is normalised
+CONTRAST_FLOOR = (
+    0.3  # of the frame's median contrast, added to the local one: plain areas do not become texture
+)
+RADIUS = 7  # px; half-width of the Lucas-Kanade window
+WARPS = 10  # warps of the Lucas-Kanade flow
+MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
+MIN_CORRELATION = 0.7  # normalised local correlation of texture from which a displacement is trusted
+CORRELATION_SIGMA = 5.0  # px; Gaussian window of this correlation
+MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are no motion
+BORDER = 2  # px from the border within which no displacement is trusted
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,7 @@ class Displacement:
     def share_moved(self) -> float:
         """Share of the frame that is known to have moved, by `LEAST_MOVED` px and more."""
         rows, columns = np.mgrid[: self.y.shape[0], : self.y.shape[1]]
-        moved = np.hypot(self.y - rows, self.x - columns) >= LEAST_MOVED
+        moved = np.hypot(self.y - rows, self.x - columns) >= MIN_DISPLACEMENT
         return float((moved & self.known).mean())
 
 
@@ -87,8 +84,8 @@ def _displacement(first: int, second: int, textures: dict[int, Array]) -> Displa
         return np.asarray(ndimage.gaussian_filter(values, CORRELATION_SIGMA))
 
     energy = np.sqrt(near(here**2) * near(arrived**2))
-    alike = near(here * arrived) > CORRELATION * np.maximum(energy, np.finfo(float).tiny)
-    return Displacement(first, second, y, x, inside & (loop < LOOP_ERROR) & alike)
+    alike = near(here * arrived) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
+    return Displacement(first, second, y, x, inside & (loop < MAX_LOOP_ERROR) & alike)
 
 
 def sampled(values: Array, y: Array, x: Array) -> Array:

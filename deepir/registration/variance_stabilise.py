@@ -8,11 +8,11 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
-NEAR = 7  # px: beside the mean over so many a pixel's gain and offset are seen
-BESIDE = 5  # px: over so many a bad pixel is filled in, if more than
-LITTLE = 0.03  # of them are good; over more, where there are none
-PARTS = 8  # of the pixels, from dark to bright
-KNEE = (0.05, 50.0)  # bounds, in root mean squares of the flux: nearly the logarithm, nearly nothing
+LOCAL_WINDOW = 7  # px; a pixel's deviation from this window's mean shows its gain and offset
+FILL_WINDOW = 5  # px; first window from whose mean a bad pixel is filled
+MIN_GOOD_FRACTION = 0.03  # of the window's pixels; with fewer, the next window is about twice as wide
+N_FLUX_BINS = 8  # quantile bins of the pixels, from dark to bright
+ASINH_SCALE_BOUNDS = (0.05, 50.0)  # root mean squares of the flux; from nearly logarithmic to nearly linear
 
 
 def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
@@ -27,7 +27,7 @@ def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
 
 def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
     """Frames `(N, h, w)` float64 whose pixels that are not good are means over the least window in which some are."""
-    found, unknown, window = torch.where(good, frames.double(), 0.0), ~good, BESIDE
+    found, unknown, window = torch.where(good, frames.double(), 0.0), ~good, FILL_WINDOW
     if not good.any():
         return found
     known, fraction = found.numpy(), good.double().numpy()
@@ -36,7 +36,7 @@ def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
         means = scipy.ndimage.uniform_filter(
             known, (0, window, window), mode="constant"
         ) / local_fraction.clip(1e-9)
-        fillable = unknown & torch.from_numpy(local_fraction > LITTLE)
+        fillable = unknown & torch.from_numpy(local_fraction > MIN_GOOD_FRACTION)
         found, unknown, window = (
             torch.where(fillable, torch.from_numpy(means), found),
             unknown & ~fillable,
@@ -47,13 +47,13 @@ def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
 
 def asinh_scale(image: np.ndarray) -> float:
     """The flux at which gains make as strong a pattern as offsets, as the bright and dark parts of an image tell."""
-    local_mean = scipy.ndimage.uniform_filter(image, NEAR, mode="nearest")
+    local_mean = scipy.ndimage.uniform_filter(image, LOCAL_WINDOW, mode="nearest")
     rms = float(np.sqrt(np.mean(local_mean**2))) or 1.0
-    bins = np.array_split(local_mean.ravel().argsort(), PARTS)
+    bins = np.array_split(local_mean.ravel().argsort(), N_FLUX_BINS)
     flux, deviation = local_mean.ravel() / rms, np.abs(image - local_mean).ravel() / rms
     mean_square = np.array([np.mean(flux[pixels] ** 2) for pixels in bins])
     pattern_power = np.array([np.median(deviation[pixels]) ** 2 for pixels in bins]).clip(1e-20)
     (offset, gain), _ = scipy.optimize.nnls(
-        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(PARTS)
+        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(N_FLUX_BINS)
     )
-    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *KNEE))
+    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *ASINH_SCALE_BOUNDS))

@@ -65,9 +65,11 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, see
     sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3, **camera), seed=seed)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
-    monkeypatch.setattr(block_vote, "MOST", 2)
-    monkeypatch.setattr(moving_objects, "PLAIN", torch.inf)  # which finds them, too,
-    monkeypatch.setattr(frame_groups, "PANNED", 1.0)  # as does this
+    monkeypatch.setattr(block_vote, "MAX_FRAMES_OF_INTEGER_SEARCH", 2)
+    monkeypatch.setattr(
+        moving_objects, "FIT", moving_objects.FitCriteria(good_nll=torch.inf)
+    )  # which finds them, too,
+    monkeypatch.setattr(frame_groups, "PAN_SHIFT", 1.0)  # as does this
     assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
