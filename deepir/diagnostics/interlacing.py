@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.registration.gauss_newton import tukey_weights
+from deepir.registration.alignment import tukey_weights
 from deepir.registration.preprocess import preprocess
 from deepir.registration.pyramid import Level, sample, smooth_shading
 

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, binary_opening, label, uniform_filter
 from torch import Tensor
 
 from deepir.arrays.median import MAD
-from deepir.registration.block_vote import LIKELIHOOD_SIDE
+from deepir.registration.block_likelihood import LIKELIHOOD_SIDE
 from deepir.registration.pyramid import Level, block_mean, sample
 
 

@@ -9,16 +9,17 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity, relative
-from deepir.registration.alternating_alignment import Alignment, estimate_pattern
-from deepir.registration.block_likelihood import GRID_2X2, block_log_ratios, leave_best_out_sum
-from deepir.registration.block_vote import (
+from deepir.registration.alignment import Alignment, estimate_pattern
+from deepir.registration.block_likelihood import (
     DISTINCT_DISTANCE,
+    GRID_2X2,
+    block_log_ratios,
     change_pixel_size,
     corner_distance,
     has_linear_part,
+    leave_best_out_sum,
     likelihood_frames,
 )
-from deepir.registration.integer_shifts import integer_shifts
 from deepir.registration.motion_search import (
     MotionEstimate,
     coarse_search,
@@ -29,9 +30,13 @@ from deepir.registration.motion_search import (
     search_level,
 )
 from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
-from deepir.registration.reregister_worst import reregister_worst_frames
-from deepir.registration.robust_score import MIN_CLEAR_GAIN, log_likelihood_ratio, robust_nll
-from deepir.registration.shift_likelihood import maximise_shift_likelihood
+from deepir.registration.robust_score import (
+    MIN_CLEAR_GAIN,
+    log_likelihood_ratio,
+    reregister_worst_frames,
+    robust_nll,
+)
+from deepir.registration.shift_likelihood import integer_shifts, maximise_shift_likelihood
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,26 @@ from torch import Tensor
 
 from deepir.errors import DataError, nearest
 from deepir.operators.motion_models import AUTO, PARAMETERS, identity, relative
-from deepir.registration.alternating_alignment import Alignment, estimate_pattern
-from deepir.registration.frame_groups import MIN_CONCORDANCE, concordance, frames_at_rest, misfit_per_dof
-from deepir.registration.model_selection import select_homography
-from deepir.registration.motion_search import MAX_ROUNDS, estimate_motion, final_levels, search_level
+from deepir.registration.alignment import Alignment, estimate_pattern
+from deepir.registration.frame_selection import (
+    MIN_CONCORDANCE,
+    SHUTTER,
+    concordance,
+    frames_at_rest,
+    misfit_per_dof,
+    shutter_frames,
+)
+from deepir.registration.motion_search import (
+    MAX_ROUNDS,
+    estimate_motion,
+    final_levels,
+    search_level,
+    select_homography,
+)
 from deepir.registration.moving_object_masks import inpaint_mean
 from deepir.registration.moving_objects import full_motion, register_beside_moving_objects
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import MIN_CLEAR_GAIN, log_likelihood_ratio
-from deepir.registration.shutter_frames import SHUTTER, shutter_frames
 
 UNCERTAIN_CONFIDENCE = 0.85  # confidence below which a message says that a frame's motion may be wrong
 

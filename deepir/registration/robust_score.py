@@ -1,4 +1,6 @@
-"""What motions explain of frames, sample by sample: most of the frame decides, whoever walks through the rest."""
+"""What motions explain of frames, sample by sample: most of the frame decides, whoever walks through the rest.
+
+Frames that are sought once more, each in what all others show."""
 
 from __future__ import annotations
 
@@ -8,6 +10,8 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.median import MAD
+from deepir.registration.block_likelihood import DISTINCT_DISTANCE, corner_distance
+from deepir.registration.cross_correlation import match_to_reference
 from deepir.registration.pyramid import Level, sample
 
 MIN_OVERLAPPING = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
@@ -21,6 +25,8 @@ MEDIAN_PASSES = 10  # alternations of median scene and median pattern
 #: separate slowly; unconverged, too large motions would score best.
 EXTRAPOLATION = 0.8
 MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
+
+MIN_OTHER_FRAMES = 3  # frames in which another one is searched
 
 
 def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
@@ -113,3 +119,29 @@ def _masked_median(images: Tensor, known: Tensor) -> Tensor:
     order, last = images.where(known, torch.inf).sort(0).values, known.sum(0) - 1
     middle = [order.gather(0, at.clamp_min(0)[None])[0] for at in (last // 2, last - last // 2)]
     return torch.where(last >= 0, (middle[0] + middle[1]) / 2, 0)
+
+
+def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
+    """Motions `(N, 3, 3)`, NaN where a frame is not used, with that of the worst that is, where it is better elsewhere.
+
+    And of the next, as long as that helps.
+    """
+    used = motion.isfinite().all((1, 2))
+    for _ in range(len(motion)):
+        residual = absolute_residuals(level, motion)
+        worst = int(
+            sample_nll(residual, robust_sigma(residual)).mean((1, 2)).where(used, -torch.inf).argmax()
+        )
+        candidate = motion.clone()
+        candidate[worst] = torch.nan
+        if candidate.isfinite().all((1, 2)).sum() < MIN_OTHER_FRAMES:
+            break
+        rest = median_model(level, candidate)
+        candidate[[worst]], _ = match_to_reference(
+            rest.scene, level.frames[[worst]] - rest.pattern, level, model, pattern_present=False
+        )
+        unchanged = corner_distance(motion[[worst]], candidate[[worst]], level.frames) < DISTINCT_DISTANCE
+        if unchanged or log_likelihood_ratio(level, motion, candidate) < MIN_CLEAR_GAIN:
+            break
+        motion = candidate
+    return motion

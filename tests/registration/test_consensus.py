@@ -7,8 +7,12 @@ from registered import simulated
 
 from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
-from deepir.registration.reregister_worst import reregister_worst_frames
-from deepir.registration.robust_score import absolute_residuals, log_likelihood_ratio, robust_nll
+from deepir.registration.robust_score import (
+    absolute_residuals,
+    log_likelihood_ratio,
+    reregister_worst_frames,
+    robust_nll,
+)
 
 
 def burst(name="astronaut", n=6):

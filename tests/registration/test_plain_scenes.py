@@ -6,14 +6,13 @@ import torch
 from registered import SHAPE, apart, camera_of_tones, simulated
 
 from deepir.registration import (
-    block_vote,
-    frame_groups,
-    integer_shifts,
+    block_likelihood,
+    frame_selection,
     moving_objects,
     register,
     shift_likelihood,
 )
-from deepir.registration.variance_stabilise import variance_stabilise
+from deepir.registration.preprocess import variance_stabilise
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky
@@ -65,25 +64,25 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, see
     sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3, **camera), seed=seed)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
-    monkeypatch.setattr(block_vote, "MAX_FRAMES_OF_INTEGER_SEARCH", 2)
+    monkeypatch.setattr(block_likelihood, "MAX_FRAMES_OF_INTEGER_SEARCH", 2)
     monkeypatch.setattr(
         moving_objects, "FIT", moving_objects.FitCriteria(good_nll=torch.inf)
     )  # which finds them, too,
-    monkeypatch.setattr(frame_groups, "PAN_SHIFT", 1.0)  # as does this
+    monkeypatch.setattr(frame_selection, "PAN_SHIFT", 1.0)  # as does this
     assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
 @pytest.mark.parametrize("name", ["camera", "moon", "gravel", "astronaut"])
 def test_whole_shifts_are_right_to_a_px_or_so_whatever_the_pattern(name):
     frames, truth = simulated(name, n_frames=4)
-    found = integer_shifts.integer_shifts(variance_stabilise(frames, torch.ones(SHAPE)))
+    found = shift_likelihood.integer_shifts(variance_stabilise(frames, torch.ones(SHAPE)))
     assert np.abs(found - truth[1:, :2, 2]).max() < 1.5
 
 
 def test_a_frame_beside_another_is_weighed_by_the_first_harmonic_of_their_likelihood():
     rng = np.random.default_rng(3)
     spectra = shift_likelihood.ShiftLikelihood(torch.from_numpy(rng.normal(size=(2, 24, 30)).cumsum(1)))
-    found = integer_shifts.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[
+    found = shift_likelihood.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[
         spectra.band
     ]
     turns = np.exp(2j * np.pi * np.arange(64) / 64)

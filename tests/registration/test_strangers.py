@@ -6,7 +6,7 @@ import torch
 from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 
 from deepir.registration import register, shift_likelihood
-from deepir.registration.variance_stabilise import fill_bad_pixels, variance_stabilise
+from deepir.registration.preprocess import fill_bad_pixels, variance_stabilise
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky

@@ -8,8 +8,11 @@ from scipy.optimize import check_grad
 
 from deepir.operators.motion_models import carried
 from deepir.registration import motion_search, register
-from deepir.registration.block_likelihood import RotationLikelihood, maximise_rotation_likelihood
-from deepir.registration.block_vote import likelihood_frames
+from deepir.registration.block_likelihood import (
+    RotationLikelihood,
+    likelihood_frames,
+    maximise_rotation_likelihood,
+)
 from deepir.simulate import simulate
 from deepir.simulate.scenes import sky
 

@@ -1,20 +1,21 @@
-"""Which frames of a burst show one scene, and a first motion for each: on the level of the search."""
+"""Which frames of a burst show one scene, and a first motion for each: on the level of the search.
+
+First motions of a camera that pans: each frame by one that sees much of the same.
+
+Frames of a closed shutter, which show the fixed pattern and nothing else."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity
-from deepir.registration.alternating_alignment import Alignment, align
+from deepir.registration.alignment import Alignment, align, estimate_pattern, tukey_weights, warp_to_reference
 from deepir.registration.cross_correlation import correlation_search, match_to_reference
-from deepir.registration.gauss_newton import tukey_weights
 from deepir.registration.pyramid import Level
-from deepir.registration.spanning_tree import spanning_tree_motions
-from deepir.registration.warp_back import warp_to_reference
 
 MIN_CONCORDANCE = 0.6  # frames below it are rejected; aligned frames of other scenes reach 0.5
 MIN_OVERLAP = 0.15  # of the frame, that other frames must show
@@ -38,6 +39,27 @@ class RestCriteria:
 
 
 REST = RestCriteria()
+
+CERTAIN_SCORE = 3.0  # match score from which a frame is not searched in further frames
+
+
+@dataclass(frozen=True)
+class ShutterCriteria:
+    """When frames show a closed shutter: the fixed pattern only."""
+
+    min_scene_frames: int = 3
+    max_spread: float = (
+        1.35  # largest over smallest squared distance to scene frames; of a scene frame it is larger
+    )
+    duplicate_distance: float = 0.1  # of the median squared distance; closer frames are equal up to noise
+    max_static_power: float = (
+        0.06  # of the mean square of scene minus shutter frames, which static structure may have
+    )
+    max_misfit_ratio: float = 0.1  # misfit of scene minus shutter frames at their motions, over that at rest
+    min_consistent: float = 0.7  # share of the scene frames that must show one scene
+
+
+SHUTTER = ShutterCriteria()
 
 
 @dataclass(frozen=True)
@@ -159,3 +181,65 @@ def concordance(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:
     power = (weight * (expected.square() + observed.square())).sum(1).clamp_min(1e-12)
     overlapping = known.mean(1) > MIN_OVERLAP
     return (2 * (weight * expected * observed).sum(1) / power * overlapping).double()
+
+
+def spanning_tree_motions(
+    images: Tensor, level: Level, model: str, motion: Tensor, known: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Motions `(N, 3, 3)` of images `(N, h, w)` that hold no pattern, and how clear `(N,)` the new ones are.
+
+    From those that are `known`, `(N,)` bool, of which others are looked for in each. The clearest comes next, and is
+    looked in, too: a spanning tree of the clearest matches (Prim 1957). Frames that see different places match by
+    chance as well as those that see a strip of the same, but never as those that see most of it.
+    """
+    motion, match_score = motion.clone(), torch.where(known, torch.inf, 0.0).double()
+    unvisited = torch.ones_like(known)
+    while True:
+        k = int(torch.where(unvisited, match_score, -1.0).argmax())
+        unvisited[k] = False
+        weak = (unvisited & (match_score < CERTAIN_SCORE)).nonzero()[:, 0]
+        if not match_score[k] > 1 or not len(weak):
+            return motion, match_score
+        relative_motion, new_score = match_to_reference(
+            images[k], images[weak], level, model, pattern_present=False
+        )
+        improved = new_score > match_score[weak]
+        updated = weak[improved]
+        motion[updated], match_score[updated] = motion[k] @ relative_motion[improved], new_score[improved]
+
+
+def shutter_frames(level: Level, model: str) -> Tensor:
+    """Which frames `(N,)` of a level show no scene.
+
+    All others are equally far from such a frame, by as much as they show of the scene, and less it, they show a scene
+    that moves and nothing that stands still. Less a frame that shows the scene, too, they show this, still.
+    """
+    images = level.frames.flatten(1)
+    none = torch.zeros(len(images), dtype=torch.bool)
+    distance = torch.cdist(images, images).square()
+    typical = distance[~torch.eye(len(images), dtype=torch.bool)].median()
+    least_spread, scene_frames = SHUTTER.max_spread, none
+    for distances in distance:
+        different = distances > SHUTTER.duplicate_distance * typical
+        if (
+            different.sum() >= SHUTTER.min_scene_frames
+            and (spread := float(distances[different].max() / distances[different].min())) < least_spread
+        ):
+            least_spread, scene_frames = spread, different
+    if not scene_frames.any():
+        return none
+    shutter = (~scene_frames).nonzero()[:, 0]
+    difference = replace(level, frames=level.frames[scene_frames] - level.frames[shutter].mean(0))
+    motion, match_score = correlation_search(difference.frames, difference, model, pattern_present=False)
+    used, alignment = reject_frames(difference, match_score > 1, motion, model)
+    misfit_at_rest = estimate_pattern(difference.subset(used), identity(int(used.sum())))[1]
+    is_static = (
+        alignment.pattern.square().mean() > SHUTTER.max_static_power * difference.frames.square().mean()
+    )
+    return (
+        ~scene_frames
+        if used.float().mean() > SHUTTER.min_consistent
+        and alignment.misfit < SHUTTER.max_misfit_ratio * misfit_at_rest
+        and not is_static
+        else none
+    )
