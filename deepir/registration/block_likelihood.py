@@ -1,11 +1,10 @@
-"""Parts of the frame, each of which only shifts: what they gain from motions, and the turns that are likeliest to all.
+"""Block-wise likelihood of motions: log-likelihood ratios that decide between motions, and a likelihood of rotations.
 
-A whole frame's likelihood is of shifts. A part that is small enough shifts, too, where the frame turns: by what the
-turn makes of its middle. So the sum over parts is a likelihood of turns, rough, for long waves do not fit into a part,
-but not taken in by the pattern, under which residuals of plain scenes turn a camera that does not, and the other way.
-
-
-Between the motion of least residuals and the likeliest shifts: the parts of the frame decide."""
+`ShiftLikelihood` holds for shifts only. In a small block of the frame other motions are shifts, too: those of its
+centre. So blocks compare any two motions (`block_log_ratios`), and the sum over blocks is a likelihood of rotations
+(`RotationLikelihood`). It is coarse, since long waves do not fit into a block, but the pattern does not bias it; least
+residuals of weakly textured scenes may rotate frames that do not, and the reverse.
+"""
 
 from __future__ import annotations
 
@@ -26,53 +25,65 @@ from deepir.registration.shift_likelihood import (
     maximise_shift_likelihood,
 )
 
-GRID_2X2 = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
-GRID_3X3 = (0, 4), (3, 7), (6, 10)  # or tenths
-
 Grid = tuple[tuple[int, int], ...]
 
+GRID_2X2: Grid = ((0, 2), (1, 3))  # overlapping blocks along an axis: first and last third of each
+GRID_3X3: Grid = ((0, 4), (3, 7), (6, 10))  # overlapping blocks along an axis: first and last tenth of each
 LIKELIHOOD_SIDE = 320  # px; larger frames are reduced to block means of this longer side
 MIN_REDUCED_SIDE = 20  # px; shorter side below which frames are not reduced: a ninth of less holds no waves
-MIN_SIDE = 16  # px; blocks of smaller frames say too little
+MIN_VOTING_SIDE = 16  # px; blocks of smaller frames hold too few waves to select shifts
 MAX_SHIFT_RANGE = 0.5  # of the frame's side; the likelihood is periodic, so that larger shifts alias
-MAX_LINEAR_DISPLACEMENT = (
-    6.0  # px at the frame's edge; a motion whose linear part moves it less may be a shift
-)
-MAX_FRAMES_OF_INTEGER_SEARCH = 20  # its time grows with the square of the frames
-DISTINCT_DISTANCE = 2.0  # px; the likelihood climbs from closer starts to the same maximum
+MAX_LINEAR_DISPLACEMENT = 6.0  # px at the frame's edge; motions whose linear part moves it less may be shifts
+MAX_FRAMES_OF_INTEGER_SEARCH = 20  # its time grows with the square of the number of frames
+DISTINCT_DISTANCE = 2.0  # px; from closer starts the likelihood climbs to the same maximum
 NEGLIGIBLE_DISTANCE = 0.2  # px at the frame's corners; closer motions are the same
 MODELS_WITH_STRETCH = ("affine", "homography")  # models whose linear part is kept while shifts are replaced
 
 
-def leave_best_out_sum(ratios: list[float]) -> float:
-    """The sum of all but the greatest."""
-    return sum(ratios) - max(ratios)
+def accept_by_blocks(block_ratios: list[float], n_left_out: int = 1, min_nats: float = 0.0) -> bool:
+    """Decide for a motion if the sum of its log-likelihood ratios over all but the best blocks is large enough.
+
+    Args:
+        block_ratios: nats, one per block, against the motion that it would replace.
+        n_left_out: blocks of the largest ratios that do not count, since a moving object may cover them.
+        min_nats: the sum must be larger.
+    """
+    return leave_best_out_sum(block_ratios, n_left_out) > min_nats
+
+
+def leave_best_out_sum(ratios: list[float], n_left_out: int = 1) -> float:
+    """Sum of all but the `n_left_out` largest ratios."""
+    return sum(ratios) - sum(sorted(ratios)[-n_left_out:])
 
 
 def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) -> list[float]:
-    """In nats, what each part of frames gains from motions `(N, 3, 3)` to others.
+    """Log-likelihood ratios of two sets of motions, block by block.
 
-    A part only shifts, and its powers are those that are found at either.
+    A block shifts as its centre does. Its powers are estimated at either motion in turn, and the two ratios are added.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+        before: `(N, 3, 3)`, relative to the first, px of these frames.
+        after: `(N, 3, 3)`, likewise.
+        grid: blocks along each axis.
+
+    Returns:
+        Nats, one ratio per block; positive where the motions `after` are more likely.
     """
     ratios = []
     for likelihood, centre in blocks(frames, grid):
-        centre_point, ratio = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
-        shifts_before, shifts_after = (
-            (carried(motion[1:], centre_point) - centre_point[:2])[:, :, 0].numpy()
-            for motion in (before, after)
-        )
-        for shifts in (shifts_after, shifts_before):
+        point, ratio = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
+        old, new = ((carried(motion[1:], point) - point[:2])[:, :, 0].numpy() for motion in (before, after))
+        for shifts in (new, old):
             likelihood.update_powers(shifts)
-            ratio += (
-                likelihood.negative_log_likelihood(shifts_before.ravel())[0]
-                - likelihood.negative_log_likelihood(shifts_after.ravel())[0]
-            )
+            nats = [likelihood.negative_log_likelihood(each.ravel())[0] for each in (old, new)]
+            ratio += nats[0] - nats[1]
         ratios.append(ratio)
     return ratios
 
 
 def blocks(frames: Tensor, grid: Grid) -> Iterator[tuple[ShiftLikelihood, np.ndarray]]:
-    """The parts of frames `(N, h, w)`, and their middles (x, y), from the frame's."""
+    """Likelihood of each block of frames `(N, h, w)`, and its centre (x, y) in px from the frame's."""
     h, w = frames.shape[1:]
     rows, columns = (
         [slice(a * side // grid[-1][1], b * side // grid[-1][1]) for a, b in grid] for side in (h, w)
@@ -82,7 +93,15 @@ def blocks(frames: Tensor, grid: Grid) -> Iterator[tuple[ShiftLikelihood, np.nda
 
 
 def maximise_rotation_likelihood(frames: Tensor, start: Tensor) -> Tensor:
-    """Rigid motions `(N, 3, 3)` of frames `(N, h, w)`, relative to the first, from a start `(N, 3, 3)`."""
+    """Maximum-likelihood rigid motions, from initial values.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+        start: `(N, 3, 3)`, relative to the first, px of these frames.
+
+    Returns:
+        Rigid motions `(N, 3, 3)`, likewise.
+    """
     likelihood = RotationLikelihood(frames)
     angles = likelihood.half_diagonal * nearest_angle(start[1:])
     parameters = maximise(likelihood, torch.cat((start[1:, :2, 2], angles[:, None]), 1).numpy())
@@ -93,14 +112,17 @@ def maximise_rotation_likelihood(frames: Tensor, start: Tensor) -> Tensor:
 
 
 class RotationLikelihood:
-    """The parts' likelihood of x, y and angle, in px at the corners, of all frames but the first, `(N - 1, 3)`."""
+    """Likelihood of rigid motions of all frames but the first: sum over blocks that shift.
+
+    Parameters are `(N - 1, 3)`: x, y and angle, the angle in px of displacement at the frame's corners.
+    """
 
     def __init__(self, frames: Tensor) -> None:
         self.half_diagonal = float(np.hypot(*frames.shape[1:])) / 2
         self.blocks = list(blocks(frames, GRID_3X3))
 
     def negative_log_likelihood(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus the log-likelihood, less what does not depend on the place; and its gradient."""
+        """Value in nats, up to a constant, and gradient at parameters `(3 (N - 1),)`."""
         total, gradient = 0.0, np.zeros((parameters.size // 3, 3))
         for likelihood, centre in self.blocks:
             shifts, angle_derivative = self._block_shifts(parameters.reshape(-1, 3), centre)
@@ -112,12 +134,12 @@ class RotationLikelihood:
         return total, gradient.ravel()
 
     def update_powers(self, parameters: np.ndarray) -> None:
-        """The powers that are likeliest there, of each part."""
+        """Estimate the powers of each block at parameters `(N - 1, 3)`."""
         for likelihood, centre in self.blocks:
             likelihood.update_powers(self._block_shifts(parameters, centre)[0])
 
     def _block_shifts(self, parameters: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far a part's middle moves, `(N - 1, 2)`, and how that changes with the angle."""
+        """Shifts `(N - 1, 2)` of a block's centre at parameters `(N - 1, 3)`, and their derivative by the angle."""
         cosine, sine = (each(parameters[:, 2:] / self.half_diagonal) for each in (np.cos, np.sin))
         tangent = np.array([-centre[1], centre[0]])
         shifts = parameters[:, :2] + (cosine - 1) * centre + sine * tangent
@@ -125,84 +147,94 @@ class RotationLikelihood:
 
 
 def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
-    """Motions `(N, 3, 3)` of frames `(N, H, W)`, or the likeliest shifts if the parts of the frame like these better.
+    """Replace motions of least residuals by maximum-likelihood shifts where the blocks' likelihood accepts these.
 
-    Residuals are fine, but of few frames they are small at wrong places, too: a pattern that has all the freedom takes
-    them up. The likelihood knows that, but not that something may walk through one part of the frame: so what counts is
-    the gain of all parts but the one that gains most. weight: `(H, W)`, zero where a pixel is bad.
+    Residuals of few frames are small at wrong motions, too, since an unconstrained pattern absorbs them. The likelihood
+    accounts for that, but not for an object that moves through one part of the frame: the best block does not count.
+
+    Args:
+        frames: `(N, H, W)`, not preprocessed.
+        weight: `(H, W)`, zero where a pixel is bad.
+        motion: `(N, 3, 3)`, px.
+        model: motion model; the linear part of models with stretch is kept.
+
+    Returns:
+        Motions `(N, 3, 3)`; the object `motion` itself if no others are accepted.
     """
-    if (
-        len(frames) < 3
-        or min(weight.shape) < MIN_SIDE
-        or relative_shift_range(motion, weight) > MAX_SHIFT_RANGE
-    ):
+    too_small = len(frames) < 3 or min(weight.shape) < MIN_VOTING_SIDE
+    if too_small or relative_shift_range(motion, weight) > MAX_SHIFT_RANGE:
         return motion
     reduced, factor = likelihood_frames(frames, weight)
-    current = relative(motion)
-    rotated, current = has_linear_part(current, weight), change_pixel_size(current, factor)
-    best = current
+    residual = relative(motion)
+    is_shift, residual = not has_linear_part(residual, weight), change_pixel_size(residual, factor)
+    best = residual
     linear = best.clone() if model in MODELS_WITH_STRETCH else identity(len(motion))
-    for initial in initial_shifts(reduced, current[1:, :2, 2].numpy(), rotated):
+    for start in initial_shifts(reduced, residual[1:, :2, 2].numpy(), is_shift):
         after = linear.clone()
-        after[1:, :2, 2] = torch.from_numpy(maximise_shift_likelihood(reduced, initial))
-        if factor * corner_distance(best, after, reduced) >= NEGLIGIBLE_DISTANCE and accepted_by_blocks(
-            reduced, best, after
-        ):
+        after[1:, :2, 2] = torch.from_numpy(maximise_shift_likelihood(reduced, start))
+        if factor * corner_distance(best, after, reduced) < NEGLIGIBLE_DISTANCE:
+            continue
+        if accept_by_blocks(block_log_ratios(reduced, best, after, GRID_2X2)):
             best = after
-    return motion if best is current else change_pixel_size(best, 1 / factor)
+    return motion if best is residual else change_pixel_size(best, 1 / factor)
 
 
-def likelihood_frames(frames: Tensor, weight: Tensor, size: int = LIKELIHOOD_SIDE) -> tuple[Tensor, int]:
-    """Frames `(N, h, w)` as the likelihood looks at frames `(N, H, W)`, and how much smaller they are."""
-    factor = max(1, min(-(-max(weight.shape) // size), min(weight.shape) // MIN_REDUCED_SIDE))
+def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, is_shift: bool) -> list[np.ndarray]:
+    """Initial values for the likelihood of shifts: those of least residuals, and the most likely integer shifts.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+        residual_shifts: `(N - 1, 2)`, px, of least residuals.
+        is_shift: True if the motions of least residuals are shifts; others are no start. Rotations may be wrong: where
+            the pattern misleads the search, it often finds a rotation.
+
+    Returns:
+        Shifts `(N - 1, 2)`, px, up to two sets.
+    """
+    starts = [residual_shifts.copy()] if is_shift else []
+    if len(frames) > MAX_FRAMES_OF_INTEGER_SEARCH:
+        return starts
+    integer = integer_shifts(frames)
+    return [*starts, integer] if np.abs(integer - residual_shifts).max() > DISTINCT_DISTANCE else starts
+
+
+def likelihood_frames(frames: Tensor, weight: Tensor, side: int = LIKELIHOOD_SIDE) -> tuple[Tensor, int]:
+    """Reduce frames to block means and stabilise the variance of their pattern.
+
+    Args:
+        frames: `(N, H, W)`, not preprocessed.
+        weight: `(H, W)`, zero where a pixel is bad.
+        side: longer side of the result, px, as long as the shorter one keeps `MIN_REDUCED_SIDE`.
+
+    Returns:
+        Frames `(N, h, w)` float64, and the factor by which they are smaller.
+    """
+    factor = max(1, min(-(-max(weight.shape) // side), min(weight.shape) // MIN_REDUCED_SIDE))
     return variance_stabilise(block_mean(frames.float(), factor), block_mean(weight[None], factor)[0]), factor
 
 
 def change_pixel_size(motion: Tensor, factor: float) -> Tensor:
-    """Motions `(N, 3, 3)` in px that are `factor` times as large."""
-    out = motion.clone()
-    out[:, :2, 2] /= factor
-    out[:, 2, :2] *= factor
-    return out
+    """Motions `(N, 3, 3)` in px, converted to px that are `factor` times as large."""
+    converted = motion.clone()
+    converted[:, :2, 2] /= factor
+    converted[:, 2, :2] *= factor
+    return converted
 
 
 def has_linear_part(motion: Tensor, weight: Tensor) -> bool:
-    """Whether relative motions `(N, 3, 3)` of frames that are as large as `weight` are no shifts."""
-    return (
-        float((motion[:, :2, :2] - torch.eye(2)).abs().amax()) * max(weight.shape) / 2
-        > MAX_LINEAR_DISPLACEMENT
-    )
+    """Whether relative motions `(N, 3, 3)` of frames of the weight's shape rotate or stretch noticeably."""
+    deviation = float((motion[:, :2, :2] - torch.eye(2)).abs().amax())
+    return deviation * max(weight.shape) / 2 > MAX_LINEAR_DISPLACEMENT
 
 
 def relative_shift_range(motion: Tensor, weight: Tensor) -> float:
-    """How far apart motions `(N, 3, 3)` put frames that are as large as `weight`, in shares of their sides."""
+    """Largest difference of shifts of motions `(N, 3, 3)`, over the side of frames of the weight's shape."""
     shifts = motion[:, :2, 2] / torch.tensor(weight.shape[::-1])
     return float((shifts.amax(0) - shifts.amin(0)).max())
 
 
-def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, rotated: bool) -> list[np.ndarray]:
-    """Shifts `(N - 1, 2)` from which the likelihood climbs: where residuals are least, and elsewhere.
-
-    A turn is no shift; but where the search was taken in by the pattern, it found a turn, as often as not.
-    """
-    candidates = [] if rotated else [residual_shifts.copy()]
-    if len(frames) > MAX_FRAMES_OF_INTEGER_SEARCH:
-        return candidates
-    whole_shifts = integer_shifts(frames)
-    return (
-        [*candidates, whole_shifts]
-        if np.abs(whole_shifts - residual_shifts).max() > DISTINCT_DISTANCE
-        else candidates
-    )
-
-
 def corner_distance(before: Tensor, after: Tensor, frames: Tensor) -> float:
-    """How far motions `(N, 3, 3)` are apart at most, in px, at the corners of frames."""
+    """Largest distance, px, between two sets of motions `(N, 3, 3)` at the corners of frames `(N, h, w)`."""
     h, w = frames.shape[1:]
     corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
     return float((carried(after, corners) - carried(before, corners)).norm(dim=1).max())
-
-
-def accepted_by_blocks(frames: Tensor, before: Tensor, after: Tensor) -> bool:
-    """Whether all parts of frames but the one that gains most gain from motions `(N, 3, 3)` to others, in sum."""
-    return leave_best_out_sum(block_log_ratios(frames, before, after, GRID_2X2)) >= 0

@@ -1,6 +1,9 @@
-"""Where the frames of a burst are: searched, refined by residuals, then by likelihood where their parts like that.
+"""Motions of frames that show one scene: coarse search, refinement by residuals, then selection by likelihood.
 
-Whether homographies are to stand for rigid motions: frames that bend by zoom, tilt, a wide lens that turns."""
+`estimate_motion` searches on a coarse level (`coarse_search`), aligns on the finest one or two (`align_levels`), and
+replaces shifts (`select_by_blocks`) and rotations (`refine_rotation`) where the likelihood of most blocks of the frame
+prefers others. `select_homography` asks whether rigid motions are enough.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from torch import Tensor
 from deepir.operators.motion_models import carried, increment, nearest_rigid, relative
 from deepir.registration.alignment import (
     Alignment,
+    accept_by_misfit,
     align,
     estimate_pattern,
     normal_equations,
@@ -20,11 +24,11 @@ from deepir.registration.alignment import (
 )
 from deepir.registration.block_likelihood import (
     GRID_3X3,
+    accept_by_blocks,
     block_log_ratios,
     change_pixel_size,
     corner_distance,
     has_linear_part,
-    leave_best_out_sum,
     likelihood_frames,
     maximise_rotation_likelihood,
     select_by_blocks,
@@ -46,12 +50,7 @@ class RotationCriteria:
     min_frames: int = 4  # with three, noise decides
     min_side: int = 48  # px; a ninth of a smaller frame holds too few waves
     n_left_out: int = 3  # of nine blocks, those that gain most: a moving object may cover them
-    min_change: float = (
-        0.4  # px at the corners of the block means; the likelihood is no more accurate than this
-    )
-
-
-ROTATION = RotationCriteria()
+    min_change: float = 0.4  # px at the corners of the block means; accuracy of the likelihood
 
 
 @dataclass(frozen=True)
@@ -66,16 +65,17 @@ class HomographyCriteria:
     min_nats: float = 20.0  # log-likelihood ratio in sum over all blocks but the best
 
 
+ROTATION = RotationCriteria()
 HOMOGRAPHY = HomographyCriteria()
 
 
 @dataclass(frozen=True)
 class MotionEstimate:
-    """Frames and where they are.
+    """Frames of a burst and their motions.
 
-    frames, flat: `(N, H, W)`, as they are and flat. coarse: the level of the search. clear: `(N,)`, how clearly they
-    show the scene that most of them show; used: `(N,)` bool, which do. found: what the search found of these.
-    motion: `(M, 3, 3)`, where these M are in the end.
+    frames, preprocessed: `(N, H, W)`. coarse_level: the level of the coarse search. match_score: `(N,)`, height of each
+    frame's correlation peak over the detection threshold. used: `(N,)` bool, True for the M frames that show one
+    scene. alignment: of these, on the coarse level. motion: `(M, 3, 3)`, their refined motions, centred px.
     """
 
     frames: Tensor
@@ -86,154 +86,195 @@ class MotionEstimate:
     alignment: Alignment
     motion: Tensor
 
+    @property
+    def full_motion(self) -> Tensor:
+        """Motions `(N, 3, 3)` of all frames relative to the first that is used; NaN where a frame is not used."""
+        motion = torch.full((len(self.used), 3, 3), torch.nan, dtype=torch.float64)
+        motion[self.used] = relative(self.motion)
+        return motion
+
+    def with_motion(self, motion: Tensor) -> MotionEstimate:
+        """The estimate with other motions `(N, 3, 3)`, NaN where a frame is not used."""
+        used = motion.isfinite().all((1, 2))
+        return replace(self, used=used, motion=relative(motion[used]))
+
 
 def estimate_motion(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
-    """Where frames `(N, H, W)` that show one scene are; weight: `(H, W)`, zero where a pixel is bad."""
+    """Find the frames that show one scene, and their motions.
+
+    Args:
+        frames: `(N, H, W)`.
+        preprocessed: `(N, H, W)`, zero where the weight is zero.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model.
+    """
     return refine(coarse_search(frames, preprocessed, weight, model), weight, model)
 
 
 def coarse_search(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
-    """The same as the search finds them, nearly."""
-    coarse_level = search_level(preprocessed, weight)
-    selection = largest_consistent_set(coarse_level, "shift" if model == "shift" else "rigid")
-    used, alignment = selection.used, selection.alignment
-    return MotionEstimate(
-        frames, preprocessed, coarse_level, selection.match_score, used, alignment, alignment.motion
-    )
+    """Find the frames that show one scene, and initial motions, on the coarse level; arguments as `estimate_motion`."""
+    level = search_level(preprocessed, weight)
+    found = largest_consistent_set(level, "shift" if model == "shift" else "rigid")
+    motion = found.alignment.motion
+    return MotionEstimate(frames, preprocessed, level, found.match_score, found.used, found.alignment, motion)
 
 
 def refine(estimate: MotionEstimate, weight: Tensor, model: str) -> MotionEstimate:
-    """Frames that are nearly placed, by the least residuals, or by likelihood."""
-    used, initial = estimate.used, estimate.motion
+    """Refine initial motions: least residuals on fine levels, then shifts and rotations by block-wise likelihood.
+
+    Blocks of frames that rotate or stretch do not shift, whatever the motion. So there, shifts that the blocks prefer
+    must lower the misfit, too.
+
+    Args:
+        estimate: initial motions.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model.
+    """
+    used = estimate.used
     if used.sum() < 2:
         return estimate
     kept = slice(None) if used.all() else used  # no copy of all
+    frames, level = estimate.frames[kept], estimate.coarse_level.subset(used)
     levels = final_levels(estimate.preprocessed[kept], weight, estimate.coarse_level.factor)
-    refined = align_levels(levels, initial, model)
-    selected = select_by_blocks(estimate.frames[kept], weight, refined, model)
-    # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
-    level = estimate.coarse_level.subset(used)
-    if selected is not refined and (
-        not has_linear_part(refined, weight) or misfit_at(level, selected) < misfit_at(level, refined)
+    motion = align_levels(levels, estimate.motion, model)
+    selected = select_by_blocks(frames, weight, motion, model)
+    if selected is not motion and (
+        not has_linear_part(motion, weight) or accept_by_misfit(level, selected, motion)
     ):
-        refined = selected
+        motion = selected
     if model == "rigid":
-        refined = refine_rotation(estimate.frames[kept], weight, levels, refined)
-    return replace(estimate, motion=refined)
+        motion = refine_rotation(frames, weight, levels, motion)
+    return replace(estimate, motion=motion)
 
 
 def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
-    """Motions `(N, 3, 3)`, or those that residuals find from the likeliest turns, if the frame's parts like these."""
-    proposed = most_likely_rotations(frames, weight, motion)
-    if proposed is motion:
+    """Replace rigid motions by those aligned from the most likely rotations, if the blocks' likelihood accepts them.
+
+    Args:
+        frames: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        levels: the same frames, on the final levels.
+        motion: `(N, 3, 3)`, of least residuals.
+
+    Returns:
+        Rigid motions `(N, 3, 3)`.
+    """
+    most_likely = most_likely_rotations(frames, weight, motion)
+    if most_likely is motion:
         return motion
     reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
-    before, proposed_reduced = (change_pixel_size(relative(each), factor) for each in (motion, proposed))
-    if corner_distance(before, proposed_reduced, reduced) < ROTATION.min_change:
+    before, start = (change_pixel_size(relative(each), factor) for each in (motion, most_likely))
+    if corner_distance(before, start, reduced) < ROTATION.min_change:
         return motion
-    refined = align_levels(levels, proposed, "rigid")
+    refined = align_levels(levels, most_likely, "rigid")
     after = change_pixel_size(relative(refined), factor)
-    block_ratios = sorted(block_log_ratios(reduced, before, after, GRID_3X3))
-    return refined if sum(block_ratios[: -ROTATION.n_left_out]) > 0 else motion
+    block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
+    return refined if accept_by_blocks(block_ratios, ROTATION.n_left_out) else motion
 
 
 def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
-    """The likeliest turns of frames `(N, H, W)` near motions `(N, 3, 3)`; the same of frames that say too little."""
+    """Maximum-likelihood rigid motions near given ones.
+
+    Args:
+        frames: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        motion: `(N, 3, 3)`, initial motions.
+
+    Returns:
+        Rigid motions `(N, 3, 3)`; the object `motion` itself if frames are too few or too small.
+    """
     if len(frames) < ROTATION.min_frames or min(weight.shape) < ROTATION.min_side:
         return motion
     reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
-    return change_pixel_size(
-        maximise_rotation_likelihood(reduced, change_pixel_size(relative(motion), factor)), 1 / factor
-    )
-
-
-def misfit_at(level: Level, motion: Tensor) -> float:
-    """The share of the frames' mean square that neither scene nor pattern explain at these motions."""
-    return estimate_pattern(level, motion)[1]
+    start = change_pixel_size(relative(motion), factor)
+    return change_pixel_size(maximise_rotation_likelihood(reduced, start), 1 / factor)
 
 
 def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
-    """The level of flat frames `(N, H, W)` on which they are searched."""
-    return build_level(preprocessed, weight, power_of_two_factor(max(weight.shape) / SEARCH_SIDE))
+    """Level of the coarse search, of preprocessed frames `(N, H, W)` of weight `(H, W)`."""
+    return build_level(preprocessed, weight, next_power_of_two(max(weight.shape) / SEARCH_SIDE))
 
 
 def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
-    """The levels of flat frames `(N, H, W)` on which they are registered in the end, after one of factor `coarse`."""
-    last_factor = power_of_two_factor((weight.numel() / MAX_FINAL_PIXELS) ** 0.5)
-    factors = (2 * last_factor, last_factor) if 2 * last_factor < coarse_factor else (last_factor,)
+    """Levels of the alignment after the coarse search: the finest, preceded by one of half its size if finer than that.
+
+    Args:
+        preprocessed: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        coarse_factor: px per px of the coarse level.
+    """
+    last = next_power_of_two((weight.numel() / MAX_FINAL_PIXELS) ** 0.5)
+    factors = (2 * last, last) if 2 * last < coarse_factor else (last,)
     return [build_level(preprocessed, weight, factor) for factor in factors]
 
 
 def align_levels(levels: list[Level], motion: Tensor, model: str) -> Tensor:
-    """The motion after rounds on these levels, fewer on the last of two."""
-    for level, rounds in zip(
-        levels,
-        (MAX_ROUNDS - LAST_LEVEL_ROUNDS, LAST_LEVEL_ROUNDS) if levels[1:] else (MAX_ROUNDS,),
-        strict=True,
-    ):
-        motion = align(level, motion, model, rounds).motion
+    """Motions `(N, 3, 3)` aligned on one or two levels in turn, from initial motions `(N, 3, 3)`."""
+    rounds = (MAX_ROUNDS - LAST_LEVEL_ROUNDS, LAST_LEVEL_ROUNDS) if levels[1:] else (MAX_ROUNDS,)
+    for level, max_rounds in zip(levels, rounds, strict=True):
+        motion = align(level, motion, model, max_rounds).motion
     return motion
 
 
-def power_of_two_factor(ratio: float) -> int:
-    """The least power of two that is at least `ratio`, and at least one."""
+def next_power_of_two(ratio: float) -> int:
+    """Smallest power of two that is at least `ratio`, and at least one."""
     factor = 1
     while factor < ratio:
         factor *= 2
     return factor
 
 
-def select_homography(
-    frames: Tensor, weight: Tensor, level: Level, motion: Tensor, max_rounds: int
-) -> Tensor:
-    """Homographies `(N, 3, 3)` where frames `(N, H, W)` at rigid motions bend; else these, as they are.
+def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tensor) -> Tensor:
+    """Replace rigid motions by homographies (zoom, tilt, a wide lens that rotates) if the blocks' likelihood accepts.
 
-    Residuals find the homographies, and are always less with them: pattern and scene follow. So the parts of the frame
-    decide, which know nothing of each other, by the likelihood of where each has gone. weight: `(H, W)`.
+    Homographies always lower the residuals, since scene and pattern adapt. So the decision is that of blocks, each of
+    which has its own likelihood.
+
+    Args:
+        frames: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        level: the same frames, on the final level.
+        motion: `(N, 3, 3)`, rigid.
+
+    Returns:
+        Motions `(N, 3, 3)`; the object `motion` itself if homographies are not accepted.
     """
-    if (
-        len(motion) < HOMOGRAPHY.min_frames
-        or min(level.shape) < HOMOGRAPHY.min_side
-        or not half_steps_agree(level, motion)
-    ):
+    too_small = len(motion) < HOMOGRAPHY.min_frames or min(level.shape) < HOMOGRAPHY.min_side
+    if too_small or not half_steps_agree(level, motion):
         return motion
-    homography = align(level, motion, "homography", max_rounds).motion
+    homography = align(level, motion, "homography", MAX_ROUNDS).motion
     reduced, factor = likelihood_frames(frames, weight)
-    block_ratios = block_log_ratios(
-        reduced, change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor), GRID_3X3
-    )
-    return homography if leave_best_out_sum(block_ratios) > HOMOGRAPHY.min_nats else motion
+    before, after = change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor)
+    block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
+    return homography if accept_by_blocks(block_ratios, min_nats=HOMOGRAPHY.min_nats) else motion
 
 
 def half_steps_agree(level: Level, motion: Tensor) -> bool:
-    """Whether frames at rigid motions `(N, 3, 3)` would bend, and alike by two halves of their rows.
+    """Whether two Gauss-Newton steps towards homographies agree, one from odd and one from even bands of rows.
 
-    A step of Gauss and Newton towards homographies is taken by bands of rows, the even ones and the odd ones: what
-    noise makes of it is chance, and another in each. What lines and edges make of it may be the same.
+    Noise of the two steps is independent; lines of the pattern and edges of the scene may act on both alike.
+
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, rigid.
     """
     pattern, _ = estimate_pattern(level, motion)
-    row_equations = normal_equations(warp_to_reference(level, pattern, motion), level, "homography")
-    odd = torch.arange(len(row_equations)) // HOMOGRAPHY.band_rows % 2 == 1
+    equations = normal_equations(warp_to_reference(level, pattern, motion), level, "homography")
+    is_odd = torch.arange(len(equations)) // HOMOGRAPHY.band_rows % 2 == 1
     half_size = max(level.shape) / 2
-    odd_displacement, even_displacement = (
-        nonrigid_displacement(
-            level,
-            relative(
-                increment("homography", solve_normal_equations(row_equations[half]), half_size) @ motion
-            ),
-        )
-        for half in (odd, ~odd)
+    steps = [solve_normal_equations(equations[rows]) for rows in (is_odd, ~is_odd)]
+    odd, even = (
+        nonrigid_displacement(level, relative(increment("homography", step, half_size) @ motion))
+        for step in steps
     )
-    inner_product = float((odd_displacement * even_displacement).sum())
-    return inner_product > max(
-        HOMOGRAPHY.min_cosine * float(odd_displacement.norm() * even_displacement.norm()),
-        HOMOGRAPHY.min_rms**2 * odd_displacement[:, 0].numel(),
-    )
+    min_correlated = HOMOGRAPHY.min_cosine * float(odd.norm() * even.norm())
+    min_power = HOMOGRAPHY.min_rms**2 * odd[:, 0].numel()
+    return float((odd * even).sum()) > max(min_correlated, min_power)
 
 
 def nonrigid_displacement(level: Level, motion: Tensor) -> Tensor:
-    """How far motions `(N, 3, 3)` take points along the frame's edge from where rigid ones do, in px: (N - 1, 2, 8)."""
+    """Displacement `(N - 1, 2, 8)`, px, of motions `(N, 3, 3)` from the nearest rigid ones, along the frame's edge."""
     h, w = (side / 2 for side in level.shape)
     coordinates = [(x * w, y * h, 1.0) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
-    edge_points = torch.tensor(coordinates, dtype=motion.dtype).T
-    return carried(motion[1:], edge_points) - carried(nearest_rigid(motion[1:]), edge_points)
+    points = torch.tensor(coordinates, dtype=motion.dtype).T
+    return carried(motion[1:], points) - carried(nearest_rigid(motion[1:]), points)

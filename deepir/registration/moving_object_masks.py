@@ -1,4 +1,4 @@
-"""Somebody who walks through a burst: in which samples he stands, and frames in which he is filled in."""
+"""Masks of objects that move by themselves, and inpainting of the samples that they cover."""
 
 from __future__ import annotations
 
@@ -30,28 +30,29 @@ class DetectionCriteria:
 
 
 DETECTION = DetectionCriteria()
-MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight from which a sample shows the background only
+MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight at which a sample shows the background only
 INPAINTING_PASSES = 3  # alternations of scene and pattern
 
 
 def detect_moving_objects(preprocessed: Tensor) -> Tensor:
-    """The samples `(N, H, W)`, bool, of flat frames in which somebody stands, who is elsewhere in others.
+    """Find samples of moving objects: thick regions of large deviation from the temporal median.
 
-    They differ from the median of all frames in regions that are nowhere thin, as the edges of a scene that moves are.
+    Args:
+        preprocessed: `(N, H, W)`.
+
+    Returns:
+        `(N, H, W)` bool, True where an object covers the scene.
     """
     h, w = preprocessed.shape[1:]
     factor = max(1, -(-max(h, w) // LIKELIHOOD_SIDE))
     reduced = block_mean(preprocessed, factor)
     reduced = reduced - reduced.flatten(1).median(1).values[:, None, None]
-    change = np.abs(
-        uniform_filter((reduced - reduced.median(0).values).numpy(), (0, DETECTION.window, DETECTION.window))
-    )
+    deviation = (reduced - reduced.median(0).values).numpy()
+    change = np.abs(uniform_filter(deviation, (0, DETECTION.window, DETECTION.window)))
     sigma = MAD * float(np.median(change))
-    candidates = binary_opening(
-        change > DETECTION.low_threshold * sigma,
-        np.ones((1, DETECTION.min_thickness, DETECTION.min_thickness)),
-    )
-    neighbours = np.arange(27).reshape(3, 3, 3) // 9 == 1  # neighbours of a sample
+    element = np.ones((1, DETECTION.min_thickness, DETECTION.min_thickness))
+    candidates = binary_opening(change > DETECTION.low_threshold * sigma, element)
+    neighbours = np.arange(27).reshape(3, 3, 3) // 9 == 1  # the eight of a sample, in its own frame
     regions, _ = label(candidates, neighbours)
     confirmed = np.unique(regions[candidates & (change > DETECTION.high_threshold * sigma)])
     mask = binary_dilation(np.isin(regions, confirmed), neighbours, iterations=DETECTION.margin)
@@ -62,9 +63,12 @@ def detect_moving_objects(preprocessed: Tensor) -> Tensor:
 
 
 def inpaint_mean(frames: Tensor, mask: Tensor, weight: Tensor) -> Tensor:
-    """Frames `(N, H, W)` with the mean of the others in the place of samples `(N, H, W)`: as if nothing moved.
+    """Replace masked samples by the temporal mean of the others, as if nothing moved.
 
-    weight: `(H, W)`, zero where a pixel is bad.
+    Args:
+        frames: `(N, H, W)`; the median of each frame is kept.
+        mask: `(N, H, W)` bool.
+        weight: `(H, W)`, zero where a pixel is bad.
     """
     levels = frames.flatten(1).median(1).values[:, None, None]
     centred = frames - levels
@@ -72,19 +76,27 @@ def inpaint_mean(frames: Tensor, mask: Tensor, weight: Tensor) -> Tensor:
 
 
 def inpaint_background(frames: Tensor, mask: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
-    """The same with what the others show of scene and pattern, at motions `(N, 3, 3)`."""
+    """Replace masked samples by scene and pattern of the other frames, which are estimated alternately.
+
+    Where no other frame shows the scene, the temporal mean replaces them.
+
+    Args:
+        frames: `(N, H, W)`; the median of each frame is kept.
+        mask: `(N, H, W)` bool.
+        weight: `(H, W)`, zero where a pixel is bad.
+        motion: `(N, 3, 3)`, centred px.
+    """
     level = Level(1, frames, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
     levels = frames.flatten(1).median(1).values[:, None, None]
     centred, visible, inverse = frames - levels, weight * ~mask, torch.linalg.inv(motion)
     mean = _masked_mean(centred, visible)
-    visible_weight, known = sample(visible, inverse, level)
-    visible_weight = known * (visible_weight > MIN_VISIBLE_WEIGHT)
+    interpolated, known = sample(visible, inverse, level)
+    is_visible = known * (interpolated > MIN_VISIBLE_WEIGHT)
+    n_visible = is_visible.sum(0).clamp_min(1)
     pattern = torch.zeros_like(mean)
     for _ in range(INPAINTING_PASSES):
-        scene = (sample(centred - pattern, inverse, level)[0] * visible_weight).sum(0) / visible_weight.sum(
-            0
-        ).clamp_min(1)
-        scene = torch.where(visible_weight.any(0), scene, mean - pattern)
+        scene = (sample(centred - pattern, inverse, level)[0] * is_visible).sum(0) / n_visible
+        scene = torch.where(is_visible.any(0), scene, mean - pattern)
         expected, known = sample(scene[None], motion, level)
         weights = visible * known
         pattern = ((centred - expected) * weights).sum(0) / weights.sum(0).clamp_min(1)
@@ -92,6 +104,6 @@ def inpaint_background(frames: Tensor, mask: Tensor, weight: Tensor, motion: Ten
 
 
 def _masked_mean(values: Tensor, visible: Tensor) -> Tensor:
-    """That of the samples `(N, H, W)` which are free, `(H, W)`; of all where none is."""
+    """Mean `(H, W)` over the visible samples, one or zero `(N, H, W)`, of values `(N, H, W)`; of all if none is."""
     count = visible.sum(0)
     return torch.where(count > 0, (values * visible).sum(0) / count.clamp_min(1), values.mean(0))

@@ -1,6 +1,8 @@
-"""What is taken out of the frames before any motion is known: gain, stripes, stuck pixels.
+"""Preprocessing before any motion is known.
 
-Frames bent so that their fixed pattern is as strong where the scene is bright as where it is dark."""
+For residuals (`preprocess`): multiplicative patterns become additive, stripes are subtracted, stuck pixels masked. For
+likelihoods (`variance_stabilise`): the fixed pattern becomes equally strong in bright and in dark areas.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,10 @@ from deepir.arrays.median import MAD
 from deepir.arrays.subsample import subsample
 from deepir.arrays.windows import median_filter
 
+MIN_RELATIVE_FLUX = 0.05  # of the median; smaller values are raised to it before the logarithm
+MAX_NONPOSITIVE_FRACTION = 0.05  # of the samples; with more, frames are no flux and no logarithm is taken
 STUCK_THRESHOLD = 10.0  # robust standard deviations; pixels of the mean frame beyond are stuck
 STRIPE_WINDOW = 31  # px across the lines; broader structure is no stripe
-
 LOCAL_WINDOW = 7  # px; a pixel's deviation from this window's mean shows its gain and offset
 FILL_WINDOW = 5  # px; first window from whose mean a bad pixel is filled
 MIN_GOOD_FRACTION = 0.03  # of the window's pixels; with fewer, the next window is about twice as wide
@@ -25,7 +28,17 @@ ASINH_SCALE_BOUNDS = (0.05, 50.0)  # root mean squares of the flux; from nearly 
 
 
 def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Frames `(N, H, W)` float32, gains made offsets, without stripes; weights `(H, W)`, zero where bad."""
+    """Take the logarithm, mask bad and stuck pixels; of fewer than three frames, subtract stripes, too.
+
+    Three and more frames keep their stripes: the alignment estimates them as part of the fixed pattern.
+
+    Args:
+        frames: `(N, H, W)`, any unit; NaN or infinite where a pixel is bad.
+        ignore: `(H, W)` bool, True where a pixel must not be used.
+
+    Returns:
+        Frames `(N, H, W)` float32, zero where the weight is zero, and the weight `(H, W)`, zero or one.
+    """
     good = torch.ones(frames.shape[1:], dtype=torch.bool)
     for frame in frames:
         good &= frame.isfinite()
@@ -43,66 +56,104 @@ def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
 
 
 def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
-    """Logarithm over the median, at least 0.05 of it; or what differs from it, if the frames are not positive."""
+    """Logarithm of the frames over their median, so that gains become offsets; minus the median if not positive.
+
+    Args:
+        frames: `(N, H, W)`.
+        good: `(H, W)` bool; other pixels are set to the median.
+    """
     values, known = subsample(frames, good.expand_as(frames))
     known_values = values[known]
     centre = float(known_values.median())
-    positive = centre > 0 and float((known_values <= 0).double().mean()) <= 0.05
+    positive = centre > 0 and float((known_values <= 0).double().mean()) <= MAX_NONPOSITIVE_FRACTION
     y = torch.empty(frames.shape)
     for frame, out in zip(frames, y, strict=True):
         out.copy_(frame).masked_fill_(~good, centre)
         if positive:
-            out.div_(centre).clamp_min_(0.05).log_()
+            out.div_(centre).clamp_min_(MIN_RELATIVE_FLUX).log_()
         else:
             out.sub_(centre)
     return y
 
 
 def line_pattern(image: Tensor, axis: int) -> Tensor:
-    """Structure of lines along `axis`: their median of what differs from the mean over some px across them."""
-    broad = scipy.ndimage.uniform_filter1d(image.numpy(), STRIPE_WINDOW, axis=1 - axis, mode="nearest")
-    return (image - torch.from_numpy(broad)).median(axis, keepdim=True).values
+    """Offset of each line along `axis`: median, along it, of the difference from a moving average across the lines.
+
+    Args:
+        image: `(H, W)`.
+        axis: 0 for columns, 1 for rows.
+
+    Returns:
+        The offsets, `(1, W)` or `(H, 1)`.
+    """
+    moving_average = scipy.ndimage.uniform_filter1d(
+        image.numpy(), STRIPE_WINDOW, axis=1 - axis, mode="nearest"
+    )
+    return (image - torch.from_numpy(moving_average)).median(axis, keepdim=True).values
 
 
 def stuck_pixels(image: Tensor) -> Tensor:
-    """Pixels `(H, W)` that differ from their 3 x 3 median by `STUCK` robust deviations."""
+    """Pixels `(H, W)` bool that differ from their 3 x 3 median by `STUCK_THRESHOLD` robust standard deviations."""
     deviation = (image - median_filter(image[None, None])[0, 0]).abs()
     scale = MAD * float(subsample(deviation[None])[0].median())
     return deviation > (STUCK_THRESHOLD * scale or torch.inf)
 
 
 def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
-    """Frames `(N, h, w)` float64 of an even pattern, filled in where weights `(h, w)` are not one.
+    """Transform the flux so that the variance of the fixed pattern does not depend on it; fill bad pixels.
 
-    Gains and offsets with variances `a` and `b` are a pattern of variance `a z^2 + b` in a flux z, and an even one in
-    `asinh(z / k)`, with `k^2 = b / a` (Bartlett 1947): a logarithm where gains rule, next to nothing where offsets do.
+    Gains of variance `a` and offsets of variance `b` are a pattern of variance `a z^2 + b` at flux `z`. In
+    `asinh(z / k)`, with `k^2 = b / a`, its variance is constant: a logarithm where gains dominate, linear where offsets
+    do.
+
+    Args:
+        frames: `(N, h, w)`.
+        weight: `(h, w)`; pixels of which it is not one are filled.
+
+    Returns:
+        Frames `(N, h, w)` float64.
+
+    Source: Bartlett, The use of transformations, Biometrics 3 (1947).
     """
     frames = fill_bad_pixels(frames, weight == 1)
     return (frames / asinh_scale(frames.mean(0).numpy())).asinh()
 
 
 def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
-    """Frames `(N, h, w)` float64 whose pixels that are not good are means over the least window in which some are."""
-    found, unknown, window = torch.where(good, frames.double(), 0.0), ~good, FILL_WINDOW
+    """Fill bad pixels with the mean of the good ones in the smallest window that holds enough of them.
+
+    Args:
+        frames: `(N, h, w)`.
+        good: `(h, w)` bool.
+
+    Returns:
+        Frames `(N, h, w)` float64; zero if no pixel is good.
+    """
+    filled, unknown, window = torch.where(good, frames.double(), 0.0), ~good, FILL_WINDOW
     if not good.any():
-        return found
-    known, fraction = found.numpy(), good.double().numpy()
+        return filled
+    known, fraction = filled.numpy(), good.double().numpy()
     while unknown.any():
         local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")
-        means = scipy.ndimage.uniform_filter(
-            known, (0, window, window), mode="constant"
-        ) / local_fraction.clip(1e-9)
+        local_sum = scipy.ndimage.uniform_filter(known, (0, window, window), mode="constant")
+        means = torch.from_numpy(local_sum / local_fraction.clip(1e-9))
         fillable = unknown & torch.from_numpy(local_fraction > MIN_GOOD_FRACTION)
-        found, unknown, window = (
-            torch.where(fillable, torch.from_numpy(means), found),
-            unknown & ~fillable,
-            2 * window + 1,
-        )
-    return found
+        filled, unknown, window = torch.where(fillable, means, filled), unknown & ~fillable, 2 * window + 1
+    return filled
 
 
 def asinh_scale(image: np.ndarray) -> float:
-    """The flux at which gains make as strong a pattern as offsets, as the bright and dark parts of an image tell."""
+    """Flux at which gains and offsets contribute equally to the pattern: scale `k` of the asinh transform.
+
+    The variance of an image about its local mean is fitted by `a z^2 + b` over bins of the flux `z`, with weights of
+    one over its square, `a` and `b` not negative.
+
+    Args:
+        image: `(h, w)`, the mean of the frames.
+
+    Returns:
+        `sqrt(b / a)`, in units of the image.
+    """
     local_mean = scipy.ndimage.uniform_filter(image, LOCAL_WINDOW, mode="nearest")
     rms = float(np.sqrt(np.mean(local_mean**2))) or 1.0
     bins = np.array_split(local_mean.ravel().argsort(), N_FLUX_BINS)

@@ -1,4 +1,4 @@
-"""The registration of a whole burst: which frames show one scene, and how each has moved."""
+"""Registration of a burst: which frames show one scene, the motion of each, and how confident it is."""
 
 from __future__ import annotations
 
@@ -19,17 +19,11 @@ from deepir.registration.frame_selection import (
     misfit_per_dof,
     shutter_frames,
 )
-from deepir.registration.motion_search import (
-    MAX_ROUNDS,
-    estimate_motion,
-    final_levels,
-    search_level,
-    select_homography,
-)
+from deepir.registration.motion_search import estimate_motion, final_levels, search_level, select_homography
 from deepir.registration.moving_object_masks import inpaint_mean
-from deepir.registration.moving_objects import full_motion, register_beside_moving_objects
+from deepir.registration.moving_objects import register_beside_moving_objects
 from deepir.registration.preprocess import preprocess
-from deepir.registration.robust_score import MIN_CLEAR_GAIN, log_likelihood_ratio
+from deepir.registration.robust_score import accept_by_residuals
 
 UNCERTAIN_CONFIDENCE = 0.85  # confidence below which a message says that a frame's motion may be wrong
 
@@ -38,9 +32,9 @@ UNCERTAIN_CONFIDENCE = 0.85  # confidence below which a message says that a fram
 class Registration:
     """The motions of a burst.
 
-    motion: `(N, 3, 3)` float64 pull homographies about the frame's centre, `frame_k(p) = frame_r(T_k p)` with r
-    the first frame that is used, in px; NaN where a frame is left out. confidence: `(N,)` in [0, 1], how well
-    the frame agrees with the others, once aligned. used: `(N,)` bool. messages: what the user should know.
+    motion: `(N, 3, 3)` float64, pull homographies in px about the frame's centre, `frame_k(p) = frame_r(T_k p)`, with r
+    the first frame that is used; NaN where a frame is left out. confidence: `(N,)` in [0, 1], concordance of each frame
+    with the others. used: `(N,)` bool. messages: for the user.
     """
 
     motion: Tensor
@@ -58,12 +52,21 @@ def register(
     valid: Tensor | None = None,
     start: int = 0,
 ) -> Registration:
-    """Motion of every frame of a burst `(N, H, W)` relative to the first that is used, under strong fixed patterns.
+    """Register a burst under strong fixed-pattern noise.
 
-    model: shift, rigid, affine, homography, or auto: rigid, and a homography where the frames bend. ignore:
-    `(H, W)` bool, True where a pixel must not be used. valid: `(N, H, W)` bool, False where a sample is made up, of
-    something finite. start: the number of the first frame, for messages.
-    Raises DataError where the shapes or the model's name are wrong.
+    Args:
+        frames: `(N, H, W)`, any unit; NaN or infinite where a pixel is bad.
+        model: "shift", "rigid", "affine", "homography", or "auto": rigid, or homographies where these are clearly more
+            likely.
+        ignore: `(H, W)` bool, True where a pixel must not be used.
+        valid: `(N, H, W)` bool, False where a sample has no data but some finite value.
+        start: number of the first frame in messages.
+
+    Returns:
+        Motions relative to the first frame that is used.
+
+    Raises:
+        DataError: a shape is wrong or the model is unknown.
     """
     check_arguments(frames, model, ignore)
     frames = frames.detach().cpu()
@@ -71,12 +74,12 @@ def register(
     if missing is not None:
         frames = inpaint_mean(frames, missing, torch.ones(frames.shape[1:]))
     preprocessed, weight = preprocess(frames, None if ignore is None else ignore.cpu())
-    base_model = "rigid" if model == AUTO else model
     n = len(frames)
     excluded = dict.fromkeys(repeated_frames(frames), "is the same as the one before it")
     if n > SHUTTER.min_scene_frames:
-        shutter = shutter_frames(search_level(preprocessed, weight), base_model).nonzero()[:, 0].tolist()
-        excluded |= dict.fromkeys(shutter, "shows the pattern and no scene, as where a shutter closes")
+        is_shutter = shutter_frames(search_level(preprocessed, weight), initial_model(model))
+        reason = "shows the pattern and no scene, as where a shutter closes"
+        excluded |= dict.fromkeys(is_shutter.nonzero()[:, 0].tolist(), reason)
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
     confidence = torch.zeros(n, dtype=torch.float64)
     kept = [k for k in range(n) if k not in excluded] if excluded else slice(None)  # no copy of all
@@ -86,11 +89,13 @@ def register(
     return make_registration(motion, confidence, start, excluded)
 
 
-def repeated_frames(frames: Tensor) -> list[int]:
-    """Frames `(N, H, W)` that are the one before them once more, as where a camera is read faster than it looks.
+def initial_model(model: str) -> str:
+    """Model of the search: rigid if the model is to be selected."""
+    return "rigid" if model == AUTO else model
 
-    None if all are: then nothing moves.
-    """
+
+def repeated_frames(frames: Tensor) -> list[int]:
+    """Numbers of the frames that equal the one before, of `(N, H, W)`; none if all do, as nothing moves then."""
     repeated = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
     return repeated if len(repeated) < len(frames) - 1 else []
 
@@ -98,50 +103,54 @@ def repeated_frames(frames: Tensor) -> list[int]:
 def estimate_burst(
     frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str, missing: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Motions `(N, 3, 3)` of frames and how well they agree `(N,)`, on which `verdict` decides."""
-    base_model = "rigid" if model == AUTO else model
-    estimate = register_beside_moving_objects(
-        estimate_motion(frames, preprocessed, weight, base_model), weight, base_model, missing
-    )
-    coarse_level, used, alignment, motion = (
-        estimate.coarse_level,
-        estimate.used,
-        estimate.alignment,
-        estimate.motion,
-    )
+    """Estimate motions, select their model (rest, the model itself, homography), and compute confidences.
+
+    Args:
+        frames: `(N, H, W)`.
+        preprocessed: `(N, H, W)`, zero where the weight is zero.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model, or "auto".
+        missing: `(N, H, W)` bool, samples without data.
+
+    Returns:
+        Motions `(N, 3, 3)`, NaN where a frame is not used, and confidences `(N,)`, for `make_registration`.
+    """
+    estimate = estimate_motion(frames, preprocessed, weight, initial_model(model))
+    estimate = register_beside_moving_objects(estimate, weight, initial_model(model), missing)
+    level, used, alignment, motion = estimate.coarse_level, estimate.used, estimate.alignment, estimate.motion
     if used.sum() > 1:
         if model == AUTO:
-            final_level = final_levels(estimate.preprocessed[used], weight, coarse_level.factor)[-1]
-            motion = select_homography(estimate.frames[used], weight, final_level, motion, MAX_ROUNDS)
-        alignment = min(
-            alignment,
-            Alignment(motion, *estimate_pattern(coarse_level.subset(used), motion)),
-            key=misfit_per_dof,
-        )
-    if (resting := frames_at_rest(coarse_level, alignment)).any():
-        # Unless most of the frame moves: somebody changes the frames as much, whether the camera moves or rests.
-        at_rest, moving = (
-            full_motion(replace(estimate, motion=each)) for each in (identity(len(motion)), motion)
-        )
-        if log_likelihood_ratio(coarse_level, at_rest, moving) < MIN_CLEAR_GAIN:
-            return identity(len(frames)), resting.double()
-    all_motions = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+            final_level = final_levels(estimate.preprocessed[used], weight, level.factor)[-1]
+            motion = select_homography(estimate.frames[used], weight, final_level, motion)
+        refined = Alignment(motion, *estimate_pattern(level.subset(used), motion))
+        alignment = min(alignment, refined, key=misfit_per_dof)
+    if (is_resting := frames_at_rest(level, alignment)).any():
+        # A moving object changes the frames as much as camera motion does: rest must hold for most of the frame.
+        rest, moving = (replace(estimate, motion=each) for each in (identity(len(motion)), motion))
+        if not accept_by_residuals(level, rest.full_motion, moving.full_motion):
+            return identity(len(frames)), is_resting.double()
+    motions = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
     confidence = 0.5 * MIN_CONCORDANCE * estimate.match_score.clamp_max(1)
     if used.sum() > 1:
-        all_motions[used], confidence[used] = (
-            motion,
-            concordance(coarse_level.subset(used), alignment.pattern, motion),
-        )
-    return all_motions, confidence
+        motions[used] = motion
+        confidence[used] = concordance(level.subset(used), alignment.pattern, motion)
+    return motions, confidence
 
 
 def make_registration(
     motion: Tensor, confidence: Tensor, start: int, excluded: Mapping[int, str]
 ) -> Registration:
-    """Confidence and messages; frames that fail are left out by name, some of which it is known why."""
+    """Leave out frames of low confidence, make motions relative to the first frame used, and write messages.
+
+    Args:
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
+        confidence: `(N,)`; frames below `MIN_CONCORDANCE` are left out.
+        start: number of the first frame in messages.
+        excluded: reasons, by frame number, of frames that were not registered.
+    """
     confidence = confidence.clamp(0, 1)
     used = confidence >= MIN_CONCORDANCE
-    if used.sum() < 2:  # nothing agrees: the first frame stands for itself
+    if used.sum() < 2:  # no two frames agree: the first one is its own reference
         first = next(k for k in range(len(used)) if k not in excluded)
         used = torch.arange(len(used)) == first
         confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * MIN_CONCORDANCE))
@@ -170,7 +179,7 @@ def make_registration(
 
 
 def check_arguments(frames: Tensor, model: str, ignore: Tensor | None) -> None:
-    """Raise DataError where the arguments of `register` cannot be used."""
+    """Raise DataError if the arguments of `register` have wrong shapes or the model is unknown."""
     if frames.ndim != 3:
         raise DataError(f"registration wants frames (N, height, width), not {tuple(frames.shape)}")
     if model not in (known := [*PARAMETERS, AUTO]):

@@ -1,6 +1,8 @@
-"""What motions explain of frames, sample by sample: most of the frame decides, whoever walks through the rest.
+"""Robust score of motions: log-likelihood of residuals after median scene and pattern, most of the frame deciding.
 
-Frames that are sought once more, each in what all others show."""
+An object that moves by itself is in neither median, its residuals are bounded, and the blocks of the frame that change
+most do not count. So the score compares motions although something moves through part of the frame.
+"""
 
 from __future__ import annotations
 
@@ -16,76 +18,21 @@ from deepir.registration.pyramid import Level, sample
 
 MIN_OVERLAPPING = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
 TAIL_VARIANCE = 4.0  # variances; squared scale of the heavy-tailed (Cauchy) likelihood
-MAX_RESIDUAL = (
-    10.0  # standard deviations; bound of a residual, and that of a sample that no other frame shows
-)
+MAX_RESIDUAL = 10.0  # standard deviations; bound of a residual, and value of one that no other frame predicts
 N_TRIMMED = 2  # of nine blocks, left out at either end of the sorted gains
 MEDIAN_PASSES = 10  # alternations of median scene and median pattern
 #: Share of its last change by which the pattern is extrapolated in each pass. With little motion, scene and pattern
 #: separate slowly; unconverged, too large motions would score best.
 EXTRAPOLATION = 0.8
 MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
-
 MIN_OTHER_FRAMES = 3  # frames in which another one is searched
-
-
-def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
-    """By how many nats a sample other motions `(N, 3, 3)` explain more of frames; NaN where a frame is not used.
-
-    By a likelihood with heavy tails, of residuals as wide as those of the better. Samples that no others see are not
-    explained: else motions would be best that share nothing. Of nine parts of the frame, those that gain most and
-    least do not count: somebody may walk there. Two frames are explained by anything: they gain and lose nothing.
-    """
-    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < MIN_OVERLAPPING:
-        return 0.0
-    residuals_before, residuals_after = (absolute_residuals(level, motion) for motion in (before, after))
-    sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
-    sample_gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
-    block_gains = sorted(float(part.mean()) for rows in sample_gain.chunk(3) for part in rows.chunk(3, 1))
-    central = block_gains[N_TRIMMED:-N_TRIMMED] or block_gains  # frames of a few lines have fewer
-    return sum(central) / len(central)
-
-
-def robust_nll(level: Level, motion: Tensor) -> float:
-    """How much motions `(N, 3, 3)` leave unexplained of the frames that are used, in nats for each sample."""
-    residual = absolute_residuals(level, motion)[motion.isfinite().all((1, 2))]
-    return float(sample_nll(residual, robust_sigma(residual)).mean())
-
-
-def robust_sigma(residual: Tensor) -> float:
-    """Robust standard deviation of residuals whose magnitudes are known where they are finite."""
-    finite = residual[residual.isfinite()]
-    return max(MAD * float(finite.median()), 1e-12) if len(finite) else torch.inf
-
-
-def sample_nll(residual: Tensor, sigma: float) -> Tensor:
-    """Minus the log-likelihood of samples `(N, h, w)`, the rest of which has a `usual` width."""
-    return torch.log1p(
-        (residual / sigma).where(residual.isfinite(), MAX_RESIDUAL).clamp_max(MAX_RESIDUAL).square()
-        / TAIL_VARIANCE
-    )
-
-
-def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
-    """Magnitudes `(N, h, w)` of what is neither scene nor pattern; infinite where no other frames see the place."""
-    used = motion.isfinite().all((1, 2))
-    residual = torch.full_like(level.frames, torch.inf)
-    if used.any():
-        model = median_model(level, motion)
-        expected, known = sample(model.scene[None], motion[used], level)
-        residual[used] = (
-            (level.frames[used] - expected - model.pattern)
-            .abs()
-            .where(model.overlapping & (known > 0), torch.inf)
-        )
-    return residual
 
 
 @dataclass(frozen=True)
 class MedianModel:
     """Robust model of frames at given motions.
 
-    scene, pattern: `(h, w)`. overlapping: `(M, h, w)` bool, samples of the M used frames that others see, too.
+    scene, pattern: `(h, w)`. overlapping: `(M, h, w)` bool, samples of the M used frames that other frames show, too.
     """
 
     scene: Tensor
@@ -93,19 +40,93 @@ class MedianModel:
     overlapping: Tensor
 
 
-def median_model(level: Level, motion: Tensor) -> MedianModel:
-    """Scene and pattern `(h, w)`, and which samples `(M, h, w)` of the M frames that are used others see, too.
+def accept_by_residuals(level: Level, before: Tensor, after: Tensor) -> bool:
+    """Decide for motions `after` if they gain `MIN_CLEAR_GAIN` over `before`; arguments as `log_likelihood_ratio`."""
+    return log_likelihood_ratio(level, before, after) >= MIN_CLEAR_GAIN
 
-    Both are medians over these frames, so that somebody who is in a place in a few of them is in neither.
+
+def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
+    """Trimmed mean, over nine blocks of the frame, of the log-likelihood ratio of two sets of motions.
+
+    The likelihood is heavy-tailed; its scale is that of the better motions. Samples that no other frame shows count as
+    unexplained, else motions without overlap would score best. Any motions explain two frames: their ratio is zero.
+
+    Args:
+        level: N frames.
+        before: `(N, 3, 3)`, NaN where a frame is not used.
+        after: `(N, 3, 3)`, likewise.
+
+    Returns:
+        Nats per sample, positive where the motions `after` are better.
+    """
+    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < MIN_OVERLAPPING:
+        return 0.0
+    residuals_before, residuals_after = (absolute_residuals(level, motion) for motion in (before, after))
+    sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
+    gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
+    block_gains = sorted(float(block.mean()) for rows in gain.chunk(3) for block in rows.chunk(3, 1))
+    central = block_gains[N_TRIMMED:-N_TRIMMED] or block_gains  # frames of a few lines have fewer blocks
+    return sum(central) / len(central)
+
+
+def robust_nll(level: Level, motion: Tensor) -> float:
+    """Mean negative log-likelihood, nats per sample, of the used frames at motions `(N, 3, 3)`, NaN if not used."""
+    residual = absolute_residuals(level, motion)[motion.isfinite().all((1, 2))]
+    return float(sample_nll(residual, robust_sigma(residual)).mean())
+
+
+def robust_sigma(residual: Tensor) -> float:
+    """Robust standard deviation of residuals from their magnitudes `(...)`; infinite ones do not count."""
+    finite = residual[residual.isfinite()]
+    return max(MAD * float(finite.median()), 1e-12) if len(finite) else torch.inf
+
+
+def sample_nll(residual: Tensor, sigma: float) -> Tensor:
+    """Negative log-likelihood of each sample, nats, up to a constant: Cauchy, bounded.
+
+    Args:
+        residual: `(N, h, w)`, magnitudes; infinite where no other frame predicts the sample.
+        sigma: robust standard deviation of the residuals.
+    """
+    bounded = (residual / sigma).where(residual.isfinite(), MAX_RESIDUAL).clamp_max(MAX_RESIDUAL)
+    return torch.log1p(bounded.square() / TAIL_VARIANCE)
+
+
+def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
+    """Magnitudes `(N, h, w)` of the frames less scene and pattern of `median_model`.
+
+    Infinite where no other frame predicts a sample, and for frames that are not used.
+
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
+    """
+    used = motion.isfinite().all((1, 2))
+    residual = torch.full_like(level.frames, torch.inf)
+    if used.any():
+        model = median_model(level, motion)
+        expected, known = sample(model.scene[None], motion[used], level)
+        magnitude = (level.frames[used] - expected - model.pattern).abs()
+        residual[used] = magnitude.where(model.overlapping & (known > 0), torch.inf)
+    return residual
+
+
+def median_model(level: Level, motion: Tensor) -> MedianModel:
+    """Scene and pattern at given motions, alternately, as medians over the used frames.
+
+    An object that covers a point in few frames is in neither median.
+
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
     """
     used = motion.isfinite().all((1, 2))
     level, motion = level.subset(used), motion[used]
     inverse, pattern = torch.linalg.inv(motion), torch.zeros_like(level.weight)
     previous = pattern
     visible = sample(level.frames, inverse, level)[1] > 0
-    overlapping = (sample(visible.sum(0)[None].float(), motion, level)[0] > MIN_OVERLAPPING) & (
-        level.weight > 0
-    )
+    n_visible, _ = sample(visible.sum(0)[None].float(), motion, level)
+    overlapping = (n_visible > MIN_OVERLAPPING) & (level.weight > 0)
     for _ in range(MEDIAN_PASSES):
         extrapolated = pattern + EXTRAPOLATION * (pattern - previous)
         scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
@@ -115,33 +136,38 @@ def median_model(level: Level, motion: Tensor) -> MedianModel:
 
 
 def _masked_median(images: Tensor, known: Tensor) -> Tensor:
-    """That over the known of images `(N, h, w)`, of two middle ones the mean; zero where none is known."""
+    """Median `(h, w)` over the known samples, `(N, h, w)` bool, of images `(N, h, w)`; zero where none is known."""
     order, last = images.where(known, torch.inf).sort(0).values, known.sum(0) - 1
-    middle = [order.gather(0, at.clamp_min(0)[None])[0] for at in (last // 2, last - last // 2)]
+    middle = [order.gather(0, rank.clamp_min(0)[None])[0] for rank in (last // 2, last - last // 2)]
     return torch.where(last >= 0, (middle[0] + middle[1]) / 2, 0)
 
 
 def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
-    """Motions `(N, 3, 3)`, NaN where a frame is not used, with that of the worst that is, where it is better elsewhere.
+    """Search the worst frame again in the median scene of the others, as long as that clearly raises the score.
 
-    And of the next, as long as that helps.
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
+        model: "shift" searches shifts only; any other model searches rotations, too.
+
+    Returns:
+        Motions `(N, 3, 3)`, of which at most a few have changed.
     """
     used = motion.isfinite().all((1, 2))
     for _ in range(len(motion)):
         residual = absolute_residuals(level, motion)
-        worst = int(
-            sample_nll(residual, robust_sigma(residual)).mean((1, 2)).where(used, -torch.inf).argmax()
-        )
+        frame_nll = sample_nll(residual, robust_sigma(residual)).mean((1, 2))
+        worst = [int(frame_nll.where(used, -torch.inf).argmax())]
         candidate = motion.clone()
         candidate[worst] = torch.nan
         if candidate.isfinite().all((1, 2)).sum() < MIN_OTHER_FRAMES:
             break
-        rest = median_model(level, candidate)
-        candidate[[worst]], _ = match_to_reference(
-            rest.scene, level.frames[[worst]] - rest.pattern, level, model, pattern_present=False
-        )
-        unchanged = corner_distance(motion[[worst]], candidate[[worst]], level.frames) < DISTINCT_DISTANCE
-        if unchanged or log_likelihood_ratio(level, motion, candidate) < MIN_CLEAR_GAIN:
+        others = median_model(level, candidate)
+        image = level.frames[worst] - others.pattern
+        candidate[worst], _ = match_to_reference(others.scene, image, level, model, pattern_present=False)
+        if corner_distance(motion[worst], candidate[worst], level.frames) < DISTINCT_DISTANCE:
+            break
+        if not accept_by_residuals(level, motion, candidate):
             break
         motion = candidate
     return motion

@@ -1,14 +1,16 @@
-"""Shifts of all frames at once, by their likelihood: scene and pattern, Gaussian of unknown spectra, integrated out.
+"""Marginal likelihood of the shifts of all frames; scene and fixed pattern are integrated out.
 
-A wave k of frame j is `F_j = exp(i k d_j) X + P + noise`, of a scene X with a power that is that of all waves as long,
-and a pattern P, whose power is one number. Noise, too, has a power for each length: what leaves the frame or walks
-through it is in there. Waves along rows and columns are not asked: the pattern's lines are in them, and a scene's slope
-or horizon, which then passes for lines. Where a plain scene hides under its pattern, this finds the frames' places
-where correlations and residuals are ruled by the pattern. (Expectation-maximisation for the powers: Dempster, Laird,
-Rubin 1977.)
+Wave k of frame j is `F_j(k) = exp(i k d_j) X(k) + P(k) + noise`, with shift d_j. The scene X and the pattern P are
+Gaussian; so is the noise, which includes what leaves the frame or moves in it. The powers of scene and noise depend on
+the wavenumber only (one value per ring), that of the pattern is one number. Powers are estimated by
+expectation-maximisation, in turn with the shifts. Waves along rows and columns are left out: they contain the lines of
+the pattern, and slopes and horizons of the scene look like such lines.
 
+In weakly textured scenes under a strong pattern this finds the shifts where the pattern dominates correlations and
+residuals. `integer_shifts` finds initial values by exhaustive search, `maximise_shift_likelihood` refines them.
 
-Shifts in whole px, out of all that there are: where the likelihood's climb may begin."""
+Source: Dempster, Laird and Rubin, Maximum likelihood from incomplete data via the EM algorithm, JRSS B 39 (1977).
+"""
 
 from __future__ import annotations
 
@@ -22,43 +24,42 @@ from torch import Tensor
 from deepir.registration.cross_correlation import hann_window
 
 MAX_WAVENUMBER = 2.5  # rad per px; shorter waves hold almost no scene
+HIGH_BAND = 0.8  # of the largest wavenumber; shorter waves give the initial powers of noise and pattern
 N_RINGS = 14  # rings of waves of about one length, each with one power of scene and one of noise
-AXIS_EXCLUSION = (
-    2.5  # cycles per frame; waves up to here along an axis hold the pattern's lines, by the taper's leakage
-)
+AXIS_EXCLUSION = 2.5  # cycles per frame; the taper spreads the pattern's lines up to here from the axes
 CONVERGED_SHIFT = 0.05  # px; a smaller step ends the alternation of shifts and powers
 MAX_ALTERNATIONS = 3  # of shifts and powers
 MAX_LBFGS_STEPS = 20  # L-BFGS steps of the shifts at fixed powers
-EM_ITERATIONS = 6  # expectation-maximisation steps of the powers at fixed shifts
 GRADIENT_TOLERANCE = 1.0  # nats per px; a smaller gradient ends L-BFGS
-
-MIN_WAVENUMBER = (
-    0.2  # rad per px; longer waves change more by what leaves the frame than the guessed noise allows
-)
-MAX_SWEEPS = 4  # sweeps over all frames
+EM_ITERATIONS = 6  # expectation-maximisation steps of the powers at fixed shifts
+MIN_WAVENUMBER = 0.2  # rad per px; integer search: what leaves the frame dominates longer waves
+MAX_SWEEPS = 4  # integer search: sweeps over all frames
 
 
 class Likelihood(Protocol):
-    """Of places `(K, P)`, under powers that are unknown, too."""
+    """Likelihood of the motions of K frames, of P parameters each, with powers to be estimated."""
 
     def negative_log_likelihood(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus the log-likelihood of places `(K P)`, less what does not depend on them; and its gradient."""
+        """Value in nats, up to a constant, and gradient `(K P,)` at parameters `(K P,)` in px."""
 
     def update_powers(self, parameters: np.ndarray) -> None:
-        """The powers that are likeliest at places `(K, P)`, nearly."""
+        """Estimate the powers at parameters `(K, P)` in px."""
 
 
 def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
-    """The places `(K, P)` to which the likelihood climbs from a start `(K, P)`; all in px."""
+    """Maximise a likelihood by L-BFGS in turn with estimates of the powers.
+
+    Args:
+        likelihood: its state is changed.
+        parameters: `(K, P)`, initial values, px.
+
+    Returns:
+        The parameters `(K, P)` at the local maximum, px.
+    """
     options = {"maxiter": MAX_LBFGS_STEPS, "gtol": GRADIENT_TOLERANCE}
+    objective = likelihood.negative_log_likelihood
     for _ in range(MAX_ALTERNATIONS):
-        result = minimize(
-            likelihood.negative_log_likelihood,
-            parameters.ravel(),
-            jac=True,
-            method="L-BFGS-B",
-            options=options,
-        )
+        result = minimize(objective, parameters.ravel(), jac=True, method="L-BFGS-B", options=options)
         previous, parameters = parameters, result.x.reshape(parameters.shape)
         if np.abs(parameters - previous).max() < CONVERGED_SHIFT:
             break
@@ -67,12 +68,24 @@ def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
 
 
 def maximise_shift_likelihood(frames: Tensor, start: np.ndarray) -> np.ndarray:
-    """Shifts `(N - 1, 2)` (x, y) in px of frames `(N, h, w)`, relative to the first, from a start `(N - 1, 2)`."""
+    """Maximum-likelihood shifts of frames relative to the first, from initial values.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+        start: `(N - 1, 2)`, initial shifts (x, y), px.
+
+    Returns:
+        Shifts `(N - 1, 2)` (x, y), px.
+    """
     return maximise(ShiftLikelihood(frames), start)
 
 
 class ShiftLikelihood:
-    """The frames' long waves `(N, h, w)`, the powers `(h, w)` of scene and noise, and the pattern's."""
+    """Likelihood of the shifts of all frames but the first, of frames `(N, h, w)`.
+
+    y `(r,)`, x `(c,)`: angular frequencies of the waves used, rad per px. frames: `(N, r, c)`, the spectra. scene,
+    noise: `(r, c)`, powers. pattern: power.
+    """
 
     def __init__(self, frames: Tensor) -> None:
         h, w = frames.shape[1:]
@@ -91,27 +104,24 @@ class ShiftLikelihood:
         self.wavenumber = np.hypot(self.y[:, None], self.x)
         self.ring = np.digitize(self.wavenumber, np.geomspace(2 * np.pi / max(h, w), MAX_WAVENUMBER, N_RINGS))
         self.ring_sizes = np.bincount(self.ring.ravel(), minlength=N_RINGS + 1)
-        self._set_initial_powers(self.wavenumber > 0.8 * MAX_WAVENUMBER)
+        self._set_initial_powers(self.wavenumber > HIGH_BAND * MAX_WAVENUMBER)
 
     def _set_initial_powers(self, high_band: np.ndarray) -> None:
-        """Of the shortest waves, what differs from frame to frame is noise, and what does not is pattern."""
+        """Initial powers: at high frequencies the temporal variance is noise and the rest of the power is pattern."""
         n = len(self.frames)
         power = (np.abs(self.frames) ** 2).mean(0)
         temporal_variance = (np.abs(self.frames - self.frames.mean(0)) ** 2).sum(0) / (n - 1)
         self.noise_floor = 1e-9 * float(power.mean())  # frames may be identical
         noise = max(float(temporal_variance[high_band].mean()), self.noise_floor)
-        median_to_mean = 1 / np.log(
-            2
-        )  # a wave's power has an exponential distribution: its mean from its median
-        pattern = max(median_to_mean * float(np.median(power[high_band])) - noise, 0.1 * noise)
+        mean_over_median = 1 / np.log(2)  # of an exponential distribution, which is that of a wave's power
+        pattern = max(mean_over_median * float(np.median(power[high_band])) - noise, 0.1 * noise)
         total = np.bincount(self.ring.ravel(), power.ravel(), N_RINGS + 1)
-        self.scene = np.maximum(
-            (total / np.maximum(self.ring_sizes, 1))[self.ring] - pattern - noise, 0.02 * pattern
-        )
+        ring_mean = (total / np.maximum(self.ring_sizes, 1))[self.ring]
+        self.scene = np.maximum(ring_mean - pattern - noise, 0.02 * pattern)
         self.pattern, self.noise = pattern, np.full(power.shape, noise)
 
     def negative_log_likelihood(self, shifts: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus the log-likelihood of shifts `(2 (N - 1))`, less what does not depend on them; and its gradient."""
+        """Value in nats, up to a constant, and gradient at shifts `(2 (N - 1),)` in px."""
         from deepir.kernels.shift_likelihood import nats
 
         rows = len(self.y)
@@ -120,7 +130,7 @@ class ShiftLikelihood:
         return float(values.sum()), gradient.sum(0)[1:].ravel()
 
     def update_powers(self, shifts: np.ndarray) -> None:
-        """The powers that are likeliest at shifts `(N - 1, 2)`, nearly."""
+        """Estimate the powers at shifts `(N - 1, 2)` in px by a few steps of expectation-maximisation."""
         from deepir.kernels.shift_likelihood import powers
 
         n, rows = len(self.real), len(self.y)
@@ -132,17 +142,24 @@ class ShiftLikelihood:
             self.pattern = float(pattern_powers.sum()) / self.ring.size
 
     def _kernel_arguments(self, shifts: np.ndarray) -> tuple[Any, ...]:
-        """What the loops take, at shifts `(N - 1, 2)`: all rows at once, which are too few to share among threads."""
+        """Arguments of the compiled loops at shifts `(N - 1, 2)`; one call for all rows, too few for threads."""
         all_shifts = np.vstack((np.zeros((1, 2)), shifts))
         return self.real, self.imag, all_shifts, self.y, self.x, self.scene, self.pattern, self.noise
 
 
 def integer_shifts(frames: Tensor) -> np.ndarray:
-    """Shifts `(N - 1, 2)` (x, y) in px of frames `(N, h, w)`, relative to the first: frame by frame the likeliest.
+    """Most likely integer shifts of frames relative to the first, by coordinate descent over the frames.
 
-    What a wave of two frames says of the angle `k d` between them has a first harmonic, and the sum of those over all
-    waves, for all shifts d at once, is a Fourier transform: a correlation in which scene, pattern and noise have their
-    weights. The powers are guessed. At lag zero the pattern is with itself, whatever its weight: that lag is left out.
+    Each frame is compared with the placed ones at all shifts d at once. The first harmonic, in the phase `k d`, of the
+    pairwise log-likelihood of each wave is summed over waves by a Fourier transform: a correlation in which scene,
+    pattern and noise have their weights. Powers keep their initial values. At lag zero the pattern matches itself
+    whatever its weight: that lag is excluded.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+
+    Returns:
+        Shifts `(N - 1, 2)` (x, y), px, whole numbers.
     """
     likelihood = ShiftLikelihood(frames)
     h, w = likelihood.size
@@ -151,9 +168,9 @@ def integer_shifts(frames: Tensor) -> np.ndarray:
         previous = shifts.copy()
         for k in range(1, len(frames)):
             other_frames = is_placed & (np.arange(len(frames)) != k)
-            scores = np.fft.irfft2(first_harmonic(likelihood, k, other_frames, shifts), s=(h, w))
-            scores[shifts[other_frames, 1], shifts[other_frames, 0]] = np.inf
-            y, x = np.unravel_index(scores.argmin(), scores.shape)
+            nats = np.fft.irfft2(first_harmonic(likelihood, k, other_frames, shifts), s=(h, w))
+            nats[shifts[other_frames, 1], shifts[other_frames, 0]] = np.inf
+            y, x = np.unravel_index(nats.argmin(), nats.shape)
             shifts[k] = (x + w // 2) % w - w // 2, (y + h // 2) % h - h // 2
             is_placed[k] = True
         if (shifts == previous).all():
@@ -164,24 +181,31 @@ def integer_shifts(frames: Tensor) -> np.ndarray:
 def first_harmonic(
     likelihood: ShiftLikelihood, k: int, other_frames: np.ndarray, all_shifts: np.ndarray
 ) -> np.ndarray:
-    """What frame k says beside each of the others, which are at their places: minus log-likelihood, `(h, w / 2 + 1)`.
+    """First harmonic, in the phase of each wave, of the pairwise negative log-likelihood of frame k and other frames.
 
-    The two frames' covariance has the determinant `p - q cos(k d)`, whose logarithm and inverse are series in `ratio`.
+    The covariance of two frames has the determinant `p - q cos(k d)`. Its logarithm and its inverse are series in
+    powers of `ratio`.
+
+    Args:
+        likelihood: spectra and powers.
+        k: frame number.
+        other_frames: `(N,)` bool, the frames that it is compared with.
+        all_shifts: `(N, 2)` (x, y), px, of which those of the other frames are used.
+
+    Returns:
+        `(h, w / 2 + 1)` complex, summed over the other frames; zero for waves that are not used.
     """
     scene, pattern, noise = likelihood.scene, likelihood.pattern, likelihood.noise
     cross = 2 * scene * pattern
-    remainder = noise * (noise + 2 * (scene + pattern))
-    root = np.sqrt(remainder * (remainder + 2 * cross))
-    ratio = cross / (remainder + cross + root)
+    rest = noise * (noise + 2 * (scene + pattern))
+    root = np.sqrt(rest * (rest + 2 * cross))
+    ratio = cross / (rest + cross + root)
     shifts, frame = all_shifts[other_frames], likelihood.frames[k]
-    back_y, back_x = np.exp(-1j * shifts[:, 1:] * likelihood.y), np.exp(-1j * shifts[:, :1] * likelihood.x)
-    phase = back_y[:, :, None] * back_x[:, None]
-    other_spectra = likelihood.frames[other_frames]
-    ahead, behind = (
-        (other_spectra.conj() * phase).sum(0) * frame,
-        (other_spectra * phase).sum(0) * frame.conj(),
-    )
-    power = (phase * (np.abs(other_spectra) ** 2 + np.abs(frame) ** 2)).sum(0)
+    phase_y, phase_x = np.exp(-1j * shifts[:, 1:] * likelihood.y), np.exp(-1j * shifts[:, :1] * likelihood.x)
+    phase = phase_y[:, :, None] * phase_x[:, None]
+    others = likelihood.frames[other_frames]
+    ahead, behind = (others.conj() * phase).sum(0) * frame, (others * phase).sum(0) * frame.conj()
+    power = (phase * (np.abs(others) ** 2 + np.abs(frame) ** 2)).sum(0)
     explained = (pattern + scene * ratio) * ratio * ahead + (pattern * ratio + scene) * behind
     values = ((scene + pattern + noise) * ratio * power - explained) / root - ratio * phase.sum(0)
     harmonic = np.zeros((likelihood.size[0], likelihood.size[1] // 2 + 1), complex)
