@@ -1,7 +1,8 @@
-"""Dense displacements between frames of one sensor, found from their texture.
+"""Dense displacements between frames of one sensor, from their texture.
 
-Optical flow by brightness follows what is slow of a fixed pattern, and changes of level and contrast. So frames are
-compared by their texture, and only displacements that hold both ways are kept.
+Optical flow of the brightness follows the low frequencies of the fixed pattern, and changes of level and contrast. So
+the flow is that of the texture, normalised to an even contrast. Only displacements of which the forward and the
+backward flow agree are kept.
 """
 
 from __future__ import annotations
@@ -18,9 +19,7 @@ Array = np.ndarray
 SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
 TEXTURE_SIGMA = 8.0  # px; Gaussian that separates texture from what is broader
 CONTRAST_SIGMA = 16.0  # px; Gaussian over which the contrast of the texture is normalised
-CONTRAST_FLOOR = (
-    0.3  # of the frame's median contrast, added to the local one: plain areas do not become texture
-)
+CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
 RADIUS = 7  # px; half-width of the Lucas-Kanade window
 WARPS = 10  # warps of the Lucas-Kanade flow
 MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
@@ -32,7 +31,11 @@ BORDER = 2  # px from the border within which no displacement is trusted
 
 @dataclass(frozen=True)
 class Displacement:
-    """Where frame `second` shows what frame `first` does: rows `y`, columns `x`, px, (h, w); `known`: where it does."""
+    """Displacement field from frame `first` to frame `second`.
+
+    y, x: (h, w), row and column, px, at which the second frame shows what the first shows at each pixel. known: (h, w)
+    bool, True where these are trusted.
+    """
 
     first: int
     second: int
@@ -42,16 +45,21 @@ class Displacement:
 
     @property
     def share_moved(self) -> float:
-        """Share of the frame that is known to have moved, by `LEAST_MOVED` px and more."""
+        """Fraction of the frame whose displacement is trusted and at least `MIN_DISPLACEMENT` px."""
         rows, columns = np.mgrid[: self.y.shape[0], : self.y.shape[1]]
         moved = np.hypot(self.y - rows, self.x - columns) >= MIN_DISPLACEMENT
         return float((moved & self.known).mean())
 
 
 def displacements(frames: Array, pairs: Iterable[tuple[int, int]]) -> Iterator[Displacement]:
-    """Displacements between pairs of frames (N, h, w) float64 that hold little pattern, and nothing but finite values.
+    """Displacements between pairs of frames by inverse Lucas-Kanade on their texture, forward and backward.
 
-    Inverse Lucas-Kanade on texture (Le Besnerais and Champagnat 2005, as scikit-image has it), both ways.
+    Args:
+        frames: (N, h, w) float64, finite, with little fixed pattern left.
+        pairs: numbers of the first and the second frame.
+
+    Source: Le Besnerais and Champagnat, Dense optical flow by iterative local window registration, ICIP 2005, in the
+    implementation of scikit-image.
     """
     textures: dict[int, Array] = {}
     for first, second in pairs:
@@ -62,7 +70,7 @@ def displacements(frames: Array, pairs: Iterable[tuple[int, int]]) -> Iterator[D
 
 
 def texture(frame: Array) -> Array:
-    """What is fine of a frame (h, w), of even contrast; zero mean square one."""
+    """High-pass of a frame (h, w), divided by its local contrast; standard deviation one."""
     detail = frame - ndimage.gaussian_filter(frame, TEXTURE_SIGMA)
     contrast = np.sqrt(ndimage.gaussian_filter(detail**2, CONTRAST_SIGMA))
     even = detail / (contrast + CONTRAST_FLOOR * np.median(contrast) + np.finfo(float).tiny)
@@ -70,6 +78,7 @@ def texture(frame: Array) -> Array:
 
 
 def _displacement(first: int, second: int, textures: dict[int, Array]) -> Displacement:
+    """Forward displacement, trusted where backward flow returns to the start and the local correlation is high."""
     here, there = textures[first], textures[second]
     height, width = here.shape
     rows, columns = np.mgrid[:height, :width].astype(float)
@@ -77,17 +86,17 @@ def _displacement(first: int, second: int, textures: dict[int, Array]) -> Displa
     back = optical_flow_ilk(there, here, radius=RADIUS, num_warp=WARPS)
     y, x = rows + ahead[0], columns + ahead[1]
     inside = (y >= BORDER) & (y <= height - 1 - BORDER) & (x >= BORDER) & (x <= width - 1 - BORDER)
-    loop = np.hypot(*(ahead[i] + sampled(back[i], y, x) for i in (0, 1)))
-    arrived = sampled(there, y, x)
+    loop_error = np.hypot(*(ahead[i] + sampled(back[i], y, x) for i in (0, 1)))
+    matched = sampled(there, y, x)
 
-    def near(values: Array) -> Array:
+    def local_mean(values: Array) -> Array:
         return np.asarray(ndimage.gaussian_filter(values, CORRELATION_SIGMA))
 
-    energy = np.sqrt(near(here**2) * near(arrived**2))
-    alike = near(here * arrived) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
-    return Displacement(first, second, y, x, inside & (loop < MAX_LOOP_ERROR) & alike)
+    energy = np.sqrt(local_mean(here**2) * local_mean(matched**2))
+    is_correlated = local_mean(here * matched) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
+    return Displacement(first, second, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)
 
 
 def sampled(values: Array, y: Array, x: Array) -> Array:
-    """A map (h, w) at points, bilinear; the nearest pixel's value beyond its border."""
+    """Bilinear interpolation of values (h, w) at points `y`, `x`; the nearest pixel's value beyond the border."""
     return np.asarray(ndimage.map_coordinates(values, [y, x], order=1, mode="nearest"))
