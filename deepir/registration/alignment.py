@@ -17,13 +17,22 @@ from deepir.operators.motion_models import PARAMETERS, generators, increment, re
 from deepir.registration.pyramid import Level, sample
 
 PATTERN_PASSES = 4  # alternations of scene and pattern at fixed motions
-MIN_RELAXATION = 0.5  # Gauss-Newton steps; lower bound of the relaxation factor
-MAX_RELAXATION = 3.0  # Gauss-Newton steps; upper bound of the relaxation factor
-MIN_AITKEN_DENOMINATOR = 0.3  # lower bound of one minus the ratio of successive steps
 CONVERGED_STEP = 5e-3  # px of the level; a smaller step ends the rounds
 TUKEY_CUTOFF = 4.0  # robust standard deviations; residuals beyond have no weight
 SIGMA_STRIDE = 3  # the robust standard deviation is that of every third sample along each axis
 MAX_DENSE_PIXELS = 40_000  # px; of larger levels every second pixel along each axis is used
+
+
+@dataclass(frozen=True)
+class RelaxationBounds:
+    """Bounds of Aitken's relaxation factor, in Gauss-Newton steps."""
+
+    min_factor: float = 0.5
+    max_factor: float = 3.0
+    min_denominator: float = 0.3  # of one minus the ratio of successive steps
+
+
+RELAXATION = RelaxationBounds()
 
 
 @dataclass(frozen=True)
@@ -123,8 +132,8 @@ def aitken_relaxation(relaxation: Tensor, step: Tensor, previous_step: Tensor) -
         The new factors `(P,)`, between `MIN_RELAXATION` and `MAX_RELAXATION`.
     """
     ratio = (step * previous_step).sum(0) / previous_step.square().sum(0).clamp_min(1e-12)
-    denominator = (1 - ratio).clamp_min(MIN_AITKEN_DENOMINATOR)
-    return (relaxation / denominator).clamp(MIN_RELAXATION, MAX_RELAXATION)
+    denominator = (1 - ratio).clamp_min(RELAXATION.min_denominator)
+    return (relaxation / denominator).clamp(RELAXATION.min_factor, RELAXATION.max_factor)
 
 
 def estimate_pattern(level: Level, motion: Tensor) -> tuple[Tensor, float]:

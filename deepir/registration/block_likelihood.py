@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -31,13 +32,22 @@ GRID_2X2: Grid = ((0, 2), (1, 3))  # overlapping blocks along an axis: first and
 GRID_3X3: Grid = ((0, 4), (3, 7), (6, 10))  # overlapping blocks along an axis: first and last tenth of each
 LIKELIHOOD_SIDE = 320  # px; larger frames are reduced to block means of this longer side
 MIN_REDUCED_SIDE = 20  # px; shorter side below which frames are not reduced: a ninth of less holds no waves
-MIN_VOTING_SIDE = 16  # px; blocks of smaller frames hold too few waves to select shifts
-MAX_SHIFT_RANGE = 0.5  # of the frame's side; the likelihood is periodic, so that larger shifts alias
 MAX_LINEAR_DISPLACEMENT = 6.0  # px at the frame's edge; motions whose linear part moves it less may be shifts
-MAX_FRAMES_OF_INTEGER_SEARCH = 20  # its time grows with the square of the number of frames
 DISTINCT_DISTANCE = 2.0  # px; from closer starts the likelihood climbs to the same maximum
-NEGLIGIBLE_DISTANCE = 0.2  # px at the frame's corners; closer motions are the same
 MODELS_WITH_STRETCH = ("affine", "homography")  # models whose linear part is kept while shifts are replaced
+
+
+@dataclass(frozen=True)
+class ShiftSelection:
+    """Which frames get shifts of maximum likelihood, and from which starts."""
+
+    min_side: int = 16  # px; blocks of smaller frames hold too few waves to select shifts
+    max_shift_range: float = 0.5  # of the frame's side; larger shifts alias, since the likelihood is periodic
+    max_integer_frames: int = 20  # the time of the integer search grows with the square of their number
+    negligible_distance: float = 0.2  # px at the frame's corners; closer motions are the same
+
+
+SELECTION = ShiftSelection()
 
 
 def accept_by_blocks(block_ratios: list[float], n_left_out: int = 1, min_nats: float = 0.0) -> bool:
@@ -161,8 +171,8 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
     Returns:
         Motions `(N, 3, 3)`; the object `motion` itself if no others are accepted.
     """
-    too_small = len(frames) < 3 or min(weight.shape) < MIN_VOTING_SIDE
-    if too_small or relative_shift_range(motion, weight) > MAX_SHIFT_RANGE:
+    too_small = len(frames) < 3 or min(weight.shape) < SELECTION.min_side
+    if too_small or relative_shift_range(motion, weight) > SELECTION.max_shift_range:
         return motion
     reduced, factor = likelihood_frames(frames, weight)
     residual = relative(motion)
@@ -172,7 +182,7 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
     for start in initial_shifts(reduced, residual[1:, :2, 2].numpy(), is_shift):
         after = linear.clone()
         after[1:, :2, 2] = torch.from_numpy(maximise_shift_likelihood(reduced, start))
-        if factor * corner_distance(best, after, reduced) < NEGLIGIBLE_DISTANCE:
+        if factor * corner_distance(best, after, reduced) < SELECTION.negligible_distance:
             continue
         if accept_by_blocks(block_log_ratios(reduced, best, after, GRID_2X2)):
             best = after
@@ -192,7 +202,7 @@ def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, is_shift: bool) 
         Shifts `(N - 1, 2)`, px, up to two sets.
     """
     starts = [residual_shifts.copy()] if is_shift else []
-    if len(frames) > MAX_FRAMES_OF_INTEGER_SEARCH:
+    if len(frames) > SELECTION.max_integer_frames:
         return starts
     integer = integer_shifts(frames)
     return [*starts, integer] if np.abs(integer - residual_shifts).max() > DISTINCT_DISTANCE else starts

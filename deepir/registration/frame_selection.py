@@ -22,9 +22,18 @@ MIN_CONCORDANCE = 0.6  # frames below it are rejected; aligned frames of other s
 MIN_OVERLAP = 0.15  # of the frame, that other frames must show
 CLEAR_MISFIT_RATIO = 1.5  # ratio of misfits per degree of freedom at which the lower one is clearly lower
 SELECTION_ROUNDS = 3  # Gauss-Newton rounds of an alignment before frames are rejected
-PAN_SHIFT = 0.2  # of the frame; larger shifts are those of a pan
-MAX_PAN_ROUNDS = 3  # spanning trees, each with the pattern of the one before
-CERTAIN_SCORE = 3.0  # match score at which a frame is not searched in further frames
+
+
+@dataclass(frozen=True)
+class PanCriteria:
+    """When a camera pans, and how its frames are matched."""
+
+    min_shift: float = 0.2  # of the frame; larger shifts are those of a pan
+    certain_score: float = 3.0  # match score at which a frame is not searched in further frames
+    max_rounds: int = 3  # spanning trees, each with the pattern of the one before
+
+
+PAN = PanCriteria()
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,7 @@ def largest_consistent_set(level: Level, model: str) -> FrameSelection:
             best = FrameSelection(match_score, used, alignment)
     assert best is not None
     used, alignment = best.used, best.alignment
-    if used.sum() > 2 and exceeds_shift(level, alignment.motion, PAN_SHIFT):
+    if used.sum() > 2 and exceeds_shift(level, alignment.motion, PAN.min_shift):
         return register_pan(level, best, model)
     if not 1 < used.sum() < len(used):
         return best
@@ -113,7 +122,7 @@ def register_pan(level: Level, selection: FrameSelection, model: str) -> FrameSe
     n = len(level.frames)
     known = torch.arange(n) == int(selection.match_score.argmax())
     motion, pattern = identity(n), level.frames.median(0).values
-    for _ in range(MAX_PAN_ROUNDS):
+    for _ in range(PAN.max_rounds):
         motion, match_score = spanning_tree_motions(level.frames - pattern, level, model, motion, known)
         used, alignment = reject_frames(level, match_score > 1, motion, model)
         is_worse = used.sum() < selection.used.sum() or has_clearly_lower_misfit(
@@ -154,7 +163,7 @@ def spanning_tree_motions(
     while True:
         k = int(torch.where(unvisited, match_score, -1.0).argmax())
         unvisited[k] = False
-        uncertain = (unvisited & (match_score < CERTAIN_SCORE)).nonzero()[:, 0]
+        uncertain = (unvisited & (match_score < PAN.certain_score)).nonzero()[:, 0]
         if not match_score[k] > 1 or not len(uncertain):
             return motion, match_score
         step, score = match_to_reference(images[k], images[uncertain], level, model, pattern_present=False)

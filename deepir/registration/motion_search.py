@@ -36,10 +36,18 @@ from deepir.registration.block_likelihood import (
 from deepir.registration.frame_selection import largest_consistent_set
 from deepir.registration.pyramid import Level, build_level
 
-SEARCH_SIDE = 160  # px; longer side of the level of the coarse search, at most
-MAX_FINAL_PIXELS = 400_000  # px; larger frames are registered at half their size
-MAX_ROUNDS = 8  # Gauss-Newton rounds of the alignment, over all levels
-LAST_LEVEL_ROUNDS = 2  # of these, rounds on the last level if a level of half the size precedes it
+
+@dataclass(frozen=True)
+class LevelSettings:
+    """Levels of the pyramid and rounds of the alignment on them."""
+
+    search_side: int = 160  # px; longer side of the level of the coarse search, at most
+    max_final_pixels: int = 400_000  # px; larger frames are registered at half their size
+    max_rounds: int = 8  # Gauss-Newton rounds of the alignment, over all levels
+    last_level_rounds: int = 2  # of these, rounds on the last level if a level of half the size precedes it
+
+
+LEVELS = LevelSettings()
 
 
 @dataclass(frozen=True)
@@ -192,7 +200,7 @@ def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Ten
 
 def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
     """Level of the coarse search, of preprocessed frames `(N, H, W)` of weight `(H, W)`."""
-    return build_level(preprocessed, weight, next_power_of_two(max(weight.shape) / SEARCH_SIDE))
+    return build_level(preprocessed, weight, next_power_of_two(max(weight.shape) / LEVELS.search_side))
 
 
 def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
@@ -203,14 +211,15 @@ def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> li
         weight: `(H, W)`, zero where a pixel is bad.
         coarse_factor: px per px of the coarse level.
     """
-    last = next_power_of_two((weight.numel() / MAX_FINAL_PIXELS) ** 0.5)
+    last = next_power_of_two((weight.numel() / LEVELS.max_final_pixels) ** 0.5)
     factors = (2 * last, last) if 2 * last < coarse_factor else (last,)
     return [build_level(preprocessed, weight, factor) for factor in factors]
 
 
 def align_levels(levels: list[Level], motion: Tensor, model: str) -> Tensor:
     """Motions `(N, 3, 3)` aligned on one or two levels in turn, from initial motions `(N, 3, 3)`."""
-    rounds = (MAX_ROUNDS - LAST_LEVEL_ROUNDS, LAST_LEVEL_ROUNDS) if levels[1:] else (MAX_ROUNDS,)
+    last = LEVELS.last_level_rounds if levels[1:] else LEVELS.max_rounds
+    rounds = (LEVELS.max_rounds - last, last)[-len(levels) :]
     for level, max_rounds in zip(levels, rounds, strict=True):
         motion = align(level, motion, model, max_rounds).motion
     return motion
@@ -242,7 +251,7 @@ def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tens
     too_small = len(motion) < HOMOGRAPHY.min_frames or min(level.shape) < HOMOGRAPHY.min_side
     if too_small or not half_steps_agree(level, motion):
         return motion
-    homography = align(level, motion, "homography", MAX_ROUNDS).motion
+    homography = align(level, motion, "homography", LEVELS.max_rounds).motion
     reduced, factor = likelihood_frames(frames, weight)
     before, after = change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor)
     block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)

@@ -6,6 +6,8 @@ likelihoods (`variance_stabilise`): the fixed pattern becomes equally strong in 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.ndimage
 import scipy.optimize
@@ -20,11 +22,28 @@ MIN_RELATIVE_FLUX = 0.05  # of the median; smaller values are raised to it befor
 MAX_NONPOSITIVE_FRACTION = 0.05  # of the samples; with more, frames are no flux and no logarithm is taken
 STUCK_THRESHOLD = 10.0  # robust standard deviations; pixels of the mean frame beyond are stuck
 STRIPE_WINDOW = 31  # px across the lines; broader structure is no stripe
-LOCAL_WINDOW = 7  # px; a pixel's deviation from this window's mean shows its gain and offset
-FILL_WINDOW = 5  # px; first window from whose mean a bad pixel is filled
-MIN_GOOD_FRACTION = 0.03  # of the window's pixels; with fewer, the next window is about twice as wide
-N_FLUX_BINS = 8  # quantile bins of the pixels, from dark to bright
-ASINH_SCALE_BOUNDS = (0.05, 50.0)  # root mean squares of the flux; from nearly logarithmic to nearly linear
+
+
+@dataclass(frozen=True)
+class StabiliserSettings:
+    """How the variance of the pattern is measured as a function of the flux."""
+
+    local_window: int = 7  # px; a pixel's deviation from this window's mean shows its gain and offset
+    n_flux_bins: int = 8  # quantile bins of the pixels, from dark to bright
+    #: Bounds of the asinh scale, root mean squares of the flux; from nearly logarithmic to nearly linear.
+    scale_bounds: tuple[float, float] = (0.05, 50.0)
+
+
+@dataclass(frozen=True)
+class FillSettings:
+    """The window from whose mean a bad pixel is filled."""
+
+    window: int = 5  # px; side of the first one
+    min_good_fraction: float = 0.03  # of its pixels; with fewer, the next one is about twice as wide
+
+
+STABILISER = StabiliserSettings()
+FILLING = FillSettings()
 
 
 def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -129,7 +148,7 @@ def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
     Returns:
         Frames `(N, h, w)` float64; zero if no pixel is good.
     """
-    filled, unknown, window = torch.where(good, frames.double(), 0.0), ~good, FILL_WINDOW
+    filled, unknown, window = torch.where(good, frames.double(), 0.0), ~good, FILLING.window
     if not good.any():
         return filled
     known, fraction = filled.numpy(), good.double().numpy()
@@ -137,7 +156,7 @@ def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
         local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")
         local_sum = scipy.ndimage.uniform_filter(known, (0, window, window), mode="constant")
         means = torch.from_numpy(local_sum / local_fraction.clip(1e-9))
-        fillable = unknown & torch.from_numpy(local_fraction > MIN_GOOD_FRACTION)
+        fillable = unknown & torch.from_numpy(local_fraction > FILLING.min_good_fraction)
         filled, unknown, window = torch.where(fillable, means, filled), unknown & ~fillable, 2 * window + 1
     return filled
 
@@ -154,13 +173,13 @@ def asinh_scale(image: np.ndarray) -> float:
     Returns:
         `sqrt(b / a)`, in units of the image.
     """
-    local_mean = scipy.ndimage.uniform_filter(image, LOCAL_WINDOW, mode="nearest")
+    local_mean = scipy.ndimage.uniform_filter(image, STABILISER.local_window, mode="nearest")
     rms = float(np.sqrt(np.mean(local_mean**2))) or 1.0
-    bins = np.array_split(local_mean.ravel().argsort(), N_FLUX_BINS)
+    bins = np.array_split(local_mean.ravel().argsort(), STABILISER.n_flux_bins)
     flux, deviation = local_mean.ravel() / rms, np.abs(image - local_mean).ravel() / rms
     mean_square = np.array([np.mean(flux[pixels] ** 2) for pixels in bins])
     pattern_power = np.array([np.median(deviation[pixels]) ** 2 for pixels in bins]).clip(1e-20)
     (offset, gain), _ = scipy.optimize.nnls(
-        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(N_FLUX_BINS)
+        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(STABILISER.n_flux_bins)
     )
-    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *ASINH_SCALE_BOUNDS))
+    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *STABILISER.scale_bounds))

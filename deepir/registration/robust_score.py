@@ -16,16 +16,32 @@ from deepir.registration.block_likelihood import DISTINCT_DISTANCE, corner_dista
 from deepir.registration.cross_correlation import match_to_reference
 from deepir.registration.pyramid import Level, sample
 
-MIN_OVERLAPPING = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
-TAIL_VARIANCE = 4.0  # variances; squared scale of the heavy-tailed (Cauchy) likelihood
-MAX_RESIDUAL = 10.0  # standard deviations; bound of a residual, and value of one that no other frame predicts
-N_TRIMMED = 2  # of nine blocks, left out at either end of the sorted gains
-MEDIAN_PASSES = 10  # alternations of median scene and median pattern
-#: Share of its last change by which the pattern is extrapolated in each pass. With little motion, scene and pattern
-#: separate slowly; unconverged, too large motions would score best.
-EXTRAPOLATION = 0.8
 MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
 MIN_OTHER_FRAMES = 3  # frames in which another one is searched
+
+
+@dataclass(frozen=True)
+class ScoreSettings:
+    """Heavy-tailed likelihood of the residuals, and its mean over the frame."""
+
+    tail_variance: float = 4.0  # variances; squared scale of the heavy-tailed (Cauchy) likelihood
+    max_residual: float = 10.0  # standard deviations; bound, and value where no other frame predicts a sample
+    min_overlapping: float = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
+    n_trimmed: int = 2  # of nine blocks, left out at either end of the sorted gains
+
+
+@dataclass(frozen=True)
+class MedianSettings:
+    """Alternations of median scene and median pattern."""
+
+    passes: int = 10
+    #: Share of its last change by which the pattern is extrapolated in each pass. With little motion, scene and pattern
+    #: separate slowly; unconverged, too large motions would score best.
+    extrapolation: float = 0.8
+
+
+SCORE = ScoreSettings()
+MEDIANS = MedianSettings()
 
 
 @dataclass(frozen=True)
@@ -59,13 +75,14 @@ def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
     Returns:
         Nats per sample, positive where the motions `after` are better.
     """
-    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < MIN_OVERLAPPING:
+    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < SCORE.min_overlapping:
         return 0.0
     residuals_before, residuals_after = (absolute_residuals(level, motion) for motion in (before, after))
     sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
     gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
     block_gains = sorted(float(block.mean()) for rows in gain.chunk(3) for block in rows.chunk(3, 1))
-    central = block_gains[N_TRIMMED:-N_TRIMMED] or block_gains  # frames of a few lines have fewer blocks
+    trimmed = block_gains[SCORE.n_trimmed : -SCORE.n_trimmed]
+    central = trimmed or block_gains  # frames of a few lines have fewer blocks
     return sum(central) / len(central)
 
 
@@ -88,8 +105,8 @@ def sample_nll(residual: Tensor, sigma: float) -> Tensor:
         residual: `(N, h, w)`, magnitudes; infinite where no other frame predicts the sample.
         sigma: robust standard deviation of the residuals.
     """
-    bounded = (residual / sigma).where(residual.isfinite(), MAX_RESIDUAL).clamp_max(MAX_RESIDUAL)
-    return torch.log1p(bounded.square() / TAIL_VARIANCE)
+    bounded = (residual / sigma).where(residual.isfinite(), SCORE.max_residual).clamp_max(SCORE.max_residual)
+    return torch.log1p(bounded.square() / SCORE.tail_variance)
 
 
 def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
@@ -126,9 +143,9 @@ def median_model(level: Level, motion: Tensor) -> MedianModel:
     previous = pattern
     visible = sample(level.frames, inverse, level)[1] > 0
     n_visible, _ = sample(visible.sum(0)[None].float(), motion, level)
-    overlapping = (n_visible > MIN_OVERLAPPING) & (level.weight > 0)
-    for _ in range(MEDIAN_PASSES):
-        extrapolated = pattern + EXTRAPOLATION * (pattern - previous)
+    overlapping = (n_visible > SCORE.min_overlapping) & (level.weight > 0)
+    for _ in range(MEDIANS.passes):
+        extrapolated = pattern + MEDIANS.extrapolation * (pattern - previous)
         scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
         expected, known = sample(scene[None], motion, level)
         previous, pattern = pattern, _masked_median(level.frames - expected, overlapping & (known > 0))

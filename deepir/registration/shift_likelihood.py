@@ -14,6 +14,7 @@ Source: Dempster, Laird and Rubin, Maximum likelihood from incomplete data via t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,17 +24,33 @@ from torch import Tensor
 
 from deepir.registration.cross_correlation import hann_window
 
-MAX_WAVENUMBER = 2.5  # rad per px; shorter waves hold almost no scene
-HIGH_BAND = 0.8  # of the largest wavenumber; shorter waves give the initial powers of noise and pattern
-N_RINGS = 14  # rings of waves of about one length, each with one power of scene and one of noise
-AXIS_EXCLUSION = 2.5  # cycles per frame; the taper spreads the pattern's lines up to here from the axes
-CONVERGED_SHIFT = 0.05  # px; a smaller step ends the alternation of shifts and powers
-MAX_ALTERNATIONS = 3  # of shifts and powers
-MAX_LBFGS_STEPS = 20  # L-BFGS steps of the shifts at fixed powers
-GRADIENT_TOLERANCE = 1.0  # nats per px; a smaller gradient ends L-BFGS
-EM_ITERATIONS = 6  # expectation-maximisation steps of the powers at fixed shifts
-MIN_WAVENUMBER = 0.2  # rad per px; integer search: what leaves the frame dominates longer waves
-MAX_SWEEPS = 4  # integer search: sweeps over all frames
+MAX_SWEEPS = 4  # sweeps of the integer search over all frames
+
+
+@dataclass(frozen=True)
+class WaveSelection:
+    """Which waves of the frames' spectra the likelihood uses."""
+
+    max_wavenumber: float = 2.5  # rad per px; shorter waves hold almost no scene
+    axis_exclusion: float = 2.5  # cycles per frame from either axis, to which the taper spreads lines
+    n_rings: int = 14  # rings of waves of about one length, each with one power of scene and one of noise
+    high_band: float = 0.8  # of the largest wavenumber; shorter waves: initial powers of noise and pattern
+    min_wavenumber: float = 0.2  # rad per px; integer search: what leaves the frame dominates longer waves
+
+
+@dataclass(frozen=True)
+class AscentSettings:
+    """How far the likelihood is maximised."""
+
+    max_alternations: int = 3  # of shifts and powers
+    converged_shift: float = 0.05  # px; a smaller step ends the alternation of shifts and powers
+    max_lbfgs_steps: int = 20  # L-BFGS steps of the shifts at fixed powers
+    gradient_tolerance: float = 1.0  # nats per px; a smaller gradient ends L-BFGS
+    em_iterations: int = 6  # expectation-maximisation steps of the powers at fixed shifts
+
+
+WAVES = WaveSelection()
+ASCENT = AscentSettings()
 
 
 class Likelihood(Protocol):
@@ -56,12 +73,12 @@ def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
     Returns:
         The parameters `(K, P)` at the local maximum, px.
     """
-    options = {"maxiter": MAX_LBFGS_STEPS, "gtol": GRADIENT_TOLERANCE}
+    options = {"maxiter": ASCENT.max_lbfgs_steps, "gtol": ASCENT.gradient_tolerance}
     objective = likelihood.negative_log_likelihood
-    for _ in range(MAX_ALTERNATIONS):
+    for _ in range(ASCENT.max_alternations):
         result = minimize(objective, parameters.ravel(), jac=True, method="L-BFGS-B", options=options)
         previous, parameters = parameters, result.x.reshape(parameters.shape)
-        if np.abs(parameters - previous).max() < CONVERGED_SHIFT:
+        if np.abs(parameters - previous).max() < ASCENT.converged_shift:
             break
         likelihood.update_powers(parameters)
     return parameters
@@ -93,7 +110,7 @@ class ShiftLikelihood:
         frames = (frames - (frames * taper).sum((1, 2), keepdim=True) / taper.sum()) * taper
         y, x = (2 * np.pi * waves for waves in (np.fft.fftfreq(h), np.fft.rfftfreq(w)))
         rows, columns = (
-            (AXIS_EXCLUSION * 2 * np.pi / side < np.abs(each)) & (np.abs(each) < MAX_WAVENUMBER)
+            (WAVES.axis_exclusion * 2 * np.pi / side < np.abs(each)) & (np.abs(each) < WAVES.max_wavenumber)
             for side, each in ((h, y), (w, x))
         )
         self.y, self.x = y[rows], x[columns]
@@ -102,9 +119,11 @@ class ShiftLikelihood:
         self.frames = spectra[:, rows][:, :, columns]
         self.real, self.imag = (np.ascontiguousarray(each) for each in (self.frames.real, self.frames.imag))
         self.wavenumber = np.hypot(self.y[:, None], self.x)
-        self.ring = np.digitize(self.wavenumber, np.geomspace(2 * np.pi / max(h, w), MAX_WAVENUMBER, N_RINGS))
-        self.ring_sizes = np.bincount(self.ring.ravel(), minlength=N_RINGS + 1)
-        self._set_initial_powers(self.wavenumber > HIGH_BAND * MAX_WAVENUMBER)
+        self.ring = np.digitize(
+            self.wavenumber, np.geomspace(2 * np.pi / max(h, w), WAVES.max_wavenumber, WAVES.n_rings)
+        )
+        self.ring_sizes = np.bincount(self.ring.ravel(), minlength=WAVES.n_rings + 1)
+        self._set_initial_powers(self.wavenumber > WAVES.high_band * WAVES.max_wavenumber)
 
     def _set_initial_powers(self, high_band: np.ndarray) -> None:
         """Initial powers: at high frequencies the temporal variance is noise and the rest of the power is pattern."""
@@ -115,7 +134,7 @@ class ShiftLikelihood:
         noise = max(float(temporal_variance[high_band].mean()), self.noise_floor)
         mean_over_median = 1 / np.log(2)  # of an exponential distribution, which is that of a wave's power
         pattern = max(mean_over_median * float(np.median(power[high_band])) - noise, 0.1 * noise)
-        total = np.bincount(self.ring.ravel(), power.ravel(), N_RINGS + 1)
+        total = np.bincount(self.ring.ravel(), power.ravel(), WAVES.n_rings + 1)
         ring_mean = (total / np.maximum(self.ring_sizes, 1))[self.ring]
         self.scene = np.maximum(ring_mean - pattern - noise, 0.02 * pattern)
         self.pattern, self.noise = pattern, np.full(power.shape, noise)
@@ -134,8 +153,8 @@ class ShiftLikelihood:
         from deepir.kernels.shift_likelihood import powers
 
         n, rows = len(self.real), len(self.y)
-        expected, pattern_powers = np.empty((rows, N_RINGS + 1, 2)), np.empty(rows)
-        for _ in range(EM_ITERATIONS):
+        expected, pattern_powers = np.empty((rows, WAVES.n_rings + 1, 2)), np.empty(rows)
+        for _ in range(ASCENT.em_iterations):
             powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
             scene, noise = (expected.sum(0) / np.maximum(self.ring_sizes, 1)[:, None]).T
             self.scene, self.noise = scene[self.ring], np.maximum(noise / n, self.noise_floor)[self.ring]
@@ -209,5 +228,5 @@ def first_harmonic(
     explained = (pattern + scene * ratio) * ratio * ahead + (pattern * ratio + scene) * behind
     values = ((scene + pattern + noise) * ratio * power - explained) / root - ratio * phase.sum(0)
     harmonic = np.zeros((likelihood.size[0], likelihood.size[1] // 2 + 1), complex)
-    harmonic[likelihood.band] = np.where(likelihood.wavenumber < MIN_WAVENUMBER, 0, values)
+    harmonic[likelihood.band] = np.where(likelihood.wavenumber < WAVES.min_wavenumber, 0, values)
     return harmonic

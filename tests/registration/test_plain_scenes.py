@@ -64,11 +64,10 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, see
     sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3, **camera), seed=seed)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
-    monkeypatch.setattr(block_likelihood, "MAX_FRAMES_OF_INTEGER_SEARCH", 2)
-    monkeypatch.setattr(
-        moving_objects, "FIT", moving_objects.FitCriteria(good_nll=torch.inf)
-    )  # which finds them, too,
-    monkeypatch.setattr(frame_selection, "PAN_SHIFT", 1.0)  # as does this
+    # Without integer shifts they are not found, nor by the search beside moving objects, nor by that of a pan.
+    monkeypatch.setattr(block_likelihood, "SELECTION", block_likelihood.ShiftSelection(max_integer_frames=2))
+    monkeypatch.setattr(moving_objects, "FIT", moving_objects.FitCriteria(good_nll=torch.inf))
+    monkeypatch.setattr(frame_selection, "PAN", frame_selection.PanCriteria(min_shift=1.0))
     assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
