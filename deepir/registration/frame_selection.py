@@ -33,9 +33,6 @@ class PanCriteria:
     max_rounds: int = 3  # spanning trees, each with the pattern of the one before
 
 
-PAN = PanCriteria()
-
-
 @dataclass(frozen=True)
 class RestCriteria:
     """When frames do not move: misfit per degree of freedom at rest below a multiple of that at the motions found."""
@@ -57,6 +54,7 @@ class ShutterCriteria:
     min_consistent: float = 0.7  # share of the scene frames that show one scene
 
 
+PAN = PanCriteria()
 REST = RestCriteria()
 SHUTTER = ShutterCriteria()
 

@@ -47,9 +47,6 @@ class LevelSettings:
     last_level_rounds: int = 2  # of these, rounds on the last level if a level of half the size precedes it
 
 
-LEVELS = LevelSettings()
-
-
 @dataclass(frozen=True)
 class RotationCriteria:
     """When a rotation that maximises the block-wise likelihood replaces that of least residuals."""
@@ -73,6 +70,7 @@ class HomographyCriteria:
     min_nats: float = 20.0  # log-likelihood ratio in sum over all blocks but the best
 
 
+LEVELS = LevelSettings()
 ROTATION = RotationCriteria()
 HOMOGRAPHY = HomographyCriteria()
 

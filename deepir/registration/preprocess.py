@@ -1,6 +1,6 @@
 """Preprocessing before any motion is known.
 
-For residuals (`preprocess`): multiplicative patterns become additive, stripes are subtracted, stuck pixels masked. For
+For residuals (`preprocess`): multiplicative patterns become additive, bad and stuck pixels are masked. For
 likelihoods (`variance_stabilise`): the fixed pattern becomes equally strong in bright and in dark areas.
 """
 
@@ -49,7 +49,7 @@ FILLING = FillSettings()
 def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
     """Take the logarithm, mask bad and stuck pixels; of fewer than three frames, subtract stripes, too.
 
-    Three and more frames keep their stripes: the alignment estimates them as part of the fixed pattern.
+    Three and more frames keep their stripes, as part of the fixed pattern.
 
     Args:
         frames: `(N, H, W)`, any unit; NaN or infinite where a pixel is bad.

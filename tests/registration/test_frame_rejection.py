@@ -1,4 +1,4 @@
-"""Frames that do not belong, and what goes its own way."""
+"""Frames of other scenes are rejected, and moving objects do not bias the motion."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_an_object_that_goes_its_own_way_does_not_take_the_motion_along():
     assert errors(result, truth).max() < alone + 0.1
 
 
-def test_somebody_who_walks_does_not_take_the_likelihood_along():
+def test_a_moving_object_does_not_bias_the_likelihood():
     walker = {"walker": 0.5, "walker_contrast": 0.3}
     sim = simulate(procedural(3, (430, 500)), camera_of_tones(n_frames=5, shape=(96, 128), **walker), seed=57)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
@@ -84,7 +84,7 @@ def test_somebody_who_walks_does_not_take_the_likelihood_along():
 
 
 @pytest.mark.parametrize(("number", "seed"), [(62, 62), (30, 30)])
-def test_somebody_hot_before_a_plain_scene_is_not_followed(number, seed):
+def test_a_hot_object_before_a_weakly_textured_scene_is_not_followed(number, seed):
     picture = scene("moon") if number == 62 else sky(1, (430, 500))
     walker = {"walker": 0.5, "walker_contrast": 0.3}
     sim = simulate(picture, camera_of_tones(n_frames=5, **walker), seed=seed)
@@ -92,7 +92,7 @@ def test_somebody_hot_before_a_plain_scene_is_not_followed(number, seed):
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
-def test_somebody_before_a_plain_scene_is_not_followed_in_three_frames():
+def test_an_object_before_a_weakly_textured_scene_is_not_followed_in_three_frames():
     walker = {"walker": 0.5, "walker_contrast": 0.3, "walker_speed": 4.0}
     counts = {"counts": True, "read_noise": 0.004, "photons": 0.0}
     sim = simulate(scene("moon"), camera_of_tones(n_frames=3, **walker, **counts), seed=51)

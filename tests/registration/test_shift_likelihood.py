@@ -1,4 +1,4 @@
-"""Clouds and slopes, which say little of where a frame looks: the likelihood of all whole shifts."""
+"""Clouds and slopes, weakly textured: the likelihood of shifts, and its integer search."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Most of the frame decides which motions are right, whoever walks through the rest."""
+"""The robust score: most of the frame decides, although an object moves through the rest."""
 
 import numpy as np
 import pytest
@@ -34,13 +34,13 @@ def test_true_motions_explain_more_than_others_and_than_none(name):
         assert log_likelihood_ratio(level, wrong, truth) > 0 > log_likelihood_ratio(level, truth, wrong)
 
 
-def test_somebody_in_a_seventh_of_the_frame_makes_his_own_motion_no_better():
+def test_an_object_in_a_seventh_of_the_frame_does_not_make_its_own_motion_better():
     level, truth = burst("moon")
     for k, frame in enumerate(level.frames):  # stripes, ten times as bright as the scene
         frame[:, 12 + 11 * k : 26 + 11 * k] += 10 * (-1) ** (torch.arange(14) // 4)
-    his = torch.eye(3, dtype=torch.float64).repeat(len(truth), 1, 1)
-    his[:, 0, 2] = -11 * level.factor * torch.arange(len(truth))
-    assert log_likelihood_ratio(level, his, truth) > 0
+    of_object = torch.eye(3, dtype=torch.float64).repeat(len(truth), 1, 1)
+    of_object[:, 0, 2] = -11 * level.factor * torch.arange(len(truth))
+    assert log_likelihood_ratio(level, of_object, truth) > 0
 
 
 def test_a_frame_that_is_not_used_explains_nothing_but_costs_nothing_either():

@@ -1,4 +1,4 @@
-"""Plain scenes before which the camera turns: the likelihood of parts, each of which only shifts."""
+"""Weakly textured scenes before which the camera rotates: the block-wise likelihood of rotations."""
 
 import numpy as np
 import pytest

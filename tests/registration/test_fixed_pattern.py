@@ -1,4 +1,4 @@
-"""Strong patterns, few photons, pixels that flicker: the pattern does not take the motion along."""
+"""Strong patterns, few photons, flickering pixels: the pattern does not bias the motion."""
 
 import numpy as np
 import pytest
