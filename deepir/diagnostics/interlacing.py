@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.registration.gauss_newton import tukey
+from deepir.registration.alignment import tukey_weights
 from deepir.registration.preprocess import preprocess
-from deepir.registration.pyramid import Level, broad, sample
+from deepir.registration.pyramid import Level, sample, smooth_shading
 
 SIDE, MOST = 320, 10  # px and frames: the middle of larger frames, and the first of more, tell enough
 ENOUGH = 3  # frames: a scene and a pattern explain any two
@@ -48,7 +48,7 @@ def steps_of_rows(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tens
     error of the motion.
     """
     flat, weight = preprocess(frames, ignore)
-    flat -= weight * torch.stack([broad(frame[None])[0] for frame in flat])
+    flat -= weight * torch.stack([smooth_shading(frame[None])[0] for frame in flat])
     level = Level(1, flat, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
     pattern = torch.zeros_like(weight)
     for _ in range(PASSES):
@@ -58,7 +58,7 @@ def steps_of_rows(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tens
         pattern = rest.sum(0) / seen.sum(0).clamp_min(1)
     seen = seen * weight
     rest = (rest - pattern) * seen
-    trust = tukey(rest.flatten(1), seen.flatten(1)).view_as(rest)[:, 1:-1, 1:-1]
+    trust = tukey_weights(rest.flatten(1), seen.flatten(1)).view_as(rest)[:, 1:-1, 1:-1]
     slope_x, slope_y = scene[:, 1:-1, 2:] - scene[:, 1:-1, :-2], scene[:, 2:, 1:-1] - scene[:, :-2, 1:-1]
     each = torch.stack((slope_x / 2, slope_y / 2, torch.ones_like(slope_x)), 1).double()
     found = []

@@ -39,8 +39,8 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     values = problem.values()
     flux = problem.flux(values)
     problem.eliminate(values, problem.closed_form(), flux=flux)
-    log_likelihood_ratio, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
-    shown = (log_likelihood_ratio * flux.median() + offset).expand_as(flux[:1])
+    gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    shown = (gain * flux.median() + offset).expand_as(flux[:1])
     pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
     if pattern.std() < FAINT * scene.std() or _alike(pattern, problem.alive()) < ALIKE or _moves(problem):
         return []

@@ -18,7 +18,7 @@ from scipy import ndimage
 from deepir.arrays.median import MAD
 from deepir.multiview.low_order_pattern import averaged
 from deepir.multiview.pattern import median_pattern
-from deepir.registration.texture_flow import RADIUS, Displacement, displacements, sampled
+from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, sampled
 
 Array = np.ndarray[Any, Any]
 

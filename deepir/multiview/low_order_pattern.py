@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from deepir.registration.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
+from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
 
 #: Frames between which displacements are sought, apart in the order of the frames.
 GAPS = (1, 2)

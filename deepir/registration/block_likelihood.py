@@ -1,97 +1,250 @@
-"""Parts of the frame, each of which only shifts: what they gain from motions, and the turns that are likeliest to all.
+"""Block-wise likelihood of motions: log-likelihood ratios that decide between motions, and a likelihood of rotations.
 
-A whole frame's likelihood is of shifts. A part that is small enough shifts, too, where the frame turns: by what the
-turn makes of its middle. So the sum over parts is a likelihood of turns, rough, for long waves do not fit into a part,
-but not taken in by the pattern, under which residuals of plain scenes turn a camera that does not, and the other way.
+`ShiftLikelihood` holds for shifts only. In a small block of the frame other motions are shifts, too: those of its
+centre. So blocks compare any two motions (`block_log_ratios`), and the sum over blocks is a likelihood of rotations
+(`RotationLikelihood`). It is coarse, since long waves do not fit into a block, but the pattern does not bias it; least
+residuals of weakly textured scenes may rotate frames that do not, and the reverse.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import carried, nearest_angle, rotation
-from deepir.registration.shift_likelihood import Spectra, likeliest
+from deepir.operators.motion_models import carried, identity, nearest_angle, relative, rotation
+from deepir.registration.preprocess import variance_stabilise
+from deepir.registration.pyramid import block_mean
+from deepir.registration.shift_likelihood import (
+    ShiftLikelihood,
+    integer_shifts,
+    maximise,
+    maximise_shift_likelihood,
+)
 
-FOUR = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
-NINE = (0, 4), (3, 7), (6, 10)  # or tenths
+Grid = tuple[tuple[int, int], ...]
 
-Parts = tuple[tuple[int, int], ...]
+GRID_2X2: Grid = ((0, 2), (1, 3))  # overlapping blocks along an axis: first and last third of each
+GRID_3X3: Grid = ((0, 4), (3, 7), (6, 10))  # overlapping blocks along an axis: first and last tenth of each
+LIKELIHOOD_SIDE = 320  # px; larger frames are reduced to block means of this longer side
+MIN_REDUCED_SIDE = 20  # px; shorter side below which frames are not reduced: a ninth of less holds no waves
+MAX_LINEAR_DISPLACEMENT = 6.0  # px at the frame's edge; motions whose linear part moves it less may be shifts
+DISTINCT_DISTANCE = 2.0  # px; from closer starts the likelihood climbs to the same maximum
+MODELS_WITH_STRETCH = ("affine", "homography")  # models whose linear part is kept while shifts are replaced
 
 
-def all_but_one(gained: list[float]) -> float:
-    """The sum of all but the greatest."""
-    return sum(gained) - max(gained)
+@dataclass(frozen=True)
+class ShiftSelection:
+    """Which frames get shifts of maximum likelihood, and from which starts."""
+
+    min_side: int = 16  # px; blocks of smaller frames hold too few waves to select shifts
+    max_shift_range: float = 0.5  # of the frame's side; larger shifts alias, since the likelihood is periodic
+    max_integer_frames: int = 20  # the time of the integer search grows with the square of their number
+    negligible_distance: float = 0.2  # px at the frame's corners; closer motions are the same
 
 
-def gains(frames: Tensor, before: Tensor, after: Tensor, parts: Parts) -> list[float]:
-    """In nats, what each part of frames gains from motions `(N, 3, 3)` to others.
+SELECTION = ShiftSelection()
 
-    A part only shifts, and its powers are those that are found at either.
+
+def accept_by_blocks(block_ratios: list[float], n_left_out: int = 1, min_nats: float = 0.0) -> bool:
+    """Decide for a motion if the sum of its log-likelihood ratios over all but the best blocks is large enough.
+
+    Args:
+        block_ratios: nats, one per block, against the motion that it would replace.
+        n_left_out: blocks of the largest ratios that do not count, since a moving object may cover them.
+        min_nats: the sum must be larger.
     """
-    found = []
-    for spectra, centre in pieces(frames, parts):
-        at, gain = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
-        old, new = ((carried(motion[1:], at) - at[:2])[:, :, 0].numpy() for motion in (before, after))
+    return leave_best_out_sum(block_ratios, n_left_out) > min_nats
+
+
+def leave_best_out_sum(ratios: list[float], n_left_out: int = 1) -> float:
+    """Sum of all but the `n_left_out` largest ratios."""
+    return sum(ratios) - sum(sorted(ratios)[-n_left_out:])
+
+
+def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) -> list[float]:
+    """Log-likelihood ratios of two sets of motions, block by block.
+
+    A block shifts as its centre does. Its powers are estimated at either motion in turn, and the two ratios are added.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+        before: `(N, 3, 3)`, relative to the first, px of these frames.
+        after: `(N, 3, 3)`, likewise.
+        grid: blocks along each axis.
+
+    Returns:
+        Nats, one ratio per block; positive where the motions `after` are more likely.
+    """
+    ratios = []
+    for likelihood, centre in blocks(frames, grid):
+        point, ratio = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
+        old, new = ((carried(motion[1:], point) - point[:2])[:, :, 0].numpy() for motion in (before, after))
         for shifts in (new, old):
-            spectra.update(shifts)
-            gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]
-        found.append(gain)
-    return found
+            likelihood.update_powers(shifts)
+            nats = [likelihood.negative_log_likelihood(each.ravel())[0] for each in (old, new)]
+            ratio += nats[0] - nats[1]
+        ratios.append(ratio)
+    return ratios
 
 
-def pieces(frames: Tensor, parts: Parts) -> Iterator[tuple[Spectra, np.ndarray]]:
-    """The parts of frames `(N, h, w)`, and their middles (x, y), from the frame's."""
+def blocks(frames: Tensor, grid: Grid) -> Iterator[tuple[ShiftLikelihood, np.ndarray]]:
+    """Likelihood of each block of frames `(N, h, w)`, and its centre (x, y) in px from the frame's."""
     h, w = frames.shape[1:]
     rows, columns = (
-        [slice(a * side // parts[-1][1], b * side // parts[-1][1]) for a, b in parts] for side in (h, w)
+        [slice(a * side // grid[-1][1], b * side // grid[-1][1]) for a, b in grid] for side in (h, w)
     )
     for y, x in itertools.product(rows, columns):
-        yield Spectra(frames[:, y, x]), np.array([x.start + x.stop - w, y.start + y.stop - h]) / 2
+        yield ShiftLikelihood(frames[:, y, x]), np.array([x.start + x.stop - w, y.start + y.stop - h]) / 2
 
 
-def likeliest_turns(frames: Tensor, start: Tensor) -> Tensor:
-    """Rigid motions `(N, 3, 3)` of frames `(N, h, w)`, relative to the first, from a start `(N, 3, 3)`."""
-    turns = _Turns(frames)
-    angles = turns.reach * nearest_angle(start[1:])
-    place = likeliest(turns, torch.cat((start[1:, :2, 2], angles[:, None]), 1).numpy())
+def maximise_rotation_likelihood(frames: Tensor, start: Tensor) -> Tensor:
+    """Maximum-likelihood rigid motions, from initial values.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+        start: `(N, 3, 3)`, relative to the first, px of these frames.
+
+    Returns:
+        Rigid motions `(N, 3, 3)`, likewise.
+    """
+    likelihood = RotationLikelihood(frames)
+    angles = likelihood.half_diagonal * nearest_angle(start[1:])
+    parameters = maximise(likelihood, torch.cat((start[1:, :2, 2], angles[:, None]), 1).numpy())
     motion = start.clone()
-    motion[1:] = rotation(torch.from_numpy(place[:, 2] / turns.reach))
-    motion[1:, :2, 2] = torch.from_numpy(place[:, :2])
+    motion[1:] = rotation(torch.from_numpy(parameters[:, 2] / likelihood.half_diagonal))
+    motion[1:, :2, 2] = torch.from_numpy(parameters[:, :2])
     return motion
 
 
-class _Turns:
-    """The parts' likelihood of x, y and angle, in px at the corners, of all frames but the first, `(N - 1, 3)`."""
+class RotationLikelihood:
+    """Likelihood of rigid motions of all frames but the first: sum over blocks that shift.
+
+    Parameters are `(N - 1, 3)`: x, y and angle, the angle in px of displacement at the frame's corners.
+    """
 
     def __init__(self, frames: Tensor) -> None:
-        self.reach = float(np.hypot(*frames.shape[1:])) / 2
-        self.pieces = list(pieces(frames, NINE))
+        self.half_diagonal = float(np.hypot(*frames.shape[1:])) / 2
+        self.blocks = list(blocks(frames, GRID_3X3))
 
-    def nats(self, place: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus the log-likelihood, less what does not depend on the place; and its gradient."""
-        total, slope = 0.0, np.zeros((place.size // 3, 3))
-        for spectra, centre in self.pieces:
-            shifts, by_angle = self._shifts(place.reshape(-1, 3), centre)
-            nats, slopes = spectra.nats(shifts.ravel())
-            slopes = slopes.reshape(-1, 2)
-            total += nats
-            slope[:, :2] += slopes
-            slope[:, 2] += (slopes * by_angle).sum(1)
-        return total, slope.ravel()
+    def negative_log_likelihood(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        """Value in nats, up to a constant, and gradient at parameters `(3 (N - 1),)`."""
+        total, gradient = 0.0, np.zeros((parameters.size // 3, 3))
+        for likelihood, centre in self.blocks:
+            shifts, angle_derivative = self._block_shifts(parameters.reshape(-1, 3), centre)
+            value, block_gradient = likelihood.negative_log_likelihood(shifts.ravel())
+            block_gradient = block_gradient.reshape(-1, 2)
+            total += value
+            gradient[:, :2] += block_gradient
+            gradient[:, 2] += (block_gradient * angle_derivative).sum(1)
+        return total, gradient.ravel()
 
-    def update(self, place: np.ndarray) -> None:
-        """The powers that are likeliest there, of each part."""
-        for spectra, centre in self.pieces:
-            spectra.update(self._shifts(place, centre)[0])
+    def update_powers(self, parameters: np.ndarray) -> None:
+        """Estimate the powers of each block at parameters `(N - 1, 3)`."""
+        for likelihood, centre in self.blocks:
+            likelihood.update_powers(self._block_shifts(parameters, centre)[0])
 
-    def _shifts(self, place: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far a part's middle moves, `(N - 1, 2)`, and how that changes with the angle."""
-        cosine, sine = (each(place[:, 2:] / self.reach) for each in (np.cos, np.sin))
-        across = np.array([-centre[1], centre[0]])
-        moved = place[:, :2] + (cosine - 1) * centre + sine * across
-        return moved, (cosine * across - sine * centre) / self.reach
+    def _block_shifts(self, parameters: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Shifts `(N - 1, 2)` of a block's centre at parameters `(N - 1, 3)`, and their derivative by the angle."""
+        cosine, sine = (each(parameters[:, 2:] / self.half_diagonal) for each in (np.cos, np.sin))
+        tangent = np.array([-centre[1], centre[0]])
+        shifts = parameters[:, :2] + (cosine - 1) * centre + sine * tangent
+        return shifts, (cosine * tangent - sine * centre) / self.half_diagonal
+
+
+def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str) -> Tensor:
+    """Replace motions of least residuals by maximum-likelihood shifts where the blocks' likelihood accepts these.
+
+    Residuals of few frames are small at wrong motions, too, since an unconstrained pattern absorbs them. The likelihood
+    accounts for that, but not for an object that moves through one part of the frame: the best block does not count.
+
+    Args:
+        frames: `(N, H, W)`, not preprocessed.
+        weight: `(H, W)`, zero where a pixel is bad.
+        motion: `(N, 3, 3)`, px.
+        model: motion model; the linear part of models with stretch is kept.
+
+    Returns:
+        Motions `(N, 3, 3)`; the object `motion` itself if no others are accepted.
+    """
+    too_small = len(frames) < 3 or min(weight.shape) < SELECTION.min_side
+    if too_small or relative_shift_range(motion, weight) > SELECTION.max_shift_range:
+        return motion
+    reduced, factor = likelihood_frames(frames, weight)
+    residual = relative(motion)
+    is_shift, residual = not has_linear_part(residual, weight), change_pixel_size(residual, factor)
+    best = residual
+    linear = best.clone() if model in MODELS_WITH_STRETCH else identity(len(motion))
+    for start in initial_shifts(reduced, residual[1:, :2, 2].numpy(), is_shift):
+        after = linear.clone()
+        after[1:, :2, 2] = torch.from_numpy(maximise_shift_likelihood(reduced, start))
+        if factor * corner_distance(best, after, reduced) < SELECTION.negligible_distance:
+            continue
+        if accept_by_blocks(block_log_ratios(reduced, best, after, GRID_2X2)):
+            best = after
+    return motion if best is residual else change_pixel_size(best, 1 / factor)
+
+
+def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, is_shift: bool) -> list[np.ndarray]:
+    """Initial values for the likelihood of shifts: those of least residuals, and the most likely integer shifts.
+
+    Args:
+        frames: `(N, h, w)`, variance-stabilised.
+        residual_shifts: `(N - 1, 2)`, px, of least residuals.
+        is_shift: True if the motions of least residuals are shifts; others are no start. Rotations may be wrong: where
+            the pattern misleads the search, it often finds a rotation.
+
+    Returns:
+        Shifts `(N - 1, 2)`, px, up to two sets.
+    """
+    starts = [residual_shifts.copy()] if is_shift else []
+    if len(frames) > SELECTION.max_integer_frames:
+        return starts
+    integer = integer_shifts(frames)
+    return [*starts, integer] if np.abs(integer - residual_shifts).max() > DISTINCT_DISTANCE else starts
+
+
+def likelihood_frames(frames: Tensor, weight: Tensor, side: int = LIKELIHOOD_SIDE) -> tuple[Tensor, int]:
+    """Reduce frames to block means and stabilise the variance of their pattern.
+
+    Args:
+        frames: `(N, H, W)`, not preprocessed.
+        weight: `(H, W)`, zero where a pixel is bad.
+        side: longer side of the result, px, as long as the shorter one keeps `MIN_REDUCED_SIDE`.
+
+    Returns:
+        Frames `(N, h, w)` float64, and the factor by which they are smaller.
+    """
+    factor = max(1, min(-(-max(weight.shape) // side), min(weight.shape) // MIN_REDUCED_SIDE))
+    return variance_stabilise(block_mean(frames.float(), factor), block_mean(weight[None], factor)[0]), factor
+
+
+def change_pixel_size(motion: Tensor, factor: float) -> Tensor:
+    """Motions `(N, 3, 3)` in px, converted to px that are `factor` times as large."""
+    converted = motion.clone()
+    converted[:, :2, 2] /= factor
+    converted[:, 2, :2] *= factor
+    return converted
+
+
+def has_linear_part(motion: Tensor, weight: Tensor) -> bool:
+    """Whether relative motions `(N, 3, 3)` of frames of the weight's shape rotate or stretch noticeably."""
+    deviation = float((motion[:, :2, :2] - torch.eye(2)).abs().amax())
+    return deviation * max(weight.shape) / 2 > MAX_LINEAR_DISPLACEMENT
+
+
+def relative_shift_range(motion: Tensor, weight: Tensor) -> float:
+    """Largest difference of shifts of motions `(N, 3, 3)`, over the side of frames of the weight's shape."""
+    shifts = motion[:, :2, 2] / torch.tensor(weight.shape[::-1])
+    return float((shifts.amax(0) - shifts.amin(0)).max())
+
+
+def corner_distance(before: Tensor, after: Tensor, frames: Tensor) -> float:
+    """Largest distance, px, between two sets of motions `(N, 3, 3)` at the corners of frames `(N, h, w)`."""
+    h, w = frames.shape[1:]
+    corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
+    return float((carried(after, corners) - carried(before, corners)).norm(dim=1).max())

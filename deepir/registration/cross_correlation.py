@@ -1,8 +1,9 @@
-"""First motions: correlation over all shifts and some rotations, with a frame that many others agree with."""
+"""Initial motions by exhaustive search: whitened cross-correlation over all shifts and a grid of rotations."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -10,88 +11,132 @@ from torch import Tensor
 from deepir.operators.motion_models import rotation
 from deepir.registration.pyramid import Level, sample
 
-ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]
-#: Factor by which the correlation of a turned frame has to be higher than that of the best start before it: where
-#: depth or a plain scene makes all of them low, one is the highest by chance, by 1 to 3 %.
-TURN_MARGIN = 1.08
-WHITEN = 0.7  # 0: plain correlation, 1: phase correlation
-PASSED = 0.12  # cycles a px of the level: Gaussian in which lags are compared
-CLEAR = 8.0  # deviations of the correlations at all lags: other scenes seldom reach it, the same 11 and more,
-#: Or, as the root of the number of px limits it, so many times that, and at least so much.
-LITTLE, LEAST = 0.12, 4.5
-TRIED = 4  # frames that are tried as the one to compare with
+SEARCH_ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]  # radians
+#: Ratio by which the peak of a rotated frame must exceed the best one before it. Among several low peaks (depth, plain
+#: scenes) the highest exceeds the others by 1 to 3 % by chance.
+ROTATION_MARGIN = 1.08
+WHITENING_EXPONENT = 0.7  # 0: cross-correlation, 1: phase correlation
+BAND_SIGMA = 0.12  # cycles per px of the level; Gaussian band in which spectra are correlated
+MAX_REFERENCES = 4  # frames tried as the reference
 
 
-def search(images: Tensor, level: Level, model: str, standing: bool) -> tuple[Tensor, Tensor]:
-    """Motions `(N, 3, 3)` of images `(N, h, w)` relative to one of them, and how clearly `(N,)` each stands out.
+@dataclass(frozen=True)
+class PeakCriteria:
+    """Height of a correlation peak, in standard deviations over all lags, at which two frames match.
 
-    That one is the first with which most agree; the frame itself stands out without bound.
+    The threshold is `per_root_pixel` times the root of the number of pixels, within these bounds.
+    """
+
+    per_root_pixel: float = 0.12
+    min_threshold: float = 4.5
+    max_threshold: float = 8.0  # frames of other scenes seldom reach it, those of one scene reach 11 and more
+
+
+PEAK = PeakCriteria()
+
+
+def correlation_search(
+    images: Tensor, level: Level, model: str, pattern_present: bool
+) -> tuple[Tensor, Tensor]:
+    """Register all images to the one that most of them match, the first of these.
+
+    Args:
+        images: `(N, h, w)`.
+        level: their level.
+        model: "shift" searches shifts only; any other model searches rotations, too.
+        pattern_present: True if the images contain the fixed pattern.
+
+    Returns:
+        Motions `(N, 3, 3)` relative to the reference, and match scores `(N,)`: height of the peak over the detection
+        threshold, infinite for the reference itself.
     """
     n = len(images)
-    waiting, best = list(range(n)), None
-    for _ in range(min(TRIED, n)):
-        if not waiting:
+    candidates, best = list(range(n)), None
+    for _ in range(min(MAX_REFERENCES, n)):
+        if not candidates:
             break
-        motion, clear = match(images[waiting[0]], images, level, model, standing)
-        motion[waiting[0]], clear[waiting[0]] = torch.eye(3, dtype=torch.float64), math.inf
-        if best is None or (clear > 1).sum() > (best[1] > 1).sum():
-            best = motion, clear
-        if 2 * (clear > 1).sum() > n:
+        reference = candidates[0]
+        motion, match_score = match_to_reference(images[reference], images, level, model, pattern_present)
+        motion[reference], match_score[reference] = torch.eye(3, dtype=torch.float64), math.inf
+        if best is None or (match_score > 1).sum() > (best[1] > 1).sum():
+            best = motion, match_score
+        if 2 * (match_score > 1).sum() > n:
             break
-        waiting = [k for k in waiting if not clear[k] > 1]
+        candidates = [k for k in candidates if not match_score[k] > 1]
     assert best is not None
     return best
 
 
-def chance(level: Level) -> float:
-    """Deviations that a match has to stand out by; `clear` is in units of it."""
-    return min(CLEAR, max(LEAST, LITTLE * level.weight.numel() ** 0.5))
+def detection_threshold(level: Level) -> float:
+    """Peak height, in standard deviations over all lags, at which the match score is one."""
+    return min(PEAK.max_threshold, max(PEAK.min_threshold, PEAK.per_root_pixel * level.weight.numel() ** 0.5))
 
 
-def match(
-    reference: Tensor, images: Tensor, level: Level, model: str, standing: bool
+def match_to_reference(
+    reference: Tensor, images: Tensor, level: Level, model: str, pattern_present: bool
 ) -> tuple[Tensor, Tensor]:
-    """The best motion `(N, 3, 3)` of images `(N, h, w)` against a reference `(h, w)`, and how clear it is."""
+    """Register images to a reference: highest correlation peak over all shifts and rotations.
+
+    Args:
+        reference: `(h, w)`.
+        images: `(N, h, w)`.
+        level: their level.
+        model: "shift" searches shifts only; any other model searches rotations, too.
+        pattern_present: True if the images contain the fixed pattern.
+
+    Returns:
+        Motions `(N, 3, 3)`, accurate to a pixel of the level, and match scores `(N,)`.
+    """
     h, w = reference.shape
-    spectra = torch.fft.rfft2(images * window(h, w)).conj()
-    turns = rotation(torch.tensor(ANGLES[:1] if model == "shift" else ANGLES, dtype=torch.float64))
-    found = torch.eye(3, dtype=torch.float64).repeat(len(images), 1, 1)
-    height = torch.zeros(len(images))
-    for k, turn in enumerate(turns):
-        turned, _ = sample(reference[None], turn[None], level)
-        surface = correlation(turned[0], spectra, (h, w), standing)
-        peak, at = surface.flatten(1).max(1)
-        peak = peak / surface.std((1, 2)).clamp_min(1e-20)
-        # frame(p) = reference(turn (p + lag)): the lag is found in the turned reference's axes
-        lag = torch.stack(((at % w + w // 2) % w - w // 2, (at // w + h // 2) % h - h // 2), -1)
+    spectra = torch.fft.rfft2(images * hann_window(h, w)).conj()
+    angles = SEARCH_ANGLES[:1] if model == "shift" else SEARCH_ANGLES
+    best_motion = torch.eye(3, dtype=torch.float64).repeat(len(images), 1, 1)
+    best_height = torch.zeros(len(images))
+    for k, turn in enumerate(rotation(torch.tensor(angles, dtype=torch.float64))):
+        rotated, _ = sample(reference[None], turn[None], level)
+        surface = whitened_correlation(rotated[0], spectra, pattern_present)
+        peak, index = surface.flatten(1).max(1)
+        height = peak / surface.std((1, 2)).clamp_min(1e-20)
+        # frame(p) = reference(turn (p + lag)): the lag is in the axes of the rotated reference
+        lag = torch.stack(((index % w + w // 2) % w - w // 2, (index // w + h // 2) % h - h // 2), -1)
         motion = turn.repeat(len(images), 1, 1)
         motion[:, :2, 2] = lag.double() * level.factor @ turn[:2, :2].T
-        better = peak > height * (TURN_MARGIN if k else 1.0)
-        found[better], height[better] = motion[better], peak[better]
-    return found, height.double() / chance(level)
+        improved = height > best_height * (ROTATION_MARGIN if k else 1.0)
+        best_motion[improved], best_height[improved] = motion[improved], height[improved]
+    return best_motion, best_height.double() / detection_threshold(level)
 
 
-def window(h: int, w: int) -> Tensor:
-    """A Hann window `(h, w)`."""
+def hann_window(h: int, w: int) -> Tensor:
+    """Hann window `(h, w)`: a taper against the edges of the frame."""
     return torch.hann_window(h, periodic=False)[:, None] * torch.hann_window(w, periodic=False)
 
 
-def correlation(reference: Tensor, spectra: Tensor, size: tuple[int, int], standing: bool) -> Tensor:
-    """Partly whitened cross-correlation `(N, h, w)` with the reference; lag zero at [0, 0].
+def whitened_correlation(reference: Tensor, spectra: Tensor, pattern_present: bool) -> Tensor:
+    """Partly whitened, band-limited cross-correlation of a reference with images.
 
-    standing: a fixed pattern is in the images. It correlates with itself at lag zero, a residue of stripes along
-    the axes; a scene is smooth there. So these lags are replaced by their neighbours' mean *before* the whitening.
-    (Whitening: Knapp & Carter 1976; phase correlation: Kuglin & Hines 1975.)
+    The fixed pattern correlates with itself at lag zero, its lines along the axes; the correlation of a scene is smooth
+    there. So with a pattern the lags along both axes are replaced by the mean of their neighbours before whitening.
+
+    Args:
+        reference: `(h, w)`.
+        spectra: `(N, h, w / 2 + 1)`, conjugate spectra of the tapered images.
+        pattern_present: True if the images contain the fixed pattern.
+
+    Returns:
+        Correlation `(N, h, w)`, lag zero at [0, 0].
+
+    Source: Knapp and Carter, The generalized correlation method, IEEE Trans. ASSP 24 (1976); phase correlation: Kuglin
+    and Hines, IEEE Conf. Cybernetics and Society (1975).
     """
-    h, w = size
-    cross = spectra * torch.fft.rfft2(reference * window(h, w))
-    if standing:
+    h, w = size = (reference.shape[0], reference.shape[1])
+    cross = spectra * torch.fft.rfft2(reference * hann_window(h, w))
+    if pattern_present:
         lags = torch.fft.irfft2(cross, s=size)
         lags[:, :, 0] = (lags[:, :, 1] + lags[:, :, -1]) / 2
         lags[:, 0] = (lags[:, 1] + lags[:, -1]) / 2
         cross = torch.fft.rfft2(lags)
     power = cross.abs()
     fy, fx = torch.fft.fftfreq(h)[:, None], torch.fft.rfftfreq(w)
-    band = torch.exp(-0.5 * (fy**2 + fx**2) / PASSED**2)
+    band = torch.exp(-0.5 * (fy**2 + fx**2) / BAND_SIGMA**2)
     floor = 1e-3 * power.amax((1, 2), keepdim=True) + 1e-20
-    return torch.fft.irfft2(band * cross / (power + floor) ** WHITEN, s=size)
+    return torch.fft.irfft2(band * cross / (power + floor) ** WHITENING_EXPONENT, s=size)

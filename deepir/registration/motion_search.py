@@ -1,127 +1,287 @@
-"""Where the frames of a burst are: searched, refined by residuals, then by likelihood where their parts like that."""
+"""Motions of frames that show one scene: coarse search, refinement by residuals, then selection by likelihood.
+
+`estimate_motion` searches on a coarse level (`coarse_search`), aligns on the finest one or two (`align_levels`), and
+replaces shifts (`select_by_blocks`) and rotations (`refine_rotation`) where the likelihood of most blocks of the frame
+prefers others. `select_homography` asks whether rigid motions are enough.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import relative
-from deepir.registration.alternating_alignment import Aligned, align, standing
-from deepir.registration.block_likelihood import NINE, gains, likeliest_turns
-from deepir.registration.block_vote import apart, likelier, reduced, scaled, turns
-from deepir.registration.frame_groups import one_scene
+from deepir.operators.motion_models import carried, increment, nearest_rigid, relative
+from deepir.registration.alignment import (
+    Alignment,
+    accept_by_misfit,
+    align,
+    estimate_pattern,
+    normal_equations,
+    solve_normal_equations,
+    warp_to_reference,
+)
+from deepir.registration.block_likelihood import (
+    GRID_3X3,
+    accept_by_blocks,
+    block_log_ratios,
+    change_pixel_size,
+    corner_distance,
+    has_linear_part,
+    likelihood_frames,
+    maximise_rotation_likelihood,
+    select_by_blocks,
+)
+from deepir.registration.frame_selection import largest_consistent_set
 from deepir.registration.pyramid import Level, build_level
-
-COARSE = 160  # px: the search runs where the frame's longer side is at most this
-FINEST = 400_000  # px: larger frames are registered at half their size
-ROUNDS = 8  # of alignment at most
-FINE = 2  # of them on the last level, if there is one of half the size before
-TURNS = 100  # px: of larger frames, means over blocks say how they turn
-ENOUGH = 4  # frames: the parts of three are taken in by noise
-SMALL = 48  # px: of smaller frames a ninth part says nothing
-SPARED = 3  # of the nine parts, which somebody who walks by may be in
-NEAR = 0.4  # px of these, at the corners: so far are turns off by chance, and residuals know better
 
 
 @dataclass(frozen=True)
-class Placed:
-    """Frames and where they are.
+class LevelSettings:
+    """Levels of the pyramid and rounds of the alignment on them."""
 
-    frames, flat: `(N, H, W)`, as they are and flat. coarse: the level of the search. clear: `(N,)`, how clearly they
-    show the scene that most of them show; used: `(N,)` bool, which do. found: what the search found of these.
-    motion: `(M, 3, 3)`, where these M are in the end.
+    search_side: int = 160  # px; longer side of the level of the coarse search, at most
+    max_final_pixels: int = 400_000  # px; larger frames are registered at half their size
+    max_rounds: int = 8  # Gauss-Newton rounds of the alignment, over all levels
+    last_level_rounds: int = 2  # of these, rounds on the last level if a level of half the size precedes it
+
+
+@dataclass(frozen=True)
+class RotationCriteria:
+    """When a rotation that maximises the block-wise likelihood replaces that of least residuals."""
+
+    image_side: int = 100  # px; longer side of the block means on which the likelihood is computed
+    min_frames: int = 4  # with three, noise decides
+    min_side: int = 48  # px; a ninth of a smaller frame holds too few waves
+    n_left_out: int = 3  # of nine blocks, those that gain most: a moving object may cover them
+    min_change: float = 0.4  # px at the corners of the block means; accuracy of the likelihood
+
+
+@dataclass(frozen=True)
+class HomographyCriteria:
+    """When homographies replace rigid motions."""
+
+    min_frames: int = 3
+    min_side: int = 64  # px
+    band_rows: int = 8  # rows of a band; the two half steps use alternate bands
+    min_cosine: float = 0.6  # between the non-rigid displacements of the two half steps
+    min_rms: float = 0.06  # px along the frame's edge; smaller non-rigid displacements are neglected
+    min_nats: float = 20.0  # log-likelihood ratio in sum over all blocks but the best
+
+
+LEVELS = LevelSettings()
+ROTATION = RotationCriteria()
+HOMOGRAPHY = HomographyCriteria()
+
+
+@dataclass(frozen=True)
+class MotionEstimate:
+    """Frames of a burst and their motions.
+
+    frames, preprocessed: `(N, H, W)`. coarse_level: the level of the coarse search. match_score: `(N,)`, height of each
+    frame's correlation peak over the detection threshold. used: `(N,)` bool, True for the M frames that show one
+    scene. alignment: of these, on the coarse level. motion: `(M, 3, 3)`, their refined motions, centred px.
     """
 
     frames: Tensor
-    flat: Tensor
-    coarse: Level
-    clear: Tensor
+    preprocessed: Tensor
+    coarse_level: Level
+    match_score: Tensor
     used: Tensor
-    found: Aligned
+    alignment: Alignment
     motion: Tensor
 
+    @property
+    def full_motion(self) -> Tensor:
+        """Motions `(N, 3, 3)` of all frames relative to the first that is used; NaN where a frame is not used."""
+        motion = torch.full((len(self.used), 3, 3), torch.nan, dtype=torch.float64)
+        motion[self.used] = relative(self.motion)
+        return motion
 
-def place(frames: Tensor, flat: Tensor, weight: Tensor, model: str) -> Placed:
-    """Where frames `(N, H, W)` that show one scene are; weight: `(H, W)`, zero where a pixel is bad."""
-    return settled(searched(frames, flat, weight, model), weight, model)
+    def with_motion(self, motion: Tensor) -> MotionEstimate:
+        """The estimate with other motions `(N, 3, 3)`, NaN where a frame is not used."""
+        used = motion.isfinite().all((1, 2))
+        return replace(self, used=used, motion=relative(motion[used]))
 
 
-def searched(frames: Tensor, flat: Tensor, weight: Tensor, model: str) -> Placed:
-    """The same as the search finds them, nearly."""
-    coarse = search_level(flat, weight)
-    clear, used, found = one_scene(coarse, "shift" if model == "shift" else "rigid")
-    return Placed(frames, flat, coarse, clear, used, found, found.motion)
+def estimate_motion(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
+    """Find the frames that show one scene, and their motions.
+
+    Args:
+        frames: `(N, H, W)`.
+        preprocessed: `(N, H, W)`, zero where the weight is zero.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model.
+    """
+    return refine(coarse_search(frames, preprocessed, weight, model), weight, model)
 
 
-def settled(placed: Placed, weight: Tensor, model: str) -> Placed:
-    """Frames that are nearly placed, by the least residuals, or by likelihood."""
-    used, before = placed.used, placed.motion
+def coarse_search(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
+    """Find the frames that show one scene, and initial motions, on the coarse level; arguments as `estimate_motion`."""
+    level = search_level(preprocessed, weight)
+    found = largest_consistent_set(level, "shift" if model == "shift" else "rigid")
+    motion = found.alignment.motion
+    return MotionEstimate(frames, preprocessed, level, found.match_score, found.used, found.alignment, motion)
+
+
+def refine(estimate: MotionEstimate, weight: Tensor, model: str) -> MotionEstimate:
+    """Refine initial motions: least residuals on fine levels, then shifts and rotations by block-wise likelihood.
+
+    Blocks of frames that rotate or stretch do not shift, whatever the motion. So there, shifts that the blocks prefer
+    must lower the misfit, too.
+
+    Args:
+        estimate: initial motions.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model.
+    """
+    used = estimate.used
     if used.sum() < 2:
-        return placed
-    some = slice(None) if used.all() else used  # no copy of all
-    levels = fine(placed.flat[some], weight, placed.coarse.factor)
-    moved = refined(levels, before, model)
-    liked = likelier(placed.frames[some], weight, moved, model)
-    # Parts of frames that turn are not like each other, wherever they are put: a vote says little there.
-    level = placed.coarse.of(used)
-    if liked is not moved and (not turns(moved, weight) or misfit(level, liked) < misfit(level, moved)):
-        moved = liked
+        return estimate
+    kept = slice(None) if used.all() else used  # no copy of all
+    frames, level = estimate.frames[kept], estimate.coarse_level.subset(used)
+    levels = final_levels(estimate.preprocessed[kept], weight, estimate.coarse_level.factor)
+    motion = align_levels(levels, estimate.motion, model)
+    selected = select_by_blocks(frames, weight, motion, model)
+    if selected is not motion and (
+        not has_linear_part(motion, weight) or accept_by_misfit(level, selected, motion)
+    ):
+        motion = selected
     if model == "rigid":
-        moved = turned(placed.frames[some], weight, levels, moved)
-    return replace(placed, motion=moved)
+        motion = refine_rotation(frames, weight, levels, motion)
+    return replace(estimate, motion=motion)
 
 
-def turned(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
-    """Motions `(N, 3, 3)`, or those that residuals find from the likeliest turns, if the frame's parts like these."""
-    likeliest = turning(frames, weight, motion)
-    if likeliest is motion:
+def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
+    """Replace rigid motions by those aligned from the most likely rotations, if the blocks' likelihood accepts them.
+
+    Args:
+        frames: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        levels: the same frames, on the final levels.
+        motion: `(N, 3, 3)`, of least residuals.
+
+    Returns:
+        Rigid motions `(N, 3, 3)`.
+    """
+    most_likely = most_likely_rotations(frames, weight, motion)
+    if most_likely is motion:
         return motion
-    small, factor = reduced(frames, weight, TURNS)
-    before, near = (scaled(relative(each), factor) for each in (motion, likeliest))
-    if apart(before, near, small) < NEAR:
+    reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
+    before, start = (change_pixel_size(relative(each), factor) for each in (motion, most_likely))
+    if corner_distance(before, start, reduced) < ROTATION.min_change:
         return motion
-    found = refined(levels, likeliest, "rigid")
-    after = scaled(relative(found), factor)
-    gained = sorted(gains(small, before, after, NINE))
-    return found if sum(gained[:-SPARED]) > 0 else motion
+    refined = align_levels(levels, most_likely, "rigid")
+    after = change_pixel_size(relative(refined), factor)
+    block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
+    return refined if accept_by_blocks(block_ratios, ROTATION.n_left_out) else motion
 
 
-def turning(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
-    """The likeliest turns of frames `(N, H, W)` near motions `(N, 3, 3)`; the same of frames that say too little."""
-    if len(frames) < ENOUGH or min(weight.shape) < SMALL:
+def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
+    """Maximum-likelihood rigid motions near given ones.
+
+    Args:
+        frames: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        motion: `(N, 3, 3)`, initial motions.
+
+    Returns:
+        Rigid motions `(N, 3, 3)`; the object `motion` itself if frames are too few or too small.
+    """
+    if len(frames) < ROTATION.min_frames or min(weight.shape) < ROTATION.min_side:
         return motion
-    small, factor = reduced(frames, weight, TURNS)
-    return scaled(likeliest_turns(small, scaled(relative(motion), factor)), 1 / factor)
+    reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
+    start = change_pixel_size(relative(motion), factor)
+    return change_pixel_size(maximise_rotation_likelihood(reduced, start), 1 / factor)
 
 
-def misfit(level: Level, motion: Tensor) -> float:
-    """The share of the frames' mean square that neither scene nor pattern explain at these motions."""
-    return standing(level, motion)[1]
+def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
+    """Level of the coarse search, of preprocessed frames `(N, H, W)` of weight `(H, W)`."""
+    return build_level(preprocessed, weight, next_power_of_two(max(weight.shape) / LEVELS.search_side))
 
 
-def search_level(flat: Tensor, weight: Tensor) -> Level:
-    """The level of flat frames `(N, H, W)` on which they are searched."""
-    return build_level(flat, weight, halvings(max(weight.shape) / COARSE))
+def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
+    """Levels of the alignment after the coarse search: the finest, preceded by one of half its size if finer than that.
+
+    Args:
+        preprocessed: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        coarse_factor: px per px of the coarse level.
+    """
+    last = next_power_of_two((weight.numel() / LEVELS.max_final_pixels) ** 0.5)
+    factors = (2 * last, last) if 2 * last < coarse_factor else (last,)
+    return [build_level(preprocessed, weight, factor) for factor in factors]
 
 
-def fine(flat: Tensor, weight: Tensor, coarse: int) -> list[Level]:
-    """The levels of flat frames `(N, H, W)` on which they are registered in the end, after one of factor `coarse`."""
-    last = halvings((weight.numel() / FINEST) ** 0.5)
-    factors = (2 * last, last) if 2 * last < coarse else (last,)
-    return [build_level(flat, weight, factor) for factor in factors]
-
-
-def refined(levels: list[Level], motion: Tensor, model: str) -> Tensor:
-    """The motion after rounds on these levels, fewer on the last of two."""
-    for level, rounds in zip(levels, (ROUNDS - FINE, FINE) if levels[1:] else (ROUNDS,), strict=True):
-        motion = align(level, motion, model, rounds).motion
+def align_levels(levels: list[Level], motion: Tensor, model: str) -> Tensor:
+    """Motions `(N, 3, 3)` aligned on one or two levels in turn, from initial motions `(N, 3, 3)`."""
+    last = LEVELS.last_level_rounds if levels[1:] else LEVELS.max_rounds
+    rounds = (LEVELS.max_rounds - last, last)[-len(levels) :]
+    for level, max_rounds in zip(levels, rounds, strict=True):
+        motion = align(level, motion, model, max_rounds).motion
     return motion
 
 
-def halvings(ratio: float) -> int:
-    """The least power of two that is at least `ratio`, and at least one."""
+def next_power_of_two(ratio: float) -> int:
+    """Smallest power of two that is at least `ratio`, and at least one."""
     factor = 1
     while factor < ratio:
         factor *= 2
     return factor
+
+
+def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tensor) -> Tensor:
+    """Replace rigid motions by homographies (zoom, tilt, a wide lens that rotates) if the blocks' likelihood accepts.
+
+    Homographies always lower the residuals, since scene and pattern adapt. So the decision is that of blocks, each of
+    which has its own likelihood.
+
+    Args:
+        frames: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        level: the same frames, on the final level.
+        motion: `(N, 3, 3)`, rigid.
+
+    Returns:
+        Motions `(N, 3, 3)`; the object `motion` itself if homographies are not accepted.
+    """
+    too_small = len(motion) < HOMOGRAPHY.min_frames or min(level.shape) < HOMOGRAPHY.min_side
+    if too_small or not half_steps_agree(level, motion):
+        return motion
+    homography = align(level, motion, "homography", LEVELS.max_rounds).motion
+    reduced, factor = likelihood_frames(frames, weight)
+    before, after = change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor)
+    block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
+    return homography if accept_by_blocks(block_ratios, min_nats=HOMOGRAPHY.min_nats) else motion
+
+
+def half_steps_agree(level: Level, motion: Tensor) -> bool:
+    """Whether two Gauss-Newton steps towards homographies agree, one from odd and one from even bands of rows.
+
+    Noise of the two steps is independent; lines of the pattern and edges of the scene may act on both alike.
+
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, rigid.
+    """
+    pattern, _ = estimate_pattern(level, motion)
+    equations = normal_equations(warp_to_reference(level, pattern, motion), level, "homography")
+    is_odd = torch.arange(len(equations)) // HOMOGRAPHY.band_rows % 2 == 1
+    half_size = max(level.shape) / 2
+    steps = [solve_normal_equations(equations[rows]) for rows in (is_odd, ~is_odd)]
+    odd, even = (
+        nonrigid_displacement(level, relative(increment("homography", step, half_size) @ motion))
+        for step in steps
+    )
+    min_correlated = HOMOGRAPHY.min_cosine * float(odd.norm() * even.norm())
+    min_power = HOMOGRAPHY.min_rms**2 * odd[:, 0].numel()
+    return float((odd * even).sum()) > max(min_correlated, min_power)
+
+
+def nonrigid_displacement(level: Level, motion: Tensor) -> Tensor:
+    """Displacement `(N - 1, 2, 8)`, px, of motions `(N, 3, 3)` from the nearest rigid ones, along the frame's edge."""
+    h, w = (side / 2 for side in level.shape)
+    coordinates = [(x * w, y * h, 1.0) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
+    points = torch.tensor(coordinates, dtype=motion.dtype).T
+    return carried(motion[1:], points) - carried(nearest_rigid(motion[1:]), points)

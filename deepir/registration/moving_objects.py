@@ -1,158 +1,252 @@
-"""Places of frames through which somebody walks: he registers, too, and often better than a plain scene does."""
+"""Registration in the presence of moving objects, which register, too, and may mislead the motion.
+
+Where motions do not explain the frames well (`is_well_explained`), other candidates are proposed
+(`alternative_estimates`): with the objects inpainted, and from the background that they never cover. A candidate
+replaces the estimate if the robust score accepts it, or the likelihood of the background (`is_likelier`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity, relative
-from deepir.registration.alternating_alignment import Aligned, standing
-from deepir.registration.block_likelihood import FOUR, all_but_one, gains
-from deepir.registration.block_vote import FAR, apart, reduced, scaled, turns
-from deepir.registration.integer_shifts import integer_shifts
-from deepir.registration.motion_search import Placed, fine, misfit, search_level, searched, settled, turning
-from deepir.registration.moving_object_masks import blanked, filled, someone
-from deepir.registration.reregister_worst import repaired
-from deepir.registration.robust_score import cost, log_likelihood_ratio
-from deepir.registration.shift_likelihood import likeliest_shifts
+from deepir.registration.alignment import Alignment, accept_by_misfit, estimate_pattern
+from deepir.registration.block_likelihood import (
+    DISTINCT_DISTANCE,
+    GRID_2X2,
+    accept_by_blocks,
+    block_log_ratios,
+    change_pixel_size,
+    corner_distance,
+    has_linear_part,
+    likelihood_frames,
+)
+from deepir.registration.motion_search import (
+    MotionEstimate,
+    coarse_search,
+    final_levels,
+    most_likely_rotations,
+    refine,
+    search_level,
+)
+from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
+from deepir.registration.robust_score import (
+    MIN_CLEAR_GAIN,
+    log_likelihood_ratio,
+    reregister_worst_frames,
+    robust_nll,
+)
+from deepir.registration.shift_likelihood import integer_shifts, maximise_shift_likelihood
 
-#: Nats that each sample costs where most frames show one scene and nothing else; and up to which edges of dark scenes
-#: may do it: what no motion leaves is then so many times more, of a scene or of him, not of both.
-PLAIN, ROUGH, WHOLE = 0.7, 1.0, 0.08
-STILL = 0.5  # px up to which a frame seems to stand still
-CLEAR = 0.08  # nats by which each sample is better explained, beyond doubt
-DOUBT = 0.25  # and up to which it may be worse, where the likelihood of what is beside him says better
-NOTHING = 0.7  # of what no motion leaves where he is filled in: a motion that leaves more explains nothing
-CLEARLY = 0.95  # of what a motion leaves that turns: another that leaves less is better
-PASSED = 3 / 8  # share of the frame where somebody passes, up to which the rest says enough
-ENOUGH = 0.4  # of the frame beside his way, to be searched in
+
+@dataclass(frozen=True)
+class FitCriteria:
+    """When motions explain the frames well, so that no moving object is searched."""
+
+    good_nll: float = 0.7  # nats per sample of the robust score; less: one scene and little else
+    poor_nll: float = 1.0  # nats per sample; more: not explained. Between the two the misfit ratio decides
+    max_rest_ratio: float = 0.08  # misfit over that at rest, final level; edges of dark scenes reach less
+    rest_distance: float = 0.5  # px from the median shift; a closer frame seems to be at rest
 
 
-def beside_walker(one: Placed, weight: Tensor, model: str, holes: Tensor | None = None) -> Placed:
-    """Frames that are placed once more without whoever walks through them, if that explains more of them.
+@dataclass(frozen=True)
+class CandidateCriteria:
+    """When a candidate replaces the estimate in the presence of moving objects."""
 
-    weight: `(H, W)`, zero where a pixel is bad. holes: `(N, H, W)` bool, samples that nothing is known of, as if
-    somebody stood there; in the end what the other frames show is filled in.
+    max_loss: float = 0.25  # nats per sample of the robust score, if the blocks prefer the candidate
+    max_rest_ratio: float = 0.7  # misfit over that at rest, the moving objects inpainted
+    max_rotated_ratio: float = 0.95  # misfit over that of the estimate, if frames rotate
+    max_swept: float = 3 / 8  # of the frame; objects that pass through more are inpainted, not left out
+    min_background: float = 0.4  # of the frame; a smaller background is not searched
+
+
+FIT = FitCriteria()
+CANDIDATE = CandidateCriteria()
+
+
+def register_beside_moving_objects(
+    estimate: MotionEstimate, weight: Tensor, model: str, missing: Tensor | None = None
+) -> MotionEstimate:
+    """Replace the estimate by candidates that discount moving objects, if these explain more of the frames.
+
+    Args:
+        estimate: motions of the frames as they are.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model.
+        missing: `(N, H, W)` bool, samples without data, treated as covered by an object; finally inpainted.
     """
-    stands = someone(one.flat) if len(one.frames) > 2 else torch.zeros(one.flat.shape, dtype=torch.bool)
-    stands = stands if holes is None else stands | holes
-    frames, flat, level = torch.where(weight > 0, one.frames.float(), 0.0), one.flat, one.coarse
-    if len(frames) > 2 and stands.any():
-        lost = holes is not None and not one.used.all()
-        if lost or not well(one, weight):
-            for sought in others(one, frames, stands, weight, model):
-                other = at(sought, repaired(level, every(sought), model))
-                gained = log_likelihood_ratio(level, every(one), every(other))
-                if gained > CLEAR or (gained > -DOUBT and better(one, other, frames, stands, weight)):
-                    one = without(other, frames, flat, stands, weight, model)
-    return one if holes is None else without(one, frames, flat, holes, weight, model)
+    frames, preprocessed = torch.where(weight > 0, estimate.frames.float(), 0.0), estimate.preprocessed
+    mask = torch.zeros(preprocessed.shape, dtype=torch.bool)
+    if len(frames) > 2:
+        mask = detect_moving_objects(preprocessed)
+    if missing is not None:
+        mask = mask | missing
+    if len(frames) > 2 and mask.any():
+        frames_lost = missing is not None and not estimate.used.all()
+        if frames_lost or not is_well_explained(estimate, weight):
+            level = estimate.coarse_level
+            for proposed in alternative_estimates(estimate, frames, mask, weight, model):
+                motion = reregister_worst_frames(level, proposed.full_motion, model)
+                candidate = proposed.with_motion(motion)
+                gain = log_likelihood_ratio(level, estimate.full_motion, candidate.full_motion)
+                if gain > MIN_CLEAR_GAIN or (
+                    gain > -CANDIDATE.max_loss and is_likelier(estimate, candidate, frames, mask, weight)
+                ):
+                    estimate = refine_inpainted(candidate, frames, preprocessed, mask, weight, model)
+    if missing is None:
+        return estimate
+    return refine_inpainted(estimate, frames, preprocessed, missing, weight, model)
 
 
-def well(one: Placed, weight: Tensor) -> bool:
-    """Whether its motions explain most of the frames; that, or less of them in samples but in squares next to all.
+def is_well_explained(estimate: MotionEstimate, weight: Tensor) -> bool:
+    """Whether the motions explain most samples of the frames, or, of many poorly explained ones, most of the power.
 
-    Not where all but one seem to stand still: that one may have lost lines on its way, and all follow the pattern.
+    Not if all frames but one seem to be at rest: lines missing in that one may have locked the others to the pattern.
+
+    Args:
+        estimate: motions.
+        weight: `(H, W)`, zero where a pixel is bad.
     """
-    shifts = every(one)[one.used][:, :2, 2]
-    still = (shifts - shifts.median(0).values).norm(dim=1) < STILL
-    if len(shifts) > 3 and still.sum() == len(shifts) - 1:
+    shifts = estimate.full_motion[estimate.used][:, :2, 2]
+    is_resting = (shifts - shifts.median(0).values).norm(dim=1) < FIT.rest_distance
+    if len(shifts) > 3 and is_resting.sum() == len(shifts) - 1:
         return False
-    left = cost(one.coarse, every(one))
-    if not PLAIN < left < ROUGH:
-        return left <= PLAIN
-    level = fine(one.flat, weight, one.coarse.factor)[-1].of(
-        one.used
-    )  # there, what moves by a few px differs
-    return misfit(level, one.motion) < WHOLE * misfit(level, identity(len(one.motion)))
+    nll = robust_nll(estimate.coarse_level, estimate.full_motion)
+    if not FIT.good_nll < nll < FIT.poor_nll:
+        return nll <= FIT.good_nll
+    # The final level: motions of a few px change it, too.
+    level = final_levels(estimate.preprocessed, weight, estimate.coarse_level.factor)[-1].subset(
+        estimate.used
+    )
+    rest = identity(len(estimate.motion))
+    return accept_by_misfit(level, estimate.motion, rest, FIT.max_rest_ratio)
 
 
-def every(placed: Placed) -> Tensor:
-    """Its motions `(N, 3, 3)`, NaN where a frame is not used."""
-    motion = torch.full((len(placed.used), 3, 3), torch.nan, dtype=torch.float64)
-    motion[placed.used] = relative(placed.motion)
-    return motion
+def alternative_estimates(
+    estimate: MotionEstimate, frames: Tensor, mask: Tensor, weight: Tensor, model: str
+) -> Iterator[MotionEstimate]:
+    """Propose motions that discount moving objects, if a search that does so differs from the estimate.
 
+    In order: with the objects inpainted by the temporal mean; from the background; of maximum likelihood, from the
+    background.
 
-def at(placed: Placed, motion: Tensor) -> Placed:
-    """The same at motions `(N, 3, 3)`, NaN where a frame is not used."""
-    used = motion.isfinite().all((1, 2))
-    return replace(placed, used=used, motion=relative(motion[used]))
-
-
-def others(one: Placed, frames: Tensor, stands: Tensor, weight: Tensor, model: str) -> Iterator[Placed]:
-    """Where else frames `(N, H, W)` may be: as if he were not there; by what is beside his way, if that is enough.
-
-    Only what the search puts elsewhere is settled there: where it finds the same, he did no harm.
+    Args:
+        estimate: motions of the frames as they are.
+        frames: `(N, H, W)`, zero where a pixel is bad.
+        mask: `(N, H, W)` bool, samples of moving objects.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model.
     """
-    seen, flat = (blanked(each, stands, weight) for each in (frames, one.flat))
-    beside = weight * ~stands.any(0)
-    sought = searched(seen, flat, weight, model)
-    if any_else := elsewhere(one, sought):
-        yield settled(sought, weight, model)
-    if beside.mean() > ENOUGH:
-        sought = searched(frames, one.flat * (beside > 0), beside, model)
-        if elsewhere(one, sought):
-            any_else = True
-            yield settled(sought, beside, model)
-        if any_else and one.used.sum() > 2:
-            yield replace(one, motion=likeliest(frames[one.used], beside, model))
+    inpainted, preprocessed = (inpaint_mean(each, mask, weight) for each in (frames, estimate.preprocessed))
+    candidate = coarse_search(inpainted, preprocessed, weight, model)
+    if any_differs := is_distinct(estimate, candidate):
+        yield refine(candidate, weight, model)
+    background = weight * ~mask.any(0)
+    if background.mean() > CANDIDATE.min_background:
+        candidate = coarse_search(frames, estimate.preprocessed * (background > 0), background, model)
+        if is_distinct(estimate, candidate):
+            any_differs = True
+            yield refine(candidate, background, model)
+        if any_differs and estimate.used.sum() > 2:
+            yield replace(estimate, motion=most_likely_motion(frames[estimate.used], background, model))
 
 
-def elsewhere(one: Placed, other: Placed) -> bool:
-    """Whether others of the frames are used, or these are in other places."""
-    if not torch.equal(one.used, other.used):
+def is_distinct(estimate: MotionEstimate, other: MotionEstimate) -> bool:
+    """Whether two estimates use different frames, or motions that are distinct at the corners."""
+    if not torch.equal(estimate.used, other.used):
         return True
-    return len(one.motion) > 1 and apart(relative(one.motion), relative(other.motion), one.frames) > FAR
+    if len(estimate.motion) < 2:
+        return False
+    motions = relative(estimate.motion), relative(other.motion)
+    return corner_distance(*motions, estimate.frames) > DISTINCT_DISTANCE
 
 
-def likeliest(frames: Tensor, weight: Tensor, model: str) -> Tensor:
-    """The likeliest motions `(N, 3, 3)` of frames `(N, H, W)`: shifts, or turns where these are others."""
-    seen, factor = reduced(frames, weight)
-    motion = identity(len(seen))
-    motion[1:, :2, 2] = factor * torch.from_numpy(likeliest_shifts(seen, integer_shifts(seen)))
+def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:
+    """Maximum-likelihood shifts, or rigid motions where these are distinct from shifts.
+
+    Args:
+        frames: `(N, H, W)`.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model; only "rigid" includes rotations.
+
+    Returns:
+        Motions `(N, 3, 3)` relative to the first frame.
+    """
+    reduced, factor = likelihood_frames(frames, weight)
+    motion = identity(len(reduced))
+    motion[1:, :2, 2] = factor * torch.from_numpy(maximise_shift_likelihood(reduced, integer_shifts(reduced)))
     if model != "rigid":
         return motion
-    turned = turning(frames, weight, motion)
-    return turned if apart(motion, turned, frames) > FAR else motion
+    rigid = most_likely_rotations(frames, weight, motion)
+    return rigid if corner_distance(motion, rigid, frames) > DISTINCT_DISTANCE else motion
 
 
-def better(one: Placed, other: Placed, frames: Tensor, stands: Tensor, weight: Tensor) -> bool:
-    """Whether frames `(N, H, W)` are likelier at the motions of `other`; if these are the same, whether it has more.
+def is_likelier(
+    estimate: MotionEstimate, candidate: MotionEstimate, frames: Tensor, mask: Tensor, weight: Tensor
+) -> bool:
+    """Whether the block-wise likelihood of the background accepts a candidate, and its misfit is low enough.
 
-    Beside his way, if that is enough. Else he is filled in, by either's motions in turn, for which that speaks. None
-    is better that is of fewer frames, nor of more which it does not explain.
+    If objects sweep too much of the frame, they are inpainted at either's motions in turn, and the log-likelihood
+    ratios are added. The candidate must use as many frames; if motions are the same, more frames, well explained.
+
+    Args:
+        estimate: motions that would be replaced.
+        candidate: motions that would replace them.
+        frames: `(N, H, W)`, zero where a pixel is bad.
+        mask: `(N, H, W)` bool, samples of moving objects.
+        weight: `(H, W)`, zero where a pixel is bad.
     """
-    both, had_frames, has_frames = one.used & other.used, int(one.used.sum()), int(other.used.sum())
-    if has_frames >= had_frames and both.sum() > 2:
-        places = [relative(each.motion[both[each.used]]) for each in (one, other)]
-        level = search_level(blanked(one.flat, stands, weight), weight).of(both)
-        none, had, has = (misfit(level, each) for each in (identity(int(both.sum())), *places))
-        passed = stands[both].any(0)
-        if passed.float().mean() < PASSED:
-            seen = [reduced(frames[both], weight * ~passed)]
+    common = estimate.used & candidate.used
+    n_before, n_after = int(estimate.used.sum()), int(candidate.used.sum())
+    if n_after >= n_before and common.sum() > 2:
+        motions = [relative(each.motion[common[each.used]]) for each in (estimate, candidate)]
+        seen, covered = frames[common], mask[common]
+        swept = covered.any(0)
+        if swept.float().mean() < CANDIDATE.max_swept:
+            versions = [likelihood_frames(seen, weight * ~swept)]
         else:
-            seen = [reduced(filled(frames[both], stands[both], weight, each), weight) for each in places]
-        small, factor = seen[0]
-        before, after = (scaled(each, factor) for each in places)
-        if factor * apart(before, after, small) > FAR:
-            gained = [gains(each, before, after, FOUR) for each, _ in seen]
-            likelier = all_but_one([sum(part) for part in zip(*gained, strict=True)]) > 0
-            # Parts of frames that turn are not like each other, wherever they are put: their vote says little.
-            most = CLEARLY * had if turns(places[0], weight) else max(had, NOTHING * none)
-            return likelier and has < most
-    return has_frames > had_frames and well(other, weight)
+            inpainted = [inpaint_background(seen, covered, weight, each) for each in motions]
+            versions = [likelihood_frames(each, weight) for each in inpainted]
+        reduced, factor = versions[0]
+        before, after = (change_pixel_size(each, factor) for each in motions)
+        if factor * corner_distance(before, after, reduced) > DISTINCT_DISTANCE:
+            block_ratios = [block_log_ratios(each, before, after, GRID_2X2) for each, _ in versions]
+            if not accept_by_blocks([sum(block) for block in zip(*block_ratios, strict=True)]):
+                return False
+            level = search_level(inpaint_mean(estimate.preprocessed, mask, weight), weight).subset(common)
+            # Blocks of frames that rotate or stretch do not shift, whatever the motion: their likelihood says little.
+            if has_linear_part(motions[0], weight):
+                return accept_by_misfit(level, motions[1], motions[0], CANDIDATE.max_rotated_ratio)
+            rest = identity(len(motions[0]))
+            return accept_by_misfit(level, motions[1], motions[0]) or accept_by_misfit(
+                level, motions[1], rest, CANDIDATE.max_rest_ratio
+            )
+    return n_after > n_before and is_well_explained(candidate, weight)
 
 
-def without(
-    placed: Placed, frames: Tensor, flat: Tensor, stands: Tensor, weight: Tensor, model: str
-) -> Placed:
-    """The same, refined where he is filled in by what its motions say of his place."""
+def refine_inpainted(
+    estimate: MotionEstimate, frames: Tensor, preprocessed: Tensor, mask: Tensor, weight: Tensor, model: str
+) -> MotionEstimate:
+    """Inpaint masked samples by the background at the estimated motions, and refine these.
+
+    Args:
+        estimate: motions.
+        frames: `(N, H, W)`, zero where a pixel is bad.
+        preprocessed: `(N, H, W)`.
+        mask: `(N, H, W)` bool, samples to inpaint.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model.
+    """
     motion = identity(len(frames))
-    motion[placed.used] = placed.motion
-    frames, flat = (filled(each, stands, weight, motion) for each in (frames, flat))
-    coarse = search_level(flat, weight)
-    found = Aligned(placed.motion, *standing(coarse.of(placed.used), placed.motion))
-    return settled(replace(placed, frames=frames, flat=flat, coarse=coarse, found=found), weight, model)
+    motion[estimate.used] = estimate.motion
+    frames, preprocessed = (inpaint_background(each, mask, weight, motion) for each in (frames, preprocessed))
+    level = search_level(preprocessed, weight)
+    alignment = Alignment(estimate.motion, *estimate_pattern(level.subset(estimate.used), estimate.motion))
+    inpainted = replace(
+        estimate, frames=frames, preprocessed=preprocessed, coarse_level=level, alignment=alignment
+    )
+    return refine(inpainted, weight, model)

@@ -1,4 +1,4 @@
-"""The registration of a whole burst: which frames show one scene, and how each has moved."""
+"""Registration of a burst: which frames show one scene, the motion of each, and how confident it is."""
 
 from __future__ import annotations
 
@@ -10,26 +10,31 @@ from torch import Tensor
 
 from deepir.errors import DataError, nearest
 from deepir.operators.motion_models import AUTO, PARAMETERS, identity, relative
-from deepir.registration.alternating_alignment import Aligned, standing
-from deepir.registration.frame_groups import FAILED, agreement, at_rest, left
-from deepir.registration.model_selection import bent
-from deepir.registration.motion_search import ROUNDS, fine, place, search_level
-from deepir.registration.moving_object_masks import blanked
-from deepir.registration.moving_objects import CLEAR, beside_walker, every
+from deepir.registration.alignment import Alignment, estimate_pattern
+from deepir.registration.frame_selection import (
+    MIN_CONCORDANCE,
+    SHUTTER,
+    concordance,
+    frames_at_rest,
+    misfit_per_dof,
+    shutter_frames,
+)
+from deepir.registration.motion_search import estimate_motion, final_levels, search_level, select_homography
+from deepir.registration.moving_object_masks import inpaint_mean
+from deepir.registration.moving_objects import register_beside_moving_objects
 from deepir.registration.preprocess import preprocess
-from deepir.registration.robust_score import log_likelihood_ratio
-from deepir.registration.shutter_frames import FEWEST, shutter_frames
+from deepir.registration.robust_score import accept_by_residuals
 
-UNSURE = 0.85  # confidence below which a frame's motion may be wrong
+UNCERTAIN_CONFIDENCE = 0.85  # confidence below which a message says that a frame's motion may be wrong
 
 
 @dataclass(frozen=True)
 class Registration:
     """The motions of a burst.
 
-    motion: `(N, 3, 3)` float64 pull homographies about the frame's centre, `frame_k(p) = frame_r(T_k p)` with r
-    the first frame that is used, in px; NaN where a frame is left out. confidence: `(N,)` in [0, 1], how well
-    the frame agrees with the others, once aligned. used: `(N,)` bool. messages: what the user should know.
+    motion: `(N, 3, 3)` float64, pull homographies in px about the frame's centre, `frame_k(p) = frame_r(T_k p)`, with r
+    the first frame that is used; NaN where a frame is left out. confidence: `(N,)` in [0, 1], concordance of each frame
+    with the others. used: `(N,)` bool. messages: for the user.
     """
 
     motion: Tensor
@@ -47,85 +52,118 @@ def register(
     valid: Tensor | None = None,
     start: int = 0,
 ) -> Registration:
-    """Motion of every frame of a burst `(N, H, W)` relative to the first that is used, under strong fixed patterns.
+    """Register a burst under strong fixed-pattern noise.
 
-    model: shift, rigid, affine, homography, or auto: rigid, and a homography where the frames bend. ignore:
-    `(H, W)` bool, True where a pixel must not be used. valid: `(N, H, W)` bool, False where a sample is made up, of
-    something finite. start: the number of the first frame, for messages.
-    Raises DataError where the shapes or the model's name are wrong.
+    Args:
+        frames: `(N, H, W)`, any unit; NaN or infinite where a pixel is bad.
+        model: "shift", "rigid", "affine", "homography", or "auto": rigid, or homographies where these are clearly more
+            likely.
+        ignore: `(H, W)` bool, True where a pixel must not be used.
+        valid: `(N, H, W)` bool, False where a sample has no data but some finite value.
+        start: number of the first frame in messages.
+
+    Returns:
+        Motions relative to the first frame that is used.
+
+    Raises:
+        DataError: a shape is wrong or the model is unknown.
     """
-    check(frames, model, ignore)
+    check_arguments(frames, model, ignore)
     frames = frames.detach().cpu()
-    holes = None if valid is None or valid.all() else ~valid.cpu()
-    if holes is not None:
-        frames = blanked(frames, holes, torch.ones(frames.shape[1:]))
-    flat, weight = preprocess(frames, None if ignore is None else ignore.cpu())
-    first = "rigid" if model == AUTO else model
+    missing = None if valid is None or valid.all() else ~valid.cpu()
+    if missing is not None:
+        frames = inpaint_mean(frames, missing, torch.ones(frames.shape[1:]))
+    preprocessed, weight = preprocess(frames, None if ignore is None else ignore.cpu())
     n = len(frames)
-    why = dict.fromkeys(copies(frames), "is the same as the one before it")
-    if n > FEWEST:
-        shut = shutter_frames(search_level(flat, weight), first).nonzero()[:, 0].tolist()
-        why |= dict.fromkeys(shut, "shows the pattern and no scene, as where a shutter closes")
+    excluded = dict.fromkeys(repeated_frames(frames), "is the same as the one before it")
+    if n > SHUTTER.min_scene_frames:
+        is_shutter = shutter_frames(search_level(preprocessed, weight), initial_model(model))
+        reason = "shows the pattern and no scene, as where a shutter closes"
+        excluded |= dict.fromkeys(is_shutter.nonzero()[:, 0].tolist(), reason)
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
     confidence = torch.zeros(n, dtype=torch.float64)
-    some = [k for k in range(n) if k not in why] if why else slice(None)  # no copy of all
-    motion[some], confidence[some] = moved(
-        frames[some], flat[some], weight, model, None if holes is None else holes[some]
+    kept = [k for k in range(n) if k not in excluded] if excluded else slice(None)  # no copy of all
+    motion[kept], confidence[kept] = estimate_burst(
+        frames[kept], preprocessed[kept], weight, model, None if missing is None else missing[kept]
     )
-    return verdict(motion, confidence, start, why)
+    return make_registration(motion, confidence, start, excluded)
 
 
-def copies(frames: Tensor) -> list[int]:
-    """Frames `(N, H, W)` that are the one before them once more, as where a camera is read faster than it looks.
-
-    None if all are: then nothing moves.
-    """
-    found = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
-    return found if len(found) < len(frames) - 1 else []
+def initial_model(model: str) -> str:
+    """Model of the search: rigid if the model is to be selected."""
+    return "rigid" if model == AUTO else model
 
 
-def moved(
-    frames: Tensor, flat: Tensor, weight: Tensor, model: str, holes: Tensor | None
+def repeated_frames(frames: Tensor) -> list[int]:
+    """Numbers of the frames that equal the one before, of `(N, H, W)`; none if all do, as nothing moves then."""
+    repeated = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
+    return repeated if len(repeated) < len(frames) - 1 else []
+
+
+def estimate_burst(
+    frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str, missing: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Motions `(N, 3, 3)` of frames and how well they agree `(N,)`, on which `verdict` decides."""
-    first = "rigid" if model == AUTO else model
-    placed = beside_walker(place(frames, flat, weight, first), weight, first, holes)
-    coarse, used, found, motion = placed.coarse, placed.used, placed.found, placed.motion
+    """Estimate motions, select their model (rest, the model itself, homography), and compute confidences.
+
+    Args:
+        frames: `(N, H, W)`.
+        preprocessed: `(N, H, W)`, zero where the weight is zero.
+        weight: `(H, W)`, zero where a pixel is bad.
+        model: motion model, or "auto".
+        missing: `(N, H, W)` bool, samples without data.
+
+    Returns:
+        Motions `(N, 3, 3)`, NaN where a frame is not used, and confidences `(N,)`, for `make_registration`.
+    """
+    estimate = estimate_motion(frames, preprocessed, weight, initial_model(model))
+    estimate = register_beside_moving_objects(estimate, weight, initial_model(model), missing)
+    level, used, alignment, motion = estimate.coarse_level, estimate.used, estimate.alignment, estimate.motion
     if used.sum() > 1:
         if model == AUTO:
-            level = fine(placed.flat[used], weight, coarse.factor)[-1]
-            motion = bent(placed.frames[used], weight, level, motion, ROUNDS)
-        found = min(found, Aligned(motion, *standing(coarse.of(used), motion)), key=left)
-    if (still := at_rest(coarse, found)).any():
-        # Unless most of the frame moves: somebody changes the frames as much, whether the camera moves or rests.
-        rest, moves = (every(replace(placed, motion=each)) for each in (identity(len(motion)), motion))
-        if log_likelihood_ratio(coarse, rest, moves) < CLEAR:
-            return identity(len(frames)), still.double()
-    found_at = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
-    confidence = 0.5 * FAILED * placed.clear.clamp_max(1)
+            final_level = final_levels(estimate.preprocessed[used], weight, level.factor)[-1]
+            motion = select_homography(estimate.frames[used], weight, final_level, motion)
+        refined = Alignment(motion, *estimate_pattern(level.subset(used), motion))
+        alignment = min(alignment, refined, key=misfit_per_dof)
+    if (is_resting := frames_at_rest(level, alignment)).any():
+        # A moving object changes the frames as much as camera motion does: rest must hold for most of the frame.
+        rest, moving = (replace(estimate, motion=each) for each in (identity(len(motion)), motion))
+        if not accept_by_residuals(level, rest.full_motion, moving.full_motion):
+            return identity(len(frames)), is_resting.double()
+    motions = torch.full((len(frames), 3, 3), torch.nan, dtype=torch.float64)
+    confidence = 0.5 * MIN_CONCORDANCE * estimate.match_score.clamp_max(1)
     if used.sum() > 1:
-        found_at[used], confidence[used] = motion, agreement(coarse.of(used), found.pattern, motion)
-    return found_at, confidence
+        motions[used] = motion
+        confidence[used] = concordance(level.subset(used), alignment.pattern, motion)
+    return motions, confidence
 
 
-def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, str]) -> Registration:
-    """Confidence and messages; frames that fail are left out by name, some of which it is known why."""
+def make_registration(
+    motion: Tensor, confidence: Tensor, start: int, excluded: Mapping[int, str]
+) -> Registration:
+    """Leave out frames of low confidence, make motions relative to the first frame used, and write messages.
+
+    Args:
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
+        confidence: `(N,)`; frames below `MIN_CONCORDANCE` are left out.
+        start: number of the first frame in messages.
+        excluded: reasons, by frame number, of frames that were not registered.
+    """
     confidence = confidence.clamp(0, 1)
-    used = confidence >= FAILED
-    if used.sum() < 2:  # nothing agrees: the first frame stands for itself
-        first = next(k for k in range(len(used)) if k not in why)
+    used = confidence >= MIN_CONCORDANCE
+    if used.sum() < 2:  # no two frames agree: the first one is its own reference
+        first = next(k for k in range(len(used)) if k not in excluded)
         used = torch.arange(len(used)) == first
-        confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * FAILED))
+        confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * MIN_CONCORDANCE))
         motion[first] = torch.eye(3, dtype=torch.float64)
     messages = []
     for k in range(len(used)):
-        if k in why:
-            messages.append(f"frame {start + k} {why[k]}: left out")
+        if k in excluded:
+            messages.append(f"frame {start + k} {excluded[k]}: left out")
         elif not used[k]:
             messages.append(
                 f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
             )
-        elif confidence[k] < UNSURE:
+        elif confidence[k] < UNCERTAIN_CONFIDENCE:
             messages.append(
                 f"frame {start + k} shows little that registers (confidence {float(confidence[k]):.2f}): "
                 "its motion may be wrong"
@@ -140,8 +178,8 @@ def verdict(motion: Tensor, confidence: Tensor, start: int, why: Mapping[int, st
     return Registration(motion, confidence, used, messages)
 
 
-def check(frames: Tensor, model: str, ignore: Tensor | None) -> None:
-    """Raise DataError where the arguments of `register` cannot be used."""
+def check_arguments(frames: Tensor, model: str, ignore: Tensor | None) -> None:
+    """Raise DataError if the arguments of `register` have wrong shapes or the model is unknown."""
     if frames.ndim != 3:
         raise DataError(f"registration wants frames (N, height, width), not {tuple(frames.shape)}")
     if model not in (known := [*PARAMETERS, AUTO]):

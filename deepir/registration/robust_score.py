@@ -1,90 +1,190 @@
-"""What motions explain of frames, sample by sample: most of the frame decides, whoever walks through the rest."""
+"""Robust score of motions: log-likelihood of residuals after median scene and pattern, most of the frame deciding.
+
+An object that moves by itself is in neither median, its residuals are bounded, and the blocks of the frame that change
+most do not count. So the score compares motions although something moves through part of the frame.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from deepir.arrays.median import MAD
+from deepir.registration.block_likelihood import DISTINCT_DISTANCE, corner_distance
+from deepir.registration.cross_correlation import match_to_reference
 from deepir.registration.pyramid import Level, sample
 
-SEEN = 2.5  # frames that must show a place of the scene, for it to say something
-TAILS = 4.0  # variances, from which a residual counts little more,
-BOUND = (
-    10.0  # and standard deviations, from which no more, and as which a sample counts that others do not see
-)
-SPARED = 2  # of the nine parts, at either end
-#: Passes over scene and pattern, and the share of the last one's change that each goes on by: where the camera moves
-#: little they settle slowly, and motions would be best that are too large.
-PASSES, HASTE = 10, 0.8
+MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
+MIN_OTHER_FRAMES = 3  # frames in which another one is searched
+
+
+@dataclass(frozen=True)
+class ScoreSettings:
+    """Heavy-tailed likelihood of the residuals, and its mean over the frame."""
+
+    tail_variance: float = 4.0  # variances; squared scale of the heavy-tailed (Cauchy) likelihood
+    max_residual: float = 10.0  # standard deviations; bound, and value where no other frame predicts a sample
+    min_overlapping: float = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
+    n_trimmed: int = 2  # of nine blocks, left out at either end of the sorted gains
+
+
+@dataclass(frozen=True)
+class MedianSettings:
+    """Alternations of median scene and median pattern."""
+
+    passes: int = 10
+    #: Share of its last change by which the pattern is extrapolated in each pass. With little motion, scene and pattern
+    #: separate slowly; unconverged, too large motions would score best.
+    extrapolation: float = 0.8
+
+
+SCORE = ScoreSettings()
+MEDIANS = MedianSettings()
+
+
+@dataclass(frozen=True)
+class MedianModel:
+    """Robust model of frames at given motions.
+
+    scene, pattern: `(h, w)`. overlapping: `(M, h, w)` bool, samples of the M used frames that other frames show, too.
+    """
+
+    scene: Tensor
+    pattern: Tensor
+    overlapping: Tensor
+
+
+def accept_by_residuals(level: Level, before: Tensor, after: Tensor) -> bool:
+    """Decide for motions `after` if they gain `MIN_CLEAR_GAIN` over `before`; arguments as `log_likelihood_ratio`."""
+    return log_likelihood_ratio(level, before, after) >= MIN_CLEAR_GAIN
 
 
 def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
-    """By how many nats a sample other motions `(N, 3, 3)` explain more of frames; NaN where a frame is not used.
+    """Trimmed mean, over nine blocks of the frame, of the log-likelihood ratio of two sets of motions.
 
-    By a likelihood with heavy tails, of residuals as wide as those of the better. Samples that no others see are not
-    explained: else motions would be best that share nothing. Of nine parts of the frame, those that gain most and
-    least do not count: somebody may walk there. Two frames are explained by anything: they gain and lose nothing.
+    The likelihood is heavy-tailed; its scale is that of the better motions. Samples that no other frame shows count as
+    unexplained, else motions without overlap would score best. Any motions explain two frames: their ratio is zero.
+
+    Args:
+        level: N frames.
+        before: `(N, 3, 3)`, NaN where a frame is not used.
+        after: `(N, 3, 3)`, likewise.
+
+    Returns:
+        Nats per sample, positive where the motions `after` are better.
     """
-    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < SEEN:
+    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < SCORE.min_overlapping:
         return 0.0
-    had, has = (residuals(level, motion) for motion in (before, after))
-    usual = min(width(had), width(has))
-    gained = (unexplained(had, usual) - unexplained(has, usual)).mean(0)
-    parts = sorted(float(part.mean()) for rows in gained.chunk(3) for part in rows.chunk(3, 1))
-    middle = parts[SPARED:-SPARED] or parts  # frames of a few lines have fewer
-    return sum(middle) / len(middle)
+    residuals_before, residuals_after = (absolute_residuals(level, motion) for motion in (before, after))
+    sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
+    gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
+    block_gains = sorted(float(block.mean()) for rows in gain.chunk(3) for block in rows.chunk(3, 1))
+    trimmed = block_gains[SCORE.n_trimmed : -SCORE.n_trimmed]
+    central = trimmed or block_gains  # frames of a few lines have fewer blocks
+    return sum(central) / len(central)
 
 
-def cost(level: Level, motion: Tensor) -> float:
-    """How much motions `(N, 3, 3)` leave unexplained of the frames that are used, in nats for each sample."""
-    rest = residuals(level, motion)[motion.isfinite().all((1, 2))]
-    return float(unexplained(rest, width(rest)).mean())
+def robust_nll(level: Level, motion: Tensor) -> float:
+    """Mean negative log-likelihood, nats per sample, of the used frames at motions `(N, 3, 3)`, NaN if not used."""
+    residual = absolute_residuals(level, motion)[motion.isfinite().all((1, 2))]
+    return float(sample_nll(residual, robust_sigma(residual)).mean())
 
 
-def width(rest: Tensor) -> float:
-    """Robust standard deviation of residuals whose magnitudes are known where they are finite."""
-    known = rest[rest.isfinite()]
-    return max(MAD * float(known.median()), 1e-12) if len(known) else torch.inf
+def robust_sigma(residual: Tensor) -> float:
+    """Robust standard deviation of residuals from their magnitudes `(...)`; infinite ones do not count."""
+    finite = residual[residual.isfinite()]
+    return max(MAD * float(finite.median()), 1e-12) if len(finite) else torch.inf
 
 
-def unexplained(rest: Tensor, usual: float) -> Tensor:
-    """Minus the log-likelihood of samples `(N, h, w)`, the rest of which has a `usual` width."""
-    return torch.log1p((rest / usual).where(rest.isfinite(), BOUND).clamp_max(BOUND).square() / TAILS)
+def sample_nll(residual: Tensor, sigma: float) -> Tensor:
+    """Negative log-likelihood of each sample, nats, up to a constant: Cauchy, bounded.
+
+    Args:
+        residual: `(N, h, w)`, magnitudes; infinite where no other frame predicts the sample.
+        sigma: robust standard deviation of the residuals.
+    """
+    bounded = (residual / sigma).where(residual.isfinite(), SCORE.max_residual).clamp_max(SCORE.max_residual)
+    return torch.log1p(bounded.square() / SCORE.tail_variance)
 
 
-def residuals(level: Level, motion: Tensor) -> Tensor:
-    """Magnitudes `(N, h, w)` of what is neither scene nor pattern; infinite where no other frames see the place."""
-    used = motion.isfinite().all((1, 2))
-    rest = torch.full_like(level.frames, torch.inf)
-    if used.any():
-        scene, pattern, often = explained(level, motion)
-        expected, known = sample(scene[None], motion[used], level)
-        rest[used] = (level.frames[used] - expected - pattern).abs().where(often & (known > 0), torch.inf)
-    return rest
+def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
+    """Magnitudes `(N, h, w)` of the frames less scene and pattern of `median_model`.
 
+    Infinite where no other frame predicts a sample, and for frames that are not used.
 
-def explained(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Scene and pattern `(h, w)`, and which samples `(M, h, w)` of the M frames that are used others see, too.
-
-    Both are medians over these frames, so that somebody who is in a place in a few of them is in neither.
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
     """
     used = motion.isfinite().all((1, 2))
-    level, motion = level.of(used), motion[used]
-    back, pattern = torch.linalg.inv(motion), torch.zeros_like(level.weight)
-    before = pattern
-    seen = sample(level.frames, back, level)[1] > 0
-    often = (sample(seen.sum(0)[None].float(), motion, level)[0] > SEEN) & (level.weight > 0)
-    for _ in range(PASSES):
-        ahead = pattern + HASTE * (pattern - before)
-        scene = _median(sample(level.frames - ahead, back, level)[0], seen)
+    residual = torch.full_like(level.frames, torch.inf)
+    if used.any():
+        model = median_model(level, motion)
+        expected, known = sample(model.scene[None], motion[used], level)
+        magnitude = (level.frames[used] - expected - model.pattern).abs()
+        residual[used] = magnitude.where(model.overlapping & (known > 0), torch.inf)
+    return residual
+
+
+def median_model(level: Level, motion: Tensor) -> MedianModel:
+    """Scene and pattern at given motions, alternately, as medians over the used frames.
+
+    An object that covers a point in few frames is in neither median.
+
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
+    """
+    used = motion.isfinite().all((1, 2))
+    level, motion = level.subset(used), motion[used]
+    inverse, pattern = torch.linalg.inv(motion), torch.zeros_like(level.weight)
+    previous = pattern
+    visible = sample(level.frames, inverse, level)[1] > 0
+    n_visible, _ = sample(visible.sum(0)[None].float(), motion, level)
+    overlapping = (n_visible > SCORE.min_overlapping) & (level.weight > 0)
+    for _ in range(MEDIANS.passes):
+        extrapolated = pattern + MEDIANS.extrapolation * (pattern - previous)
+        scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
         expected, known = sample(scene[None], motion, level)
-        before, pattern = pattern, _median(level.frames - expected, often & (known > 0))
-    return scene, pattern, often
+        previous, pattern = pattern, _masked_median(level.frames - expected, overlapping & (known > 0))
+    return MedianModel(scene, pattern, overlapping)
 
 
-def _median(images: Tensor, known: Tensor) -> Tensor:
-    """That over the known of images `(N, h, w)`, of two middle ones the mean; zero where none is known."""
+def _masked_median(images: Tensor, known: Tensor) -> Tensor:
+    """Median `(h, w)` over the known samples, `(N, h, w)` bool, of images `(N, h, w)`; zero where none is known."""
     order, last = images.where(known, torch.inf).sort(0).values, known.sum(0) - 1
-    middle = [order.gather(0, at.clamp_min(0)[None])[0] for at in (last // 2, last - last // 2)]
+    middle = [order.gather(0, rank.clamp_min(0)[None])[0] for rank in (last // 2, last - last // 2)]
     return torch.where(last >= 0, (middle[0] + middle[1]) / 2, 0)
+
+
+def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
+    """Search the worst frame again in the median scene of the others, as long as that clearly raises the score.
+
+    Args:
+        level: N frames.
+        motion: `(N, 3, 3)`, NaN where a frame is not used.
+        model: "shift" searches shifts only; any other model searches rotations, too.
+
+    Returns:
+        Motions `(N, 3, 3)`, of which at most a few have changed.
+    """
+    used = motion.isfinite().all((1, 2))
+    for _ in range(len(motion)):
+        residual = absolute_residuals(level, motion)
+        frame_nll = sample_nll(residual, robust_sigma(residual)).mean((1, 2))
+        worst = [int(frame_nll.where(used, -torch.inf).argmax())]
+        candidate = motion.clone()
+        candidate[worst] = torch.nan
+        if candidate.isfinite().all((1, 2)).sum() < MIN_OTHER_FRAMES:
+            break
+        others = median_model(level, candidate)
+        image = level.frames[worst] - others.pattern
+        candidate[worst], _ = match_to_reference(others.scene, image, level, model, pattern_present=False)
+        if corner_distance(motion[worst], candidate[worst], level.frames) < DISTINCT_DISTANCE:
+            break
+        if not accept_by_residuals(level, motion, candidate):
+            break
+        motion = candidate
+    return motion

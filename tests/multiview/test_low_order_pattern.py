@@ -7,7 +7,7 @@ from skimage import data
 
 from deepir.multiview.held_out_pattern import Judge
 from deepir.multiview.low_order_pattern import slow_pattern
-from deepir.registration.texture_flow import displacements
+from deepir.multiview.texture_flow import displacements
 
 SIZE = (120, 160)
 ONE = np.ones(SIZE)

@@ -38,7 +38,7 @@ def test_frames_that_lack_a_band_register(seed, n_frames, camera):
     assert apart(sim, found.motion.numpy()[:, :2, 2]) < 0.25
 
 
-def test_who_is_masked_does_not_take_the_frames_along():
+def test_a_masked_object_does_not_bias_the_motion():
     settings = camera_of_tones(n_frames=5, walker=0.7, walker_contrast=0.5)
     sim = simulate(procedural(2, (430, 500)), settings, seed=61)
     found = registered(sim, ~sim.truth.moving)

@@ -26,9 +26,10 @@ def test_a_per_cent_of_stretch_and_of_keystone_are_found(model):
 
 def test_a_large_frame_is_registered_from_half_its_size(monkeypatch):
     frames, truth = simulated("camera", **COUNTS)
-    monkeypatch.setattr(motion_search, "COARSE", 40)
+    monkeypatch.setattr(motion_search, "LEVELS", motion_search.LevelSettings(search_side=40))
     assert errors(register(frames), truth).max() < 0.3
-    monkeypatch.setattr(motion_search, "FINEST", SHAPE[0] * SHAPE[1] // 3)
+    levels = motion_search.LevelSettings(search_side=40, max_final_pixels=SHAPE[0] * SHAPE[1] // 3)
+    monkeypatch.setattr(motion_search, "LEVELS", levels)
     assert errors(register(frames), truth).max() < 0.5
 
 

@@ -1,4 +1,4 @@
-"""Frames that do not belong, and what goes its own way."""
+"""Frames of other scenes are rejected, and moving objects do not bias the motion."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import torch
 from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 
 from deepir.registration import register, shift_likelihood
-from deepir.registration.variance_stabilise import filled, variance_stabilise
+from deepir.registration.preprocess import fill_bad_pixels, variance_stabilise
 from deepir.simulate import simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky
@@ -71,18 +71,20 @@ def test_an_object_that_goes_its_own_way_does_not_take_the_motion_along():
     assert errors(result, truth).max() < alone + 0.1
 
 
-def test_somebody_who_walks_does_not_take_the_likelihood_along():
+def test_a_moving_object_does_not_bias_the_likelihood():
     walker = {"walker": 0.5, "walker_contrast": 0.3}
     sim = simulate(procedural(3, (430, 500)), camera_of_tones(n_frames=5, shape=(96, 128), **walker), seed=57)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     shifts = register(frames).motion[:, :2, 2].numpy()
-    followed = shift_likelihood.likeliest_shifts(variance_stabilise(frames, torch.ones(96, 128)), shifts[1:])
+    followed = shift_likelihood.maximise_shift_likelihood(
+        variance_stabilise(frames, torch.ones(96, 128)), shifts[1:]
+    )
     assert apart(sim, np.vstack((shifts[:1], followed))) < 0.3
     assert apart(sim, shifts) < 0.2
 
 
 @pytest.mark.parametrize(("number", "seed"), [(62, 62), (30, 30)])
-def test_somebody_hot_before_a_plain_scene_is_not_followed(number, seed):
+def test_a_hot_object_before_a_weakly_textured_scene_is_not_followed(number, seed):
     picture = scene("moon") if number == 62 else sky(1, (430, 500))
     walker = {"walker": 0.5, "walker_contrast": 0.3}
     sim = simulate(picture, camera_of_tones(n_frames=5, **walker), seed=seed)
@@ -90,7 +92,7 @@ def test_somebody_hot_before_a_plain_scene_is_not_followed(number, seed):
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
-def test_somebody_before_a_plain_scene_is_not_followed_in_three_frames():
+def test_an_object_before_a_weakly_textured_scene_is_not_followed_in_three_frames():
     walker = {"walker": 0.5, "walker_contrast": 0.3, "walker_speed": 4.0}
     counts = {"counts": True, "read_noise": 0.004, "photons": 0.0}
     sim = simulate(scene("moon"), camera_of_tones(n_frames=3, **walker, **counts), seed=51)
@@ -102,7 +104,7 @@ def test_a_hole_is_filled_from_around_it():
     rows = torch.arange(40.0)[:, None].expand(40, 50)
     good = torch.ones(40, 50, dtype=torch.bool)
     good[10:30, 20:40] = good[3, 3] = False
-    found = filled(rows[None], good)[0]
+    found = fill_bad_pixels(rows[None], good)[0]
     assert torch.equal(found[good].float(), rows[good])
     assert float((found - rows)[~good].abs().max()) < 12
     assert float(found[3, 3]) == pytest.approx(3)

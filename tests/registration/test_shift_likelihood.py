@@ -1,4 +1,4 @@
-"""Clouds and slopes, which say little of where a frame looks: the likelihood of all whole shifts."""
+"""Clouds and slopes, weakly textured: the likelihood of shifts, and its integer search."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,13 @@ import torch
 from registered import SHAPE, apart, camera_of_tones, simulated
 
 from deepir.registration import (
-    block_vote,
-    frame_groups,
-    integer_shifts,
+    block_likelihood,
+    frame_selection,
     moving_objects,
     register,
     shift_likelihood,
 )
-from deepir.registration.variance_stabilise import variance_stabilise
+from deepir.registration.preprocess import variance_stabilise
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
 from deepir.simulate.scenes import procedural, sky
@@ -65,24 +64,25 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_find_theirs(number, see
     sim = simulate(sky(number, (430, 500)), camera_of_tones(n_frames=3, **camera), seed=seed)
     frames = torch.from_numpy(sim.frames.astype(np.float32))
     assert apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
-    monkeypatch.setattr(block_vote, "MOST", 2)
-    monkeypatch.setattr(moving_objects, "PLAIN", torch.inf)  # which finds them, too,
-    monkeypatch.setattr(frame_groups, "PANNED", 1.0)  # as does this
+    # Without integer shifts they are not found, nor by the search beside moving objects, nor by that of a pan.
+    monkeypatch.setattr(block_likelihood, "SELECTION", block_likelihood.ShiftSelection(max_integer_frames=2))
+    monkeypatch.setattr(moving_objects, "FIT", moving_objects.FitCriteria(good_nll=torch.inf))
+    monkeypatch.setattr(frame_selection, "PAN", frame_selection.PanCriteria(min_shift=1.0))
     assert not apart(sim, register(frames).motion.numpy()[:, :2, 2]) < 0.5
 
 
 @pytest.mark.parametrize("name", ["camera", "moon", "gravel", "astronaut"])
 def test_whole_shifts_are_right_to_a_px_or_so_whatever_the_pattern(name):
     frames, truth = simulated(name, n_frames=4)
-    found = integer_shifts.whole_shifts(variance_stabilise(frames, torch.ones(SHAPE)))
+    found = shift_likelihood.integer_shifts(variance_stabilise(frames, torch.ones(SHAPE)))
     assert np.abs(found - truth[1:, :2, 2]).max() < 1.5
 
 
 def test_a_frame_beside_another_is_weighed_by_the_first_harmonic_of_their_likelihood():
     rng = np.random.default_rng(3)
-    spectra = shift_likelihood.Spectra(torch.from_numpy(rng.normal(size=(2, 24, 30)).cumsum(1)))
-    found = integer_shifts.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[
-        spectra.known
+    spectra = shift_likelihood.ShiftLikelihood(torch.from_numpy(rng.normal(size=(2, 24, 30)).cumsum(1)))
+    found = shift_likelihood.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[
+        spectra.band
     ]
     turns = np.exp(2j * np.pi * np.arange(64) / 64)
     for wave in ((5, 4), (2, 7), (12, 3)):
@@ -99,10 +99,14 @@ def test_a_frame_beside_another_is_weighed_by_the_first_harmonic_of_their_likeli
 def test_the_slope_of_the_shifts_likelihood_is_that_of_its_differences():
     frames, truth = simulated("moon")
     shifts = truth[1:, :2, 2].ravel() + 0.3
-    spectra = shift_likelihood.Spectra(variance_stabilise(frames, torch.ones(SHAPE)))
-    around = [spectra.nats(shifts + 1e-5 * way * unit)[0] for unit in np.eye(len(shifts)) for way in (1, -1)]
+    spectra = shift_likelihood.ShiftLikelihood(variance_stabilise(frames, torch.ones(SHAPE)))
+    around = [
+        spectra.negative_log_likelihood(shifts + 1e-5 * way * unit)[0]
+        for unit in np.eye(len(shifts))
+        for way in (1, -1)
+    ]
     np.testing.assert_allclose(
-        spectra.nats(shifts)[1], (np.array(around[::2]) - around[1::2]) / 2e-5, rtol=1e-4
+        spectra.negative_log_likelihood(shifts)[1], (np.array(around[::2]) - around[1::2]) / 2e-5, rtol=1e-4
     )
 
 
@@ -121,19 +125,25 @@ def log_likelihood(spectra, shifts):
 @pytest.mark.parametrize("n_frames", [2, 3, 5])
 def test_the_shifts_likelihood_is_that_of_the_dense_covariances(n_frames):
     rng = np.random.default_rng(n_frames)
-    spectra = shift_likelihood.Spectra(torch.from_numpy(rng.normal(size=(n_frames, 20, 27)).cumsum(2)))
+    spectra = shift_likelihood.ShiftLikelihood(
+        torch.from_numpy(rng.normal(size=(n_frames, 20, 27)).cumsum(2))
+    )
     one, other = rng.normal(0, 3, (2, n_frames - 1, 2))
-    gained = spectra.nats(one.ravel())[0] - spectra.nats(other.ravel())[0]
+    gained = (
+        spectra.negative_log_likelihood(one.ravel())[0] - spectra.negative_log_likelihood(other.ravel())[0]
+    )
     assert np.isclose(gained, log_likelihood(spectra, one) - log_likelihood(spectra, other))
 
 
 def test_next_to_no_noise_and_no_shift_are_likely_but_not_infinitely():
     rng = np.random.default_rng(0)
     one = torch.from_numpy(rng.normal(size=(1, 20, 400)).cumsum(2))
-    spectra = shift_likelihood.Spectra(one + 1e-4 * torch.from_numpy(rng.normal(size=(4, 20, 400))))
+    spectra = shift_likelihood.ShiftLikelihood(one + 1e-4 * torch.from_numpy(rng.normal(size=(4, 20, 400))))
     still, moved = np.zeros((3, 2)), np.full((3, 2), 0.7)
-    spectra.update(still)
-    gained = spectra.nats(moved.ravel())[0] - spectra.nats(still.ravel())[0]
+    spectra.update_powers(still)
+    gained = (
+        spectra.negative_log_likelihood(moved.ravel())[0] - spectra.negative_log_likelihood(still.ravel())[0]
+    )
     wanted = log_likelihood(spectra, moved) - log_likelihood(spectra, still)
     assert np.isclose(gained, wanted, rtol=1e-4)  # of such frames nearly all cancels
 
@@ -141,11 +151,11 @@ def test_next_to_no_noise_and_no_shift_are_likely_but_not_infinitely():
 def test_with_each_update_the_powers_are_likelier():
     frames, truth = simulated("moon", n_frames=4)
     spectra, shifts = (
-        shift_likelihood.Spectra(variance_stabilise(frames, torch.ones(SHAPE))[:, 40:80, 50:100]),
+        shift_likelihood.ShiftLikelihood(variance_stabilise(frames, torch.ones(SHAPE))[:, 40:80, 50:100]),
         truth[1:, :2, 2],
     )
     found = []
     for _ in range(4):
         found.append(log_likelihood(spectra, shifts))
-        spectra.update(shifts)
+        spectra.update_powers(shifts)
     assert (np.diff(found) < 0).all()

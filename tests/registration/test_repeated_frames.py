@@ -1,4 +1,4 @@
-"""A frame that is the one before it once more says nothing new."""
+"""A frame that repeats the one before is left out."""
 
 import torch
 from registered import simulated

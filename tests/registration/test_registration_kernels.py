@@ -36,7 +36,7 @@ def test_samples_are_those_of_torch(shape, bad):
     motion[:, :2, 2] = torch.tensor([[0.3, -0.4], [3.2, 1.3], [-40.0, 0.2]])
     motion[1, 2, :2] = torch.tensor([1e-3, -2e-3])
     values, known = sample(image[None], motion, level)
-    points = motion @ level.place @ indices(shape).flatten(1)
+    points = motion @ level.index_to_px @ indices(shape).flatten(1)
     points = (points[:, :2] / points[:, 2:]).reshape(3, 2, *shape).float()
     unit = points / torch.tensor(shape[::-1])[:, None, None] * 2
     ask = functools.partial(torch.nn.functional.grid_sample, grid=unit.movedim(1, -1), align_corners=False)

@@ -1,4 +1,4 @@
-"""Plain scenes before which the camera turns: the likelihood of parts, each of which only shifts."""
+"""Weakly textured scenes before which the camera rotates: the block-wise likelihood of rotations."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,11 @@ from scipy.optimize import check_grad
 
 from deepir.operators.motion_models import carried
 from deepir.registration import motion_search, register
-from deepir.registration.block_likelihood import _Turns, likeliest_turns
-from deepir.registration.block_vote import reduced
+from deepir.registration.block_likelihood import (
+    RotationLikelihood,
+    likelihood_frames,
+    maximise_rotation_likelihood,
+)
 from deepir.simulate import simulate
 from deepir.simulate.scenes import sky
 
@@ -32,10 +35,17 @@ def turning(number, seed, **settings):
 
 def test_the_likelihood_of_turns_has_the_slope_that_it_says():
     frames, _ = turning(3, 5, n_frames=3, max_rotation=3.0)
-    turns = _Turns(reduced(frames, torch.ones(frames.shape[1:]), 100)[0])
+    turns = RotationLikelihood(likelihood_frames(frames, torch.ones(frames.shape[1:]), 100)[0])
     start = np.array([1.0, -0.5, 2.0, 0.3, 2.0, -1.0])
-    slope = np.abs(turns.nats(start)[1]).max()
-    assert check_grad(lambda x: turns.nats(x)[0], lambda x: turns.nats(x)[1], start) < 1e-4 * slope
+    slope = np.abs(turns.negative_log_likelihood(start)[1]).max()
+    assert (
+        check_grad(
+            lambda x: turns.negative_log_likelihood(x)[0],
+            lambda x: turns.negative_log_likelihood(x)[1],
+            start,
+        )
+        < 1e-4 * slope
+    )
 
 
 @pytest.mark.parametrize(
@@ -47,12 +57,12 @@ def test_clouds_before_which_the_camera_turns_are_found(number, seed, settings, 
     result = register(frames)
     assert result.used.all()
     assert off(result.motion) < 0.4
-    monkeypatch.setattr(motion_search, "likeliest_turns", lambda frames, start: start)
+    monkeypatch.setattr(motion_search, "maximise_rotation_likelihood", lambda frames, start: start)
     assert off(register(frames).motion) > 0.7
 
 
 def test_from_no_turn_at_all_the_likeliest_is_near():
     frames, off = turning(2, 31, n_frames=6, max_rotation=2.0, max_shift=4.0)
     still = torch.eye(3, dtype=torch.float64).repeat(6, 1, 1)
-    found = likeliest_turns(reduced(frames, torch.ones(frames.shape[1:]))[0], still)
+    found = maximise_rotation_likelihood(likelihood_frames(frames, torch.ones(frames.shape[1:]))[0], still)
     assert off(found) < 0.3 * off(still)

@@ -1,4 +1,4 @@
-"""Strong patterns, few photons, pixels that flicker: the pattern does not take the motion along."""
+"""Strong patterns, few photons, flickering pixels: the pattern does not bias the motion."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from registered import FAINT, SHAPE, errors, simulated
 
 from deepir.registration import register
-from deepir.registration.variance_stabilise import variance_stabilise
+from deepir.registration.preprocess import variance_stabilise
 from deepir.simulate import Settings, simulate
 from deepir.simulate.pictures import picture as scene
 

@@ -1,0 +1,102 @@
+"""Dense displacements between frames of one sensor, from their texture.
+
+Optical flow of the brightness follows the low frequencies of the fixed pattern, and changes of level and contrast. So
+the flow is that of the texture, normalised to an even contrast. Only displacements of which the forward and the
+backward flow agree are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from skimage.registration import optical_flow_ilk
+
+Array = np.ndarray
+
+SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
+TEXTURE_SIGMA = 8.0  # px; Gaussian that separates texture from what is broader
+CONTRAST_SIGMA = 16.0  # px; Gaussian over which the contrast of the texture is normalised
+CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
+RADIUS = 7  # px; half-width of the Lucas-Kanade window
+WARPS = 10  # warps of the Lucas-Kanade flow
+MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
+MIN_CORRELATION = 0.7  # normalised local correlation of texture from which a displacement is trusted
+CORRELATION_SIGMA = 5.0  # px; Gaussian window of this correlation
+MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are no motion
+BORDER = 2  # px from the border within which no displacement is trusted
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """Displacement field from frame `first` to frame `second`.
+
+    y, x: (h, w), row and column, px, at which the second frame shows what the first shows at each pixel. known: (h, w)
+    bool, True where these are trusted.
+    """
+
+    first: int
+    second: int
+    y: Array
+    x: Array
+    known: Array
+
+    @property
+    def share_moved(self) -> float:
+        """Fraction of the frame whose displacement is trusted and at least `MIN_DISPLACEMENT` px."""
+        rows, columns = np.mgrid[: self.y.shape[0], : self.y.shape[1]]
+        moved = np.hypot(self.y - rows, self.x - columns) >= MIN_DISPLACEMENT
+        return float((moved & self.known).mean())
+
+
+def displacements(frames: Array, pairs: Iterable[tuple[int, int]]) -> Iterator[Displacement]:
+    """Displacements between pairs of frames by inverse Lucas-Kanade on their texture, forward and backward.
+
+    Args:
+        frames: (N, h, w) float64, finite, with little fixed pattern left.
+        pairs: numbers of the first and the second frame.
+
+    Source: Le Besnerais and Champagnat, Dense optical flow by iterative local window registration, ICIP 2005, in the
+    implementation of scikit-image.
+    """
+    textures: dict[int, Array] = {}
+    for first, second in pairs:
+        for k in (first, second):
+            if k not in textures:
+                textures[k] = texture(frames[k])
+        yield _displacement(first, second, textures)
+
+
+def texture(frame: Array) -> Array:
+    """High-pass of a frame (h, w), divided by its local contrast; standard deviation one."""
+    detail = frame - ndimage.gaussian_filter(frame, TEXTURE_SIGMA)
+    contrast = np.sqrt(ndimage.gaussian_filter(detail**2, CONTRAST_SIGMA))
+    even = detail / (contrast + CONTRAST_FLOOR * np.median(contrast) + np.finfo(float).tiny)
+    return np.asarray(even / max(even.std(), np.finfo(float).tiny))
+
+
+def _displacement(first: int, second: int, textures: dict[int, Array]) -> Displacement:
+    """Forward displacement, trusted where backward flow returns to the start and the local correlation is high."""
+    here, there = textures[first], textures[second]
+    height, width = here.shape
+    rows, columns = np.mgrid[:height, :width].astype(float)
+    ahead = optical_flow_ilk(here, there, radius=RADIUS, num_warp=WARPS)
+    back = optical_flow_ilk(there, here, radius=RADIUS, num_warp=WARPS)
+    y, x = rows + ahead[0], columns + ahead[1]
+    inside = (y >= BORDER) & (y <= height - 1 - BORDER) & (x >= BORDER) & (x <= width - 1 - BORDER)
+    loop_error = np.hypot(*(ahead[i] + sampled(back[i], y, x) for i in (0, 1)))
+    matched = sampled(there, y, x)
+
+    def local_mean(values: Array) -> Array:
+        return np.asarray(ndimage.gaussian_filter(values, CORRELATION_SIGMA))
+
+    energy = np.sqrt(local_mean(here**2) * local_mean(matched**2))
+    is_correlated = local_mean(here * matched) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
+    return Displacement(first, second, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)
+
+
+def sampled(values: Array, y: Array, x: Array) -> Array:
+    """Bilinear interpolation of values (h, w) at points `y`, `x`; the nearest pixel's value beyond the border."""
+    return np.asarray(ndimage.map_coordinates(values, [y, x], order=1, mode="nearest"))
