@@ -9,16 +9,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from deepir.build.unknowns import complete, demand_sense, make_field, make_penalties, start_field
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.config.components import make, options_schema
 from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity
-from deepir.operators import (Chain, Operator, Sensor, Warp)
+from deepir.operators import Chain, Operator, Sensor, Warp
 from deepir.operators.geometry import Geometry, footprint, locate
 from deepir.operators.trajectory import Trajectory
-from deepir.build.unknowns import (complete, demand_sense, make_field, make_penalties, start_field)
 from deepir.priors.penalties.base import Penalty
 from deepir.problem import Problem
 from deepir.registry import lookup
