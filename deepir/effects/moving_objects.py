@@ -151,7 +151,7 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
 
 
 def _widest_gap(seen: Tensor, known: Tensor, least: float) -> tuple[Tensor, Tensor]:
-    """The widest gap between the frames' values at each place (H, W), and its middle; zero where it is below `least`."""
+    """The widest gap between the frames' values at each place (H, W), and its middle; zero if below `least`."""
     low, high = seen.where(known, torch.inf).amin(0), seen.where(known, -torch.inf).amax(0)
     apart = high - low > least
     gap, middle = torch.zeros_like(low), torch.zeros_like(low)
