@@ -13,13 +13,13 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
-from deepir.io.checks import empty, lost
-from deepir.io.display_range import cut_off, is_stretched
 from deepir.io.frames import frames_beside, select_frames, to_float32
 from deepir.io.frames import stack as stacked
+from deepir.io.inspection.checks import empty, lost
+from deepir.io.inspection.display_range import cut_off, is_stretched
+from deepir.io.inspection.saturated_samples import saturated_samples
+from deepir.io.inspection.telemetry import telemetry, telemetry_message
 from deepir.io.radiometry import Radiometry, chosen
-from deepir.io.saturated_samples import saturated_samples
-from deepir.io.telemetry import telemetry, telemetry_message
 
 Array = np.ndarray[Any, Any]
 #: Of a truth, what it has for each frame.

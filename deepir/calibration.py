@@ -13,8 +13,8 @@ from scipy import ndimage
 
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
-from deepir.io.describe import FULL_SCALE
-from deepir.io.readers import npz
+from deepir.io.inspection.describe import FULL_SCALE
+from deepir.io.readers.arrays import npz
 
 RESPONSE = 0.5
 """A pixel whose gain is farther from the median pixel's than this share of it is no sensor."""

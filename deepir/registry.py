@@ -26,7 +26,13 @@ HOMES = {
     "fidelity": ["deepir.likelihoods"],
     "problem": ["deepir.problems"],
     "effect": ["deepir.effects"],
-    "method": ["deepir.pipeline.reconstruct", "deepir.baselines"],
+    "method": [
+        "deepir.pipeline.reconstruct",
+        "deepir.baselines",
+        "deepir.baselines.single_frame",
+        "deepir.baselines.temporal",
+        "deepir.baselines.registered",
+    ],
     "training": ["deepir.training"],
     "camera": ["deepir.cameras"],
 }

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.optics import move, reach_of, scale_of
+from deepir.simulate.optics.rendering import move, reach_of, scale_of
 
 SMALL = Settings(shape=(48, 56), n_frames=5, max_shift=4.0, shading=0.0, dead_pixels=0.0)
 
@@ -49,7 +49,7 @@ def test_every_regime_fits_its_pictures():
 def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
     from nuc_oracle import oracle
 
-    from deepir.simulate.scenes import procedural
+    from deepir.simulate.scenes.procedural import procedural
 
     monkeypatch.setattr("nuc_oracle.ITERATIONS", 30)
     scene = procedural(2, (140, 160))
@@ -63,7 +63,7 @@ def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
 def test_the_oracles_noise_is_that_of_the_frames():
     from nuc_oracle import noise_variance
 
-    from deepir.simulate.scenes import procedural
+    from deepir.simulate.scenes.procedural import procedural
 
     scene = procedural(2, (140, 160))
     camera = dataclasses.replace(SMALL, photons=300.0, max_shift=0.0, counts=True, n_frames=60)

@@ -15,7 +15,7 @@ import deepir
 from deepir import registry
 from deepir.errors import ConfigError
 from deepir.registry import load_plugin
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 from deepir.testing import check_operator
 
 PAGE = ROOT / "docs/extending.md"

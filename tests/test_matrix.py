@@ -8,7 +8,7 @@ import pytest
 import deepir
 from deepir.config import priors, shipped_names
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(n_frames=4, shape=(40, 48), max_shift=4.0, shading=0.0, dead_pixels=0.0)
 PROBLEMS = [name for name in shipped_names() if not name.startswith("paper/")]

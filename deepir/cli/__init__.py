@@ -10,19 +10,17 @@ from typing import Annotated
 import typer
 
 import deepir
-from deepir.cli.analyze import analyze
-from deepir.cli.apply import apply
-from deepir.cli.batch import batch
-from deepir.cli.calibrate import calibrate
-from deepir.cli.capture import capture
-from deepir.cli.check import check
-from deepir.cli.compare import compare
-from deepir.cli.demo import demo
-from deepir.cli.listing import list_components
-from deepir.cli.resume import resume
-from deepir.cli.run import run
-from deepir.cli.simulate import simulate
-from deepir.cli.train import train
+from deepir.cli.commands.analyze import analyze
+from deepir.cli.commands.apply import apply
+from deepir.cli.commands.calibrate import calibrate
+from deepir.cli.commands.capture import capture
+from deepir.cli.commands.check import check
+from deepir.cli.commands.compare import batch, compare
+from deepir.cli.commands.demo import demo
+from deepir.cli.commands.listing import list_components
+from deepir.cli.commands.run import resume, run
+from deepir.cli.commands.simulate import simulate
+from deepir.cli.commands.train import train
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(

@@ -16,7 +16,8 @@ from deepir.errors import DataError
 from deepir.io import raw as headerless
 from deepir.io import readers
 from deepir.io.radiometry import Radiometry
-from deepir.io.readers import Array, folder
+from deepir.io.readers import Array
+from deepir.io.readers.pictures import folder
 from deepir.paths import expanded
 
 #: Pairs of frames beside a burst that are kept to judge its correction, and how many frames they are apart at most.

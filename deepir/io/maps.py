@@ -10,9 +10,9 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.checks import Mask
 from deepir.io.frames import stack, to_float32
-from deepir.io.readers import npz
+from deepir.io.inspection.checks import Mask
+from deepir.io.readers.arrays import npz
 from deepir.paths import expanded
 
 Shape = tuple[int, int]

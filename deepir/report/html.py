@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepir.io.output.tone_mapping import PALETTES, ends, table
 from deepir.io.radiometry import KELVIN, unit
-from deepir.io.tones import PALETTES, ends, table
 from deepir.report.maps import COARSE, FINE, packed
 from deepir.report.page import write_page
 from deepir.report.panels import few

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.io.tones import ends
+from deepir.io.output.tone_mapping import ends
 
 Array = np.ndarray[Any, Any]
 MISSING = 65535  # the level of what is not finite

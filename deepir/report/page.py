@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from deepir.io.write import plain, replace
+from deepir.io.output.write import plain, replace
 
 WEB = Path(__file__).parent / "web"
 

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.simulate.blur import psf
-from deepir.simulate.bolometer import housing, pixels
+from deepir.simulate.detector.bolometer import housing, pixels
+from deepir.simulate.detector.line_noise import line_noise
+from deepir.simulate.detector.sensor import expose, more_defects, pattern
+from deepir.simulate.detector.thermal_lag import constants, lagged, path
 from deepir.simulate.events import observe
-from deepir.simulate.lag import constants, lagged, path
-from deepir.simulate.line_noise import line_noise
-from deepir.simulate.optics import at_rest, drawn, homographies, move, reach_of, scale_of
-from deepir.simulate.parallax import flow_of, parallax, relief
-from deepir.simulate.pictures import Scene
-from deepir.simulate.scenes import procedural
-from deepir.simulate.sensor import expose, more_defects, pattern
+from deepir.simulate.optics.blur import psf
+from deepir.simulate.optics.parallax import flow_of, parallax, relief
+from deepir.simulate.optics.rendering import at_rest, drawn, homographies, move, reach_of, scale_of
+from deepir.simulate.optics.stray_flux import stray_flux
+from deepir.simulate.scenes.pictures import Scene
+from deepir.simulate.scenes.procedural import procedural
 from deepir.simulate.settings import DEFAULT, Settings
-from deepir.simulate.stray import stray_flux
 from deepir.simulate.views import look
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.blur import blurred
-from deepir.simulate.optics import render
-from deepir.simulate.scenes import procedural
+from deepir.simulate.optics.blur import blurred
+from deepir.simulate.optics.rendering import render
+from deepir.simulate.scenes.procedural import procedural
 from deepir.simulate.settings import Settings
 
 SEEN = 1e-4  # of the range: a change of flux from which a sample counts as moving

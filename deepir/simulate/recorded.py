@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.errors import ConfigError
 from deepir.simulate.burst import Simulation, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import picture
 from deepir.simulate.settings import Settings, parse
 
 

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.simulate.blur import blurred
-from deepir.simulate.optics import at_rest, drawn, reach_of, render, scale_of
-from deepir.simulate.pictures import Scene
-from deepir.simulate.scenes import procedural
+from deepir.simulate.optics.blur import blurred
+from deepir.simulate.optics.rendering import at_rest, drawn, reach_of, render, scale_of
+from deepir.simulate.scenes.pictures import Scene
+from deepir.simulate.scenes.procedural import procedural
 from deepir.simulate.settings import Settings
 
 

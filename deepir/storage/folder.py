@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from deepir.errors import ConfigError
-from deepir.io.write import replace, write_json
+from deepir.io.output.write import replace, write_json
 
 #: All that a run writes, and --overwrite removes; the configuration goes first and is the last to be removed.
 FILES = (
@@ -32,7 +32,7 @@ FILES = (
     "report.html",
     "metrics.json",
 )
-#: What `deepir.io.write.replace` leaves behind when it is killed.
+#: What `deepir.io.output.write.replace` leaves behind when it is killed.
 TEMPORARY = re.compile(r"\.(\w+)\.[0-9a-f]{8}(\.\w+)")
 HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepir.baselines import destripe_cnn
+from deepir.baselines.single_frame import destripe_cnn
 from deepir.registry import register
 from deepir.training.pictures import JUDGES_OF_RIVALS, Pictures
 from deepir.training.training import Training

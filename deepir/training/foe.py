@@ -18,7 +18,7 @@ from deepir.estimation.spatial_weights import smoothness_exponent, weight_from_g
 from deepir.operators.bspline import image
 from deepir.priors.penalties.foe import Experts, counted
 from deepir.registry import register
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
 from deepir.training.training import Training
 
 #: Of scikit-image, among those that constants are tuned on; never what is judged by.

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 #: Of scikit-image; all others are kept for tuning and judging.
 PHOTOGRAPHS = ("brick", "cell", "chelsea", "coffee", "hubble_deep_field", "retina")

@@ -7,8 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.baselines.bicubic import enlarged
-from deepir.baselines.vdsr import VDSR
+from deepir.baselines.single_frame.bicubic import enlarged
+from deepir.baselines.single_frame.vdsr import VDSR
 from deepir.registry import register
 from deepir.training.pictures import JUDGES_OF_RIVALS, Pictures
 from deepir.training.training import Training

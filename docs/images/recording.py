@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from deepir.io import read_frames
-from deepir.io.tones import TONES, coloured
+from deepir.io.output.tone_mapping import TONES, coloured
 
 
 def main() -> None:

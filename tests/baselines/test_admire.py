@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deepir.baselines import mire
-from deepir.baselines.admire import denoised, equalised, local_variation
+from deepir.baselines.single_frame import mire
+from deepir.baselines.single_frame.admire import denoised, equalised, local_variation
 from deepir.metrics import scores
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepir.baselines.constant_statistics import statistics
+from deepir.baselines.temporal.constant_statistics import statistics
 
 
 def test_gain_and_offset_are_found_where_all_pixels_see_the_same_statistics():

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.transform import resize
 
-from deepir.baselines.destripe_cnn import destriped
+from deepir.baselines.single_frame.destripe_cnn import destriped
 from deepir.metrics import scores
-from deepir.simulate.pictures import picture
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.pictures import picture
+from deepir.simulate.scenes.procedural import procedural
 
 
 def scene(name="camera"):

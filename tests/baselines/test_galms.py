@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepir.baselines.galms import learned
+from deepir.baselines.temporal.galms import learned
 
 
 def video(n=60, moves=True):

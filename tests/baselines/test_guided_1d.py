@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepir.baselines.guided_1d import guided, stripes
+from deepir.baselines.single_frame.guided_1d import guided, stripes
 
 
 def frame():

@@ -3,7 +3,7 @@
 import numpy as np
 
 import deepir
-from deepir.baselines.hardie2000 import along, lines
+from deepir.baselines.registered.hardie2000 import along, lines
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from deepir.baselines.irlms import learned, moved
 from deepir.baselines.online import played, scaled, sensor
+from deepir.baselines.registered.irlms import learned, moved
 from deepir.simulate import render
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import picture
 
 FULL = 16383  # of 14 bits
 

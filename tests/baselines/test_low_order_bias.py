@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.baselines.low_order_bias import bias, blocks, polynomials
+from deepir.baselines.single_frame.low_order_bias import bias, blocks, polynomials
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import picture
 
 NOISE = 0.5  # counts, standard deviation
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepir.baselines.mire import equalised, midway
+from deepir.baselines.single_frame.mire import equalised, midway
 from deepir.metrics import scores
 
 

@@ -9,7 +9,7 @@ import pytest
 import deepir
 from deepir.registry import components
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import picture
 
 RIVALS = [
     name for name, each in components("method").items() if each.__module__.startswith("deepir.baselines")

@@ -3,7 +3,7 @@
 import numpy as np
 
 import deepir
-from deepir.baselines.shift_and_add import added
+from deepir.baselines.registered.shift_and_add import added
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 

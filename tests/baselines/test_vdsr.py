@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from skimage.transform import resize
 
 import deepir
-from deepir.baselines.bicubic import enlarged
-from deepir.baselines.vdsr import sharpened
+from deepir.baselines.single_frame.bicubic import enlarged
+from deepir.baselines.single_frame.vdsr import sharpened
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import picture
 
 CLEAN = {
     "gain_pixel": 0.0, "gain_column": 0.0, "offset_pixel": 0.0, "offset_column": 0.0, "offset_row": 0.0,

@@ -194,7 +194,7 @@ def test_a_full_disk_is_one_line_and_the_state_stays(nuc, folder, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("deepir.io.write.np.savez_compressed", full)
+    monkeypatch.setattr("deepir.io.output.write.np.savez_compressed", full)
     status, _, err = nuc("data.path=burst.npz")
     assert status == 2
     assert "result.npz: cannot be written: No space left on device" in err

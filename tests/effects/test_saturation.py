@@ -9,7 +9,7 @@ from skimage.data import camera
 
 import deepir
 from deepir.comparison import compared
-from deepir.io.saturated_samples import saturated_samples
+from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.simulate import Settings, simulate
 
 CAMERA = Settings(

@@ -3,7 +3,7 @@ import pytest
 
 from deepir.errors import DataError
 from deepir.io import crop, validate
-from deepir.io.checks import empty
+from deepir.io.inspection.checks import empty
 
 
 @pytest.fixture

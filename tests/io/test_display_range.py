@@ -8,7 +8,7 @@ import skimage.data
 
 import deepir
 from deepir.diagnostics.equalised_histogram import is_equalised
-from deepir.io.display_range import cut_off, is_stretched
+from deepir.io.inspection.display_range import cut_off, is_stretched
 from deepir.metrics import scores
 from deepir.optim.solve import Progress
 from deepir.simulate import Settings, simulate

@@ -5,7 +5,8 @@ import pytest
 import tifffile
 
 from deepir.errors import DataError
-from deepir.io import read_frames, recording
+from deepir.io import read_frames
+from deepir.io.output import recording
 from deepir.io.radiometry import Linear, unit
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.io.describe import describe
 from deepir.io.frames import Frames
-from deepir.io.telemetry import telemetry
+from deepir.io.inspection.describe import describe
+from deepir.io.inspection.telemetry import telemetry
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.config.schema import Output
-from deepir.io.tones import PALETTES, TONES, coloured, table
+from deepir.io.output.tone_mapping import PALETTES, TONES, coloured, table
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import deepir
 from deepir.config import priors
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import picture
 
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
 ONE = {"threads": 1}

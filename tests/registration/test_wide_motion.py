@@ -6,8 +6,9 @@ import torch
 from registered import COUNTS, SHAPE, camera_of_tones, errors, simulated
 
 from deepir.registration import motion_search, register
-from deepir.simulate import Settings, optics, simulate
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate import Settings, simulate
+from deepir.simulate.optics.rendering import rendering as optics
+from deepir.simulate.scenes.procedural import procedural, sky
 
 
 @pytest.mark.parametrize("name", ["camera", "astronaut", "grass"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.blur import FINE, airy, psf
+from deepir.simulate.optics.blur import FINE, airy, psf
 
 SHARP = dict.fromkeys(
     ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"],

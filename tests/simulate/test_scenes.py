@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.simulate.scenes import KINDS, procedural, sky
+from deepir.simulate.scenes.procedural import KINDS, procedural, sky
 
 SHAPE = (256, 320)
 SEEDS = range(2 * len(KINDS))

@@ -1,6 +1,6 @@
 """The file formats, one module each.
 
-A reader is a module in this folder with
+A reader is a module in one of the sub-folders `arrays`, `pictures` and `thermal`, or in this folder, with
 
     SUFFIXES: tuple[str, ...]                       what its files are usually called
     def sniff(head: bytes, path: Path) -> bool      is it mine? by its first 64 bytes, not its name
@@ -51,9 +51,10 @@ class Reader(Protocol):
 
 @functools.cache
 def all_readers() -> tuple[Reader, ...]:
-    """Every reader in this folder, general ones last."""
-    names = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    readers = [importlib.import_module(f"{__name__}.{name}") for name in names]
+    """Every reader in this folder and its sub-folders, in the order of the formats' names, general ones last."""
+    found = pkgutil.walk_packages(__path__, f"{__name__}.")
+    names = sorted((each.name for each in found if not each.ispkg), key=lambda name: name.rpartition(".")[2])
+    readers = [importlib.import_module(name) for name in names]
     return tuple(cast(list[Reader], sorted(readers, key=lambda reader: getattr(reader, "GENERIC", False))))
 
 

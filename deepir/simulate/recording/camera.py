@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from deepir.io.extras import needed
-from deepir.simulate.lag import response
+from deepir.simulate.detector.sensor import pattern
+from deepir.simulate.detector.thermal_lag import response
 from deepir.simulate.recording.settings import RecordingSettings
-from deepir.simulate.sensor import pattern
 
 CLOSED = 0.1  # duration of a closure of the shutter, s
 CALM = 0.5  # time constant of the automatic gain control, s

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
+from deepir.simulate.detector.sensor import expose, pattern
 from deepir.simulate.recording.camera import closures, compressed, lagging, offsets, stretched
 from deepir.simulate.recording.paths import CameraPath, camera_path
 from deepir.simulate.recording.settings import RecordingSettings
 from deepir.simulate.recording.surfaces import World, view
 from deepir.simulate.recording.worlds import world
-from deepir.simulate.sensor import expose, pattern
 
 DEFAULT = RecordingSettings()
 

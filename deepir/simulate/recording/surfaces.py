@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import ndimage
 
-from deepir.simulate.drawing import Canvas
 from deepir.simulate.recording import raster
+from deepir.simulate.scenes.drawing import Canvas
 
 FINE = raster.FINE
 NEAREST = 1 / raster.NEAREST  # depth of the nearest that is seen, m

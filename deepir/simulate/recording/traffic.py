@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.drawing import Canvas
-from deepir.simulate.objects import person
 from deepir.simulate.recording.paths import HEIGHT, LANE, PAVEMENT, SPEED
 from deepir.simulate.recording.settings import RecordingSettings
 from deepir.simulate.recording.surfaces import Surface, Texture, cut_out, texture
+from deepir.simulate.scenes.drawing import Canvas
+from deepir.simulate.scenes.objects import person
 
 X, DOWN, AHEAD = np.eye(3)
 CAR = (1.8, 4.3, 1.4)  # width, length and height, m

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.drawing import Canvas, fractal
-from deepir.simulate.objects import house, tree
 from deepir.simulate.recording.paths import LANE, PAN, PAVEMENT, SPEED
 from deepir.simulate.recording.settings import RecordingSettings
 from deepir.simulate.recording.surfaces import Surface, Texture, World, cut_out, texture
 from deepir.simulate.recording.traffic import box, cars_ahead, cars_below, people, people_across
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.drawing import Canvas, fractal
+from deepir.simulate.scenes.objects import house, tree
+from deepir.simulate.scenes.procedural import procedural
 
 X, DOWN, AHEAD = np.eye(3)
 FAR = 1500.0  # m, at which the ground ends

@@ -11,7 +11,7 @@ from scipy.ndimage import correlate
 
 from deepir.priors.penalties.foe import Experts, FoE, counted
 from deepir.priors.penalties.tv import TV
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 from deepir.training import foe
 from deepir.training.foe import PHOTOGRAPHS, FieldsOfExperts
 

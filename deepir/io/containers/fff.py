@@ -1,0 +1,126 @@
+"""FLIR's FFF: a directory of records, in radiometric JPEGs and in SEQ and CSQ recordings.
+
+Layout and names after the public description by P. Harvey, https://exiftool.org/TagNames/FLIR.html.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import mmap
+import struct
+from pathlib import Path
+
+import imagecodecs
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io.containers import jpeg
+from deepir.io.guards import check_size
+from deepir.io.radiometry import Planck, air
+from deepir.io.readers import Array
+from deepir.io.readers.pictures import png
+
+MAGIC = b"FFF\0"
+RAW, CAMERA = 1, 32  # kinds of records
+HEADER, ENTRY, BEFORE_PIXELS = 64, 32, 32  # bytes
+CONSTANTS = 0x310
+MANY = 1000
+#: Where the camera's record holds what its user set.
+SETTINGS = {
+    "emissivity": 0x20,
+    "reflected": 0x28,
+    "atmosphere": 0x2C,
+    "window": 0x30,
+    "window_transmission": 0x34,
+}
+
+Records = dict[int, bytes]
+
+
+def records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[Records, int]:
+    """The records of the FFF that begins at `start`, by their kind, and the first byte after it.
+
+    Raises `DataError` where the directory or a record lies outside.
+    """
+    order = ">" if data[start + 20 : start + 22] == b"\0\0" else "<"
+    directory, count = struct.unpack_from(f"{order}II", data, start + 24)
+    directory += start
+    end = max(start + HEADER, directory + ENTRY * count)
+    if count > MANY or end > len(data):
+        raise DataError(f"{path}: truncated: FLIR's directory of {count} records lies outside the file")
+    found: Records = {}
+    for k in range(count):
+        kind, _, _, _, offset, length = struct.unpack_from(f"{order}HHIIII", data, directory + ENTRY * k)
+        first, after = start + offset, start + offset + length
+        if kind and after > len(data):
+            raise DataError(f"{path}: truncated: a record of FLIR's ends beyond the end of the file")
+        if kind in (RAW, CAMERA):
+            found.setdefault(kind, data[first:after])
+        if kind:
+            end = max(end, after)
+    return found, end
+
+
+def raw_plane(found: Records, path: Path) -> Array:
+    """The raw counts `(h, w)`, uint16: plain, or packed as PNG or JPEG-LS.
+
+    Raises `DataError` where there are none, or they are not of the size that the record says.
+    """
+    if RAW not in found:
+        raise DataError(f"{path}: FLIR's records hold no raw plane; export a radiometric file")
+    record = found[RAW]
+    order = byte_order(record)
+    width, height = struct.unpack_from(f"{order}HH", record, 2)
+    packed = record[BEFORE_PIXELS:]
+    if packed.startswith(b"\x89PNG"):
+        plane = png.decode(packed, path).byteswap()  # FLIR's PNGs are little-endian, against the standard
+    elif packed.startswith(jpeg.SIGNATURE):
+        plane = _jpeg_ls(packed, path)
+    else:
+        check_size(path, 2 * width * height, len(packed))
+        plane = np.frombuffer(packed, f"{order}u2", width * height).reshape(height, width).astype(np.uint16)
+    if plane.shape != (height, width) or plane.dtype != np.uint16:
+        raise DataError(f"{path}: damaged: its raw plane is {plane.shape}, its record says {(height, width)}")
+    return plane
+
+
+def radiometry(found: Records) -> Planck | None:
+    """The camera's calibration and what its user set; None if the file does not hold them, or what cannot be."""
+    record = found.get(CAMERA, b"")
+    if len(record) < CONSTANTS:
+        return None
+    order = byte_order(record)
+
+    def number(at: int, kind: str = "f") -> float:
+        value = struct.unpack_from(f"{order}{kind}", record, at)[0]
+        return round(value, 9) if math.isfinite(value) else 0.0
+
+    r1, b, r2, humidity = number(0x58), number(0x5C), number(0x30C), number(0x3C)
+    setting = {name: number(at) for name, at in SETTINGS.items()}
+    try:
+        through = air(
+            number(0x24),
+            humidity / 100 if humidity > 2 else humidity,
+            setting["atmosphere"],
+            (number(0x70), number(0x74)),
+            (number(0x78), number(0x7C)),
+            number(0x80),
+        )
+    except (ValueError, OverflowError):  # a root or a power of nonsense
+        return None
+    shares = (setting["emissivity"], setting["window_transmission"], through)
+    if min(r1, b, r2, *setting.values(), through) <= 0 or max(shares) > 1:
+        return None
+    return Planck(r1, b, number(0x60), number(0x308, "i"), r2, transmission=through, **setting)
+
+
+def byte_order(record: bytes) -> str:
+    """A record begins with the number 2 in the order of its bytes."""
+    return "<" if record[:2] == b"\2\0" else ">"
+
+
+def _jpeg_ls(packed: bytes, path: Path) -> Array:
+    height, width = jpeg.size(io.BytesIO(packed)) or (0, 0)
+    check_size(path, 2 * height * width, len(packed), compressed=True)
+    return np.asarray(imagecodecs.jpegls_decode(packed))

@@ -1,0 +1,140 @@
+"""What a burst looks like, in words: for `deepir check FILE`."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from deepir.io.frames import Frames
+from deepir.io.inspection.checks import lost
+from deepir.io.inspection.telemetry import telemetry, telemetry_message
+from deepir.io.radiometry import ZERO_CELSIUS
+
+Array = np.ndarray[Any, np.dtype[np.float32]]
+
+FULL_SCALE = [2**bits - 1 for bits in (8, 10, 12, 14, 16)]
+TLINEAR = (23315, 42315)
+"""Kelvin x 100 from -40 to 150 °C."""
+
+BLOCK = 8
+STILL = 0.1
+"""Pixels between frames below which a camera counts as still."""
+
+SURE = 10.0
+"""F statistic above which a shift is more than noise on a scene without structure."""
+
+
+def describe(burst: Frames) -> list[str]:
+    """Lines on the number, size and type of the frames, their values, unusable samples, noise and motion."""
+    frames = burst.frames
+    count, height, width = frames.shape
+    finite = frames[np.isfinite(frames)]
+    lines = [f"{count} frame(s) of {height} x {width} px (height x width), stored as {burst.dtype}"]
+    if not finite.size:
+        return [*lines, "no finite value at all"]
+    lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
+    lines += _temperatures(burst, finite)
+    lines += _unusable(burst, finite)
+    nothing = lost(frames)
+    lines += [f"frame {k} shows nothing: it is {why}" for k, why in nothing.items()]
+    frames = np.delete(frames, [*nothing], axis=0)
+    if len(frames) and (rows := telemetry(frames)):
+        lines.append(telemetry_message(rows, (height, width)))
+        frames = np.delete(frames, rows, axis=1)
+    return lines + _noise_and_motion(frames)
+
+
+def _temperatures(burst: Frames, finite: Array) -> list[str]:
+    ends = np.array([finite.min(), finite.max()])
+    if burst.radiometry is not None:
+        low, high = burst.radiometry.kelvin(ends) - ZERO_CELSIUS
+        return [f"radiometric: {low:.2f} to {high:.2f} °C by {burst.radiometry}"]
+    if burst.dtype == "uint16" and np.all((ends > TLINEAR[0]) & (ends < TLINEAR[1])):
+        low, high = ends / 100 - ZERO_CELSIUS
+        return [f"{low:.2f} to {high:.2f} °C if these are K x 100 (TLinear): data.radiometry.scale=0.01"]
+    return []
+
+
+def _unusable(burst: Frames, finite: Array) -> list[str]:
+    frames = burst.frames
+    lines = []
+    if missing := frames.size - finite.size:
+        why = "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN or infinite"
+        lines.append(f"{missing} sample(s) are {why} ({missing / frames.size:.2%})")
+    if stuck := int((frames == 0).all(axis=0).sum()):
+        lines.append(f"{stuck} pixel(s) are zero in every frame")
+    top = finite.max()
+    if burst.dtype.startswith("uint") and top in FULL_SCALE:
+        lines.append(f"{int((finite == top).sum())} sample(s) are at full scale ({top:g}): saturated")
+    return lines
+
+
+def _noise_and_motion(frames: Array) -> list[str]:
+    if _is_little(frames):
+        return ["too few or too small frames to see temporal noise and motion"]
+    noise = f"{temporal_noise(frames):.3g} (standard deviation of a sample"
+    if shift := visible_motion(frames):
+        return [
+            f"temporal noise at most {noise}; texture that moves counts in, a run tells them apart)",
+            f"motion: yes, roughly {shift:.1f} px between frames, or more",
+        ]
+    return [
+        f"temporal noise about {noise})",
+        "motion: none to be seen; without motion the fixed pattern cannot be told from the scene",
+    ]
+
+
+def visible_motion(frames: Array) -> float:
+    """Px between consecutive frames `(N, h, w)`, roughly; zero where none is to be seen."""
+    if _is_little(frames) or not np.isfinite(frames).any():
+        return 0.0
+    shift, evidence = apparent_motion(frames)
+    return shift if shift > STILL and evidence > SURE else 0.0
+
+
+def _is_little(frames: Array) -> bool:
+    """Whether frames `(N, h, w)` are too few or too small to see noise and motion."""
+    return len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK
+
+
+def temporal_noise(frames: Array) -> float:
+    """Temporal noise of one sample, from differences of consecutive frames `(N, h, w)`; NaN if there is none.
+
+    Differences cancel the fixed pattern, and the diagonal detail of 2 x 2 blocks most of what motion leaves, though not
+    fine texture: with motion it is an upper bound. The median ignores the rest (Donoho and Johnstone, "Ideal spatial
+    adaptation by wavelet shrinkage", 1994).
+    """
+    with np.errstate(invalid="ignore"):
+        d = np.diff(frames, axis=0)[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2]
+        detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
+    detail = np.abs(detail[np.isfinite(detail)])
+    return float(1.4826 * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
+
+
+def apparent_motion(frames: Array) -> tuple[float, float]:
+    """Shift between consecutive frames `(N, h, w)` in px, and the evidence for it (F statistic); medians.
+
+    Differences of 8 x 8 block means are explained by the scene's gradient, as in the first step of Lucas and
+    Kanade's method: rough, and too small where the motion is large, but nothing on a still camera.
+    """
+    finite = np.isfinite(frames)
+    means = _block_means(np.where(finite, frames, np.median(frames[finite])))
+    shifts, evidence = [], []
+    for a, b in pairwise(means):
+        gradients = [g.ravel() for g in np.gradient((a + b) / 2)]
+        model = np.stack([*gradients, np.ones(a.size)], axis=1)
+        change = (b - a).ravel()
+        solution = np.linalg.lstsq(model, change, rcond=None)[0]
+        explained = np.var(model @ solution)
+        rest = np.var(change - model @ solution)
+        shifts.append(BLOCK * np.hypot(*solution[:2]))
+        evidence.append(explained / max(rest, np.finfo(np.float64).tiny) * (a.size - 3) / 2)
+    return float(np.median(shifts)), float(np.median(evidence))
+
+
+def _block_means(frames: Array) -> np.ndarray[Any, np.dtype[np.float64]]:
+    count, rows, columns = len(frames), frames.shape[1] // BLOCK, frames.shape[2] // BLOCK
+    blocks = frames[:, : rows * BLOCK, : columns * BLOCK].reshape(count, rows, BLOCK, columns, BLOCK)
+    return blocks.mean(axis=(2, 4), dtype=np.float64)

@@ -1,0 +1,40 @@
+"""MATLAB's `.mat`, versions 5 to 7: named arrays whose last axis counts the frames. Version 7.3 is HDF5."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+from deepir.errors import DataError
+from deepir.io.containers.named_arrays import choose
+from deepir.io.guards import check_size
+from deepir.io.readers import Array
+
+SUFFIXES = (".mat",)
+#: MATLAB's numeric classes; cells, structures and function handles are no frames.
+BYTES = {"single": 4, "double": 8} | {f"{sign}int{n}": n // 8 for sign in ("", "u") for n in (8, 16, 32, 64)}
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """The text at the head of MATLAB's, Octave's and SciPy's files."""
+    return head.startswith(b"MATLAB 5.0 MAT-file")
+
+
+def read(path: Path, key: str | None) -> Array:
+    """The array, `(h, w)` or `(N, h, w)`; MATLAB keeps it as (h, w, N).
+
+    Raises `DataError` where it is no array of numbers, or several could be meant.
+    """
+    with path.open("rb") as file:
+        known = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(file)}
+        name = choose({each: shape for each, (shape, kind) in known.items() if kind in BYTES}, path, key)
+        shape, kind = known[name]
+        check_size(path, math.prod(shape) * BYTES[kind], path.stat().st_size, compressed=True)
+        file.seek(0)
+        array: Array = scipy.io.loadmat(file, variable_names=[name])[name]
+    if array.shape != tuple(shape):
+        raise DataError(f"{path}: damaged: {name} is {array.shape} where its header says {shape}")
+    return np.moveaxis(array, -1, 0) if array.ndim == 3 else array

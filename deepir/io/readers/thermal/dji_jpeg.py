@@ -1,0 +1,40 @@
+"""DJI's R-JPEG: the raw plane in its APP3 segments. How to make kelvin of it only DJI's own SDK knows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io.containers import jpeg
+from deepir.io.readers import Array
+
+SUFFIXES = (".jpg", ".jpeg")
+APP3 = 0xE3
+LEAST = 160 * 120 * 2
+#: Detectors that DJI flies, (h, w), for files whose visible picture is of another size.
+SIZES = ((512, 640), (1024, 1280), (256, 320), (120, 160))
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """A JPEG with APP3 segments as large as a picture."""
+    return head.startswith(jpeg.SIGNATURE) and len(_plane(path)) >= LEAST
+
+
+def read(path: Path, key: str | None) -> Array:
+    """The raw plane `(h, w)`, uint16 counts. Raises `DataError` where its size fits no detector."""
+    data = _plane(path)
+    with path.open("rb") as file:
+        shown = jpeg.size(file) or SIZES[0]
+    for height, width in (shown, *SIZES):
+        if len(data) == 2 * height * width:
+            return np.frombuffer(data, "<u2").reshape(height, width)
+    raise DataError(
+        f"{path}: damaged or truncated: {len(data):,} bytes of raw plane fit no detector of DJI's"
+    )
+
+
+def _plane(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return b"".join(content for marker, content in jpeg.segments(file) if marker == APP3)

@@ -1,0 +1,132 @@
+"""How the camera moves, and what its pixels collect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.errors import DataError
+from deepir.simulate.optics.blur import blurred
+from deepir.simulate.optics.blur import reach as radius_of
+from deepir.simulate.scenes.pictures import Scene
+from deepir.simulate.settings import Settings
+
+WARP = 0.01  # largest stretch, shear and keystone (change of scale at the frame's edge)
+
+
+def render(
+    picture: np.ndarray,
+    motion: np.ndarray,
+    shape: tuple[int, int],
+    scale: float,
+    psf_sigma: float = 0.0,
+    beside: np.ndarray | None = None,
+) -> np.ndarray:
+    """What the detector's pixels collect: `D B M_k x` without pattern and noise.
+
+    The scene is continuous: the cubic B-spline through the blurred picture. Each pixel integrates it over its
+    (moved) area by Gauss-Legendre quadrature. So no grid that a reconstruction may use has made the data.
+
+    Args:
+        picture: (height, width); its centre is the centre of frame 0.
+        motion: (N, 3, 3) pull homographies in detector px, origin at the frame's centre.
+        shape: Height and width of a frame.
+        scale: Picture px per detector px.
+        psf_sigma: Gaussian blur of the optics, detector px; applied before the motion, with which it commutes
+            but for stretch and keystone.
+        beside: (N, 2, *shape), x and y in detector px that are added to where pixels look; linear within a pixel.
+
+    Returns:
+        Frames (N, *shape), float64.
+    """
+    blurred = ndimage.gaussian_filter(picture, psf_sigma * scale, mode="mirror")
+    spline = ndimage.spline_filter(blurred, order=3, mode="mirror")
+    nodes, weights = np.polynomial.legendre.leggauss(max(3, int(np.ceil(scale))))
+    y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
+    centre_y, centre_x = (np.array(picture.shape) - 1) / 2
+    frames = np.zeros((len(motion), *shape))
+    for k, T in enumerate(motion):
+        more = np.zeros((2, *shape)) if beside is None else beside[k]
+        along_y, along_x = (np.gradient(more, axis=axis) for axis in (1, 2))
+        for v, weight_v in zip(nodes / 2, weights / 2, strict=True):
+            for u, weight_u in zip(nodes / 2, weights / 2, strict=True):
+                at_x, at_y, w = (row[0] * (x + u) + row[1] * (y + v)[:, None] + row[2] for row in T)
+                add_x, add_y = more + u * along_x + v * along_y
+                points = [centre_y + scale * (at_y / w + add_y), centre_x + scale * (at_x / w + add_x)]
+                sample = ndimage.map_coordinates(spline, points, order=3, mode="mirror", prefilter=False)
+                frames[k] += weight_u * weight_v * sample
+    return frames
+
+
+def drawn(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
+    """A scene as a picture (height, width), for frames that see so far; `DataError` if it is none."""
+    if callable(scene):
+        height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
+        scene = scene((int(height), int(width)))
+    if isinstance(scene, list | tuple):
+        raise DataError(
+            f"scene: {len(scene)} pictures; for a frame of each, set simulate.own_scenes (own_scenes=true)"
+        )
+    picture = np.asarray(scene, float)
+    if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
+        raise DataError(
+            f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}"
+        )
+    return picture
+
+
+def at_rest(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
+    """What a detector `factor` times as fine sees of frame 0, behind the same optics or (`sharp`) none, (Q H, Q W)."""
+    fine, (height, width) = settings.factor, settings.shape
+    blur = 0.0 if settings.sharp else settings.psf_sigma * fine  # in px of the finer detector
+    picture = picture if settings.sharp else blurred(picture, scale, settings)
+    return render(picture, np.eye(3)[None], (fine * height, fine * width), scale / fine, blur)[0]
+
+
+def move(settings: Settings, rng: np.random.Generator) -> np.ndarray:
+    """Homographies (N, 3, 3), each frame's drawn alone; the first is the identity."""
+    draws = rng.uniform(-1, 1, (settings.n_frames, 9))
+    draws[0] = 0
+    return homographies(settings, draws)
+
+
+def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
+    """(N, 3, 3): shift after rotation (about the centre) after stretch, shear and keystone, `draws` (N, 9) in +-1."""
+    motion = np.tile(np.eye(3), (len(draws), 1, 1))
+    height, width = settings.shape
+    if settings.motion == "homography":
+        motion[:, 2, :2] = 2 * WARP * draws[:, 7:9] / (width, height)
+    if settings.motion in ("affine", "homography"):
+        motion[:, :2, :2] += WARP * draws[:, 3:7].reshape(-1, 2, 2)
+    angle = np.deg2rad(settings.max_rotation) * draws[:, 2]
+    move = np.tile(np.eye(3), (len(draws), 1, 1))
+    move[:, 0, 0] = move[:, 1, 1] = np.cos(angle)
+    move[:, 1, 0], move[:, 0, 1] = np.sin(angle), -np.sin(angle)
+    move[:, :2, 2] = settings.max_shift * draws[:, :2] * (settings.jitter != "y", settings.jitter != "x")
+    motion = move @ motion
+    return motion / motion[:, 2:, 2:]
+
+
+def reach_of(motion: np.ndarray, settings: Settings) -> np.ndarray:
+    """How far (y, x) from the centre the frames see, detector px: their corners, the blur and the parallax."""
+    height, width = settings.shape
+    corners = np.array([(i * width / 2, j * height / 2, 1) for i in (-1, 1) for j in (-1, 1)])
+    seen = corners @ motion.mT
+    reach = np.abs(seen[..., 1::-1] / seen[..., 2:]).max(axis=(0, 1))
+    return reach + radius_of(settings) + settings.parallax
+
+
+def scale_of(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:
+    """The setting, or the largest that fits; two picture px at each side are left to the spline."""
+    largest = float(np.min((np.array(shape) - 5) / (2 * reach)))
+    scale, least = settings.scale or largest, settings.least_scale
+    if scale > largest or scale < least:
+        need = np.ceil(2 * reach * (settings.scale or least)).astype(int) + 5
+        raise DataError(
+            f"scene: {shape[0]} x {shape[1]} px is too small: the frames and their motion need {need[0]} x "
+            f"{need[1]} px at {settings.scale or least:g} picture px per detector px; "
+            "take a larger picture, or less of simulate.shape, max_shift or max_rotation"
+        )
+    return scale
