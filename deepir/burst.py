@@ -13,17 +13,16 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
-from deepir.io.frames import frames_beside, select_frames, to_float32
-from deepir.io.frames import stack as stacked
-from deepir.io.inspection.checks import empty, lost
-from deepir.io.inspection.display_range import cut_off, is_stretched
+from deepir.io.frames import select_frames, to_float32, unselected_pairs
+from deepir.io.frames import to_stack as stacked
+from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
+from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
 from deepir.io.inspection.saturated_samples import saturated_samples
-from deepir.io.inspection.telemetry import telemetry, telemetry_message
-from deepir.io.radiometry import Radiometry, chosen
+from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
+from deepir.io.radiometry import Radiometry, resolve_radiometry
 
 Array = np.ndarray[Any, Any]
-#: Of a truth, what it has for each frame.
-BY_FRAME = ("motion", "level")
+PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def load(
         whole = stacked(_array(frames), source)
         stack, beside = (
             to_float32(select_frames(whole, data.frames, source)),
-            frames_beside(whole, data.frames),
+            unselected_pairs(whole, data.frames),
         )
     elif data.path is not None:
         read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
@@ -85,13 +84,13 @@ def load(
         stack, source, digest, truth = _simulated(data, seed)
     else:
         raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
-    kelvin = chosen(found, data.radiometry)
+    kelvin = resolve_radiometry(found, data.radiometry)
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
     truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
     if data.frames is not None and len(scene := truth.get("scene", stack)) > len(stack) and scene.ndim == 3:
         truth["scene"] = select_frames(scene, data.frames, "data.truth")
     if data.frames is not None:
-        by_frame = {name: truth[name] for name in BY_FRAME if len(truth.get(name, stack)) > len(stack)}
+        by_frame = {name: truth[name] for name in PER_FRAME_TRUTH if len(truth.get(name, stack)) > len(stack)}
         truth |= {name: select_frames(array, data.frames, "data.truth") for name, array in by_frame.items()}
     if data.crop is not None:
         size = mask.shape
@@ -99,19 +98,19 @@ def load(
         beside = None if beside is None else crop(beside, data.crop)
         # Motion is about another centre then.
         truth = {k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"}
-    nothing = {} if ordered else lost(stack)
+    nothing = {} if ordered else unusable_frames(stack)
     messages: tuple[str, ...] = ()
     if nothing and len(stack) - len(nothing) >= needs:
         stack, truth, messages = _without(nothing, stack, truth)
     valid = validate(stack, source, needs=needs)
-    if rows := telemetry(stack):
+    if rows := telemetry_rows(stack):
         valid[:, rows] = False
         messages = (*messages, telemetry_message(rows, mask.shape))
     stack = np.where(valid, stack, np.nan)
-    stretched = is_stretched(stack)
-    valid &= ~empty(stack)
+    stretched = is_contrast_stretched(stack)
+    valid &= ~unrecorded_samples(stack)
     if stretched:
-        valid &= ~cut_off(stack)
+        valid &= ~clipped_samples(stack)
     bad = ~valid.any(0)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
@@ -128,7 +127,7 @@ def _without(
     by_frame = {
         name: array[rest]
         for name, array in truth.items()
-        if len(array) == len(stack) and (name in BY_FRAME or (name == "scene" and array.ndim == 3))
+        if len(array) == len(stack) and (name in PER_FRAME_TRUTH or (name == "scene" and array.ndim == 3))
     }
     messages = tuple(
         f"frame {k} is left out: it is {why}. Frames are counted without it" for k, why in nothing.items()
@@ -152,9 +151,9 @@ def _array(frames: Any) -> Array:
 
 def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:
     """Frames that are selected of a simulated burst, their source, digest and truth."""
-    from deepir.simulate.recorded import recorded, truth
+    from deepir.simulate.recorded import simulate_from_config, truth_arrays
 
-    simulation = recorded(data.simulate or {}, seed)
+    simulation = simulate_from_config(data.simulate or {}, seed)
     if data.fps not in (None, simulation.settings.fps):
         raise ConfigError(
             f"data.fps={data.fps:g}, but data.simulate.fps={simulation.settings.fps:g}: they must agree"
@@ -165,7 +164,7 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
             f"data.frames={data.frames!r}: frame 0, on which the truth of a simulated burst lies, goes first"
         )
     stack = to_float32(select_frames(simulation.frames, data.frames, source))
-    return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth(simulation)
+    return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth_arrays(simulation)
 
 
 def _cropped(truth: Array, box: list[int], size: tuple[int, ...]) -> Array:

@@ -13,23 +13,19 @@ from scipy import ndimage
 
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
-from deepir.io.inspection.describe import FULL_SCALE
+from deepir.io.inspection.describe import FULL_SCALE_COUNTS
 from deepir.io.readers.arrays import npz
 
-RESPONSE = 0.5
-"""A pixel whose gain is farther from the median pixel's than this share of it is no sensor."""
-
-MOST_BAD = 0.5
-"""Share of the pixels that answer unlike the others, from which these are no flats."""
-
-FEW = 0.25
-"""Share of pixels at an end of the range from which it is the surface that is too cold or too hot."""
-
+MAX_GAIN_DEVIATION = 0.5  # deviation from the median gain, as a share of it, from which a pixel is bad
+MAX_BAD_SHARE = 0.5  # share of deviating pixels from which the recordings are not flat
+MAX_SATURATED_SHARE = (
+    0.25  # share of pixels at an end of the range from which the surface is too cold or too hot
+)
 Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
-class Maps:
+class CorrectionMaps:
     """Gain, offset and bad pixels of a detector, each (h, w): frame = gain scene + offset.
 
     `result.npz` of a run holds such maps too.
@@ -100,7 +96,7 @@ class Maps:
         return y * width + x, near_y * width + near_x, shares / shares.sum(axis=1, keepdims=True)
 
 
-def read(path: Path) -> Maps:
+def read_maps(path: Path) -> CorrectionMaps:
     """Maps from an `.npz` with `gain` and `offset`, or from the folder of a run.
 
     Raises `DataError` where they are missing, differ in size or cannot be divided by.
@@ -125,10 +121,10 @@ def read(path: Path) -> Maps:
     bad |= ~np.isfinite(gain) | ~np.isfinite(offset) | (gain <= 0)
     if bad.all():
         raise DataError(f"{file}: not one pixel has a gain above zero")
-    return Maps(gain, np.where(bad, 0, offset), bad)
+    return CorrectionMaps(gain, np.where(bad, 0, offset), bad)
 
 
-def mean(frames: Iterable[Array], source: str) -> Array:
+def mean_frame(frames: Iterable[Array], source: str) -> Array:
     """The mean (h, w) of a recording of something uniform, float64; NaN for a pixel that has no value."""
     total, count = None, 0
     for frame in frames:
@@ -140,7 +136,7 @@ def mean(frames: Iterable[Array], source: str) -> Array:
     return total / count
 
 
-def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
+def maps_from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> CorrectionMaps:
     """Maps from mean frames (h, w) of uniform surfaces, each of another temperature.
 
     One gives the offset alone, the gain is one; more give both, by least squares over the flats' mean values. Gain and
@@ -175,23 +171,23 @@ def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
             )
         gain = np.tensordot(around, stack - stack.mean(axis=0), 1) / spread
     offset = stack.mean(axis=0) - gain * levels.mean()
-    bad = ~known | (np.abs(gain - 1) > RESPONSE)
+    bad = ~known | (np.abs(gain - 1) > MAX_GAIN_DEVIATION)
     for each in (gain, offset):
         pattern, good = (torch.from_numpy(array)[None, None] for array in (each, ~bad))
         bad = bad | pattern_outliers(pattern, good).numpy()[0, 0]
-    if bad.mean() > MOST_BAD:
+    if bad.mean() > MAX_BAD_SHARE:
         raise DataError(
             f"{100 * bad.mean():.0f}% of the pixels answer unlike the others: flat recordings show something uniform, "
             "such as a shutter or a wall; of a scene that moves, give one burst with --burst"
         )
     scale = gain[~bad].mean()
     gain, shift = gain / scale, offset[~bad].mean()
-    return Maps(gain.astype(np.float32), (offset - shift * gain).astype(np.float32), bad)
+    return CorrectionMaps(gain.astype(np.float32), (offset - shift * gain).astype(np.float32), bad)
 
 
 def _at_an_end(flats: Array) -> Array:
     """Pixels (h, w), bool, that are zero or at full scale in all flats (N, h, w), where few are: they see nothing."""
-    ends = {0, *FULL_SCALE} & {np.nanmin(flats), np.nanmax(flats)}
+    ends = {0, *FULL_SCALE_COUNTS} & {np.nanmin(flats), np.nanmax(flats)}
     found = [(flats == end).all(axis=0) for end in ends]
-    few = [each for each in found if each.mean() < FEW]
+    few = [each for each in found if each.mean() < MAX_SATURATED_SHARE]
     return np.logical_or.reduce(few) if few else np.zeros(flats.shape[1:], bool)

@@ -13,7 +13,7 @@ from deepir.operators.geometry import scaled
 from deepir.result import Result
 
 
-def compared(result: Result, burst: Burst) -> dict[str, float | None]:
+def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:
     """The scene's scores and the errors of gain, offset, stray flux and motion, as far as the burst's truth has them.
 
     Errors are root mean squares, those of maps over good pixels, in the data's units. A motion's is in px of a frame.

@@ -18,7 +18,7 @@ from deepir.errors import ConfigError, nearest
 T = TypeVar("T")
 
 #: Kind of component -> the modules and packages that hold deepir's own; every module of a package is looked at.
-HOMES = {
+COMPONENT_MODULES = {
     "operator": ["deepir.operators"],
     "field": ["deepir.fields", "deepir.fields.psf", "deepir.priors.networks"],
     "penalty": ["deepir.priors.penalties"],
@@ -36,7 +36,7 @@ HOMES = {
     "training": ["deepir.training"],
     "camera": ["deepir.cameras"],
 }
-_components: dict[str, dict[str, Any]] = {kind: {} for kind in HOMES}
+_components: dict[str, dict[str, Any]] = {kind: {} for kind in COMPONENT_MODULES}
 
 
 def register(kind: str, name: str) -> Callable[[T], T]:
@@ -67,7 +67,7 @@ def lookup(kind: str, name: str, where: str = "") -> Any:
 
 def components(kind: str) -> dict[str, Any]:
     """All components of a kind by name, deepir's own and the plugins'."""
-    for home in HOMES[kind]:
+    for home in COMPONENT_MODULES[kind]:
         _load(home)
     _load_plugins()
     return dict(sorted(_components[kind].items()))

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.config.schema import Config
 from deepir.io import write_json, write_mat, write_npz, write_preview, write_tiff
-from deepir.io.radiometry import KELVIN, Radiometry, unit
+from deepir.io.radiometry import KELVIN, Radiometry, unit_metadata
 
 Array = np.ndarray[Any, Any]
 
@@ -60,7 +60,7 @@ class Result:
         """
         from deepir.report.flow import write_flow
         from deepir.report.html import write_report
-        from deepir.report.panels import some
+        from deepir.report.panels import montage
         from deepir.report.summary import write_summary
 
         output = config.output
@@ -69,10 +69,10 @@ class Result:
             write_mat(folder / "result.mat", self.arrays())
         if self.uncertainty:
             write_npz(folder / "uncertainty.npz", self.uncertainty)
-        write_tiff(folder / "scene.tiff", self.scene, unit(self.radiometry))
+        write_tiff(folder / "scene.tiff", self.scene, unit_metadata(self.radiometry))
         if "scene_kelvin" in self.extra:
-            write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit(KELVIN))
-        write_preview(folder / "scene_preview.png", some(self.scene), output.palette, output.tones)
+            write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit_metadata(KELVIN))
+        write_preview(folder / "scene_preview.png", montage(self.scene), output.palette, output.tones)
         write_summary(folder / "summary.png", self, example)
         if "flow" in self.extra:
             write_flow(folder / "flow.png", self.extra["flow"], self.motion)

@@ -19,7 +19,7 @@ import torch
 import deepir
 from deepir import burst as bursts
 from deepir.build.problem import build
-from deepir.comparison import compared
+from deepir.comparison import compare_to_truth
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.kernels import memory, threads
@@ -85,7 +85,7 @@ def execute(
     seconds = time.perf_counter() - start
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
-    quality = {"roughness": roughness(result.scene)} | compared(result, data)
+    quality = {"roughness": roughness(result.scene)} | compare_to_truth(result, data)
     result.metrics = measured | unknown | result.metrics | quality
     if data.radiometry is not None:
         result.radiometry = data.radiometry

@@ -66,7 +66,9 @@ def outside(tmp_path, monkeypatch, picture):
 @pytest.fixture
 def plugin(outside, monkeypatch):
     """The plugin in this process; forgotten afterwards."""
-    known = {kind: registry.components(kind) for kind in registry.HOMES}  # all are loaded before any is added
+    known = {
+        kind: registry.components(kind) for kind in registry.COMPONENT_MODULES
+    }  # all are loaded before any is added
     monkeypatch.setattr(registry, "_components", known)
     monkeypatch.syspath_prepend(outside)
     load_plugin(PACKAGE)
@@ -214,7 +216,9 @@ def test_options_of_a_component_need_no_keyword_marker(monkeypatch):
     from deepir.config.components import make
     from deepir.priors.penalties.base import Penalty
 
-    monkeypatch.setattr(registry, "_components", {kind: registry.components(kind) for kind in registry.HOMES})
+    monkeypatch.setattr(
+        registry, "_components", {kind: registry.components(kind) for kind in registry.COMPONENT_MODULES}
+    )
 
     @registry.register("penalty", "plain")
     class Plain(Penalty):

@@ -15,9 +15,11 @@ from deepir.arrays.autocorrelation import autocorrelation
 
 Array = np.ndarray[Any, Any]
 
-ALIKE = 0.1  # autocorrelation below which two pixels are strangers (the paper's)
-HOLDS = 0.8  # autocorrelation down to which a pattern is the same (the paper's)
-STRIPES = 0.05  # share of the variance from which lines are worth mentioning
+#: Autocorrelation at which the correlation length is read; Saragadam et al. 2021.
+CORRELATION_LENGTH_LEVEL = 0.1
+#: Temporal autocorrelation down to which a pattern is unchanged; Saragadam et al. 2021.
+STABILITY_LEVEL = 0.8
+MIN_REPORTED_SHARE = 0.05  # share of the pattern's variance from which a component is reported
 
 
 @dataclass(frozen=True)
@@ -46,14 +48,14 @@ class Statistics:
         return np.asarray(self.correlation[farthest + y, farthest + x])
 
 
-def of_map(pattern: Array, good: Array | None = None, twin: Array | None = None) -> Statistics:
+def map_statistics(pattern: Array, good: Array | None = None, twin: Array | None = None) -> Statistics:
     """Statistics of a pattern (h, w) that is known once; `good` (h, w) bool: where.
 
     `twin` is the same pattern with other noise: products of the two are free of it.
     """
     good = np.ones(pattern.shape, bool) if good is None else good
     twin = pattern if twin is None else twin
-    rough, other = (np.where(good, each - smooth(each, good), 0.0) for each in (pattern, twin))
+    rough, other = (np.where(good, each - quadratic_fit(each, good), 0.0) for each in (pattern, twin))
     level = pattern[good].mean()
     total, left = (
         (a * b)[good].mean() for a, b in ((pattern - level, twin - twin[good].mean()), (rough, other))
@@ -62,7 +64,10 @@ def of_map(pattern: Array, good: Array | None = None, twin: Array | None = None)
     middle = len(correlation) // 2
     along_x, along_y = correlation[middle, middle:], correlation[middle:, middle]
     rows, columns = plateau(along_x), plateau(along_y)
-    lengths = (length((along_x - rows) / (1 - rows)), length((along_y - columns) / (1 - columns)))
+    lengths = (
+        correlation_length((along_x - rows) / (1 - rows)),
+        correlation_length((along_y - columns) / (1 - columns)),
+    )
     share = max(0.0, 1 - left / total) if total > 0 else 0.0
     return Statistics(
         np.where(good, pattern - level, 0),
@@ -74,22 +79,22 @@ def of_map(pattern: Array, good: Array | None = None, twin: Array | None = None)
     )
 
 
-def of_flat(frames: Array, good: Array | None = None) -> Statistics:
+def flat_statistics(frames: Array, good: Array | None = None) -> Statistics:
     """Statistics of frames (N, h, w), N > 1, of a uniform source, one after the other."""
     frames = frames.astype(np.float64)
     good = np.ones(frames.shape[1:], bool) if good is None else good
-    once = of_map(frames[::2].mean(0), good, frames[1::2].mean(0))
+    once = map_statistics(frames[::2].mean(0), good, frames[1::2].mean(0))
     mean = frames.mean(0)
-    in_time = over_time(frames, good)
+    in_time = temporal_autocorrelation(frames, good)
     return replace(
         once,
         pattern=np.where(good, mean - mean[good].mean(), 0),
         in_time=in_time,
-        holds=length(in_time, HOLDS),
+        holds=correlation_length(in_time, STABILITY_LEVEL),
     )
 
 
-def smooth(pattern: Array, good: Array) -> Array:
+def quadratic_fit(pattern: Array, good: Array) -> Array:
     """The shading: the quadratic polynomial that is nearest to a map (h, w) where it is good."""
     y, x = (np.linspace(-1, 1, side) for side in pattern.shape)
     y, x = np.broadcast_arrays(y[:, None], x)
@@ -103,7 +108,7 @@ def plateau(along: Array) -> float:
     return float(np.clip(np.median(along[len(along) // 2 :]), 0, 0.99))
 
 
-def length(along: Array, least: float = ALIKE) -> float:
+def correlation_length(along: Array, least: float = CORRELATION_LENGTH_LEVEL) -> float:
     """The lag at which an autocorrelation first falls below `least`, on a line between lags; infinite if none."""
     below = np.flatnonzero(along < least)
     if not below.size:
@@ -112,12 +117,12 @@ def length(along: Array, least: float = ALIKE) -> float:
     return float(k) if k == 0 else k - 1 + float((along[k - 1] - least) / (along[k - 1] - along[k]))
 
 
-def over_time(frames: Array, good: Array) -> Array:
+def temporal_autocorrelation(frames: Array, good: Array) -> Array:
     """Autocorrelation of the pattern of frames (N, h, w) from frame to frame, noise left out, up to half of the frames.
 
     Noise is in the products of a frame with itself only: lag zero is where the line through lags one and two leads.
     """
-    flat = np.stack([frame[good] - smooth(frame, good)[good] for frame in frames])
+    flat = np.stack([frame[good] - quadratic_fit(frame, good)[good] for frame in frames])
     products = flat @ flat.T / flat.shape[1]
     found = np.array([np.diagonal(products, k).mean() for k in range(1, max(2, len(frames) // 2 + 1))])
     start = 2 * found[0] - found[1] if len(found) > 1 else found[0]

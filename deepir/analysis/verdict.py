@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepir.analysis.statistics import HOLDS, STRIPES, Array, Statistics
+from deepir.analysis.statistics import MIN_REPORTED_SHARE, STABILITY_LEVEL, Array, Statistics
 from deepir.operators.geometry import MIN_MOTION_SPAN
 
-SHARED = 1.5  # px, across a line, below which a burst moves along one line
-LOOKS = 3.0  # independent looks at the pattern that are wanted
-WEAK = 1.5  # median standard deviations of the scene from which a pixel is weakly determined
-FRAMES = (5, 20)  # that are recommended: fewer cost more than 1 dB, more are seldom worth their time
-PLACES = (-1 / 3, 0.0, 1 / 3)  # of the frame's sides, at which the motion is taken
+MIN_LATERAL_MOTION = 1.5  # px across a line; a burst that moves less across it moves along that line only
+MIN_INDEPENDENT_LOOKS = 3.0  # independent views of the pattern that a burst needs
+UNCERTAIN_PIXEL_RATIO = 1.5  # scene deviation over its median from which a pixel is weakly determined
+#: Fewest and most frames; fewer cost over 1 dB, more are seldom worth their time.
+RECOMMENDED_FRAMES = (5, 20)
+MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at which the motion is evaluated
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,14 @@ class Verdict:
         return 1 / max(self.left, 1e-3) ** 2
 
 
-def judge(statistics: Statistics, motion: Array) -> Verdict:
+def assess(statistics: Statistics, motion: Array) -> Verdict:
     """What a burst with this motion, (N, 3, 3) pull homographies in px of the detector, makes of the pattern.
 
     Registered and averaged, frames that look at pixels d_k keep, of the pattern's variance,
     `1 / N^2 sum_pq r(d_p - d_q)` (Saragadam et al. 2021, the variance of the estimate), r its autocorrelation.
     """
     height, width = statistics.pattern.shape
-    places = np.array([(x * width, y * height, 1) for y in PLACES for x in PLACES])
+    places = np.array([(x * width, y * height, 1) for y in MOTION_POINTS for x in MOTION_POINTS])
     at = np.einsum("nij,pj->pni", motion, places)
     moves = at[..., :2] / at[..., 2:] - places[:, None, :2]
     apart = moves[:, :, None] - moves[:, None]
@@ -63,22 +64,24 @@ def _too_little(statistics: Statistics, moves: Array) -> list[str]:
             found.append(f"the burst moves by {span:.1f} px along {axis}: {_px(want)} are wanted")
     across_it = np.linalg.svd(moves - moves.mean(1, keepdims=True), full_matrices=False)
     beside = np.ptp(np.einsum("pnj,pj->pn", moves, across_it[2][:, -1]), axis=1).mean()
-    if not found and moves.shape[1] > 2 and beside < SHARED:
+    if not found and moves.shape[1] > 2 and beside < MIN_LATERAL_MOTION:
         found.append(f"the burst moves along one line, slanted, and {beside:.1f} px across it")
     return found
 
 
 def _too_few(verdict: Verdict, n: int) -> list[str]:
     if n < 3:
-        return [f"too few frames: {n}; take {FRAMES[0]} or more"]
-    if verdict.looks < min(LOOKS, 0.9 * n):
+        return [f"too few frames: {n}; take {RECOMMENDED_FRAMES[0]} or more"]
+    if verdict.looks < min(MIN_INDEPENDENT_LOOKS, 0.9 * n):
         return [
             f"too few frames so close together: {n} are worth {verdict.looks:.1f} independent looks at the pattern"
         ]
     return []
 
 
-def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array | None = None) -> list[str]:
+def report_lines(
+    statistics: Statistics, verdict: Verdict | None = None, doubt: Array | None = None
+) -> list[str]:
     """The answer, in lines: how far, in which directions, how many frames, for how long; and whether this suffices.
 
     `doubt` (H, W) is the standard deviation of the scene, where it is known.
@@ -104,10 +107,16 @@ def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array |
         seen = len(statistics.in_time) - 1
         lines.append(f"the pattern holds for longer than the {seen} frames over which it can be seen")
     else:
-        lines.append(f"the pattern holds (autocorrelation above {HOLDS}) for {statistics.holds:.0f} frames")
-    most = FRAMES[1] if statistics.holds is None else max(2, int(min(FRAMES[1], statistics.holds)))
-    few = "" if most >= FRAMES[0] else ", few for a good burst: raise the frame rate"
-    lines.append(f"take {min(FRAMES[0], most)} to {most} frames{few}")
+        lines.append(
+            f"the pattern holds (autocorrelation above {STABILITY_LEVEL}) for {statistics.holds:.0f} frames"
+        )
+    most = (
+        RECOMMENDED_FRAMES[1]
+        if statistics.holds is None
+        else max(2, int(min(RECOMMENDED_FRAMES[1], statistics.holds)))
+    )
+    few = "" if most >= RECOMMENDED_FRAMES[0] else ", few for a good burst: raise the frame rate"
+    lines.append(f"take {min(RECOMMENDED_FRAMES[0], most)} to {most} frames{few}")
     if verdict is not None:
         n = verdict.moves.shape[1]
         lines.append(
@@ -115,9 +124,9 @@ def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array |
             f"({100 / n**0.5:.0f} % at best)"
         )
         if doubt is not None:
-            weak = 100 * float((doubt > WEAK * np.median(doubt)).mean())
+            weak = 100 * float((doubt > UNCERTAIN_PIXEL_RATIO * np.median(doubt)).mean())
             lines.append(
-                f"{weak:.0f} % of the scene's pixels are weakly determined (over {WEAK:g} times the median)"
+                f"{weak:.0f} % of the scene's pixels are weakly determined (over {UNCERTAIN_PIXEL_RATIO:g} times the median)"
             )
         lines += verdict.flags or ["this burst suffices"]
     return lines
@@ -126,7 +135,7 @@ def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array |
 def _shares(statistics: Statistics) -> str:
     found = {name: getattr(statistics, name) for name in ("shading", "columns", "rows")}
     found["pixels"] = 1 - sum(found.values())
-    kept = {name: each for name, each in found.items() if each >= STRIPES}
+    kept = {name: each for name, each in found.items() if each >= MIN_REPORTED_SHARE}
     return ", ".join(f"{name} {100 * each:.0f} %" for name, each in kept.items())
 
 

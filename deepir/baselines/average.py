@@ -20,20 +20,21 @@ from deepir.result import Result, neutral, to_gauge
 
 Array = np.ndarray[Any, Any]
 #: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.pipeline.register.registered`.
-Found = tuple[torch.Tensor | None, Array, list[str]]
+Registration = tuple[torch.Tensor | None, Array, list[str]]
 
-LEAST, MOST = 0.2, 5.0  # gains, in medians, beyond which a pixel is a bad one
+MIN_GAIN = 0.2  # gain of a usable pixel, in medians of all gains
+MAX_GAIN = 5.0  # the same, at most
 
 
-def pulled_back(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
+def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
     """The mean of frames (N, h, w) on a grid `ratio` times as fine as frame 0's, by cubic spline interpolation.
 
     What no frame shows is filled in.
     """
     height, width = (round(ratio * side) for side in frames.shape[1:])
     total, count = np.zeros((2, height, width))
-    for frame, good, back in zip(whole(frames, valid), valid, np.linalg.inv(motion), strict=True):
-        at = indices(places(back, (height, width), ratio), frame.shape)
+    for frame, good, back in zip(fill_invalid(frames, valid), valid, np.linalg.inv(motion), strict=True):
+        at = to_indices(sampling_points(back, (height, width), ratio), frame.shape)
         seen = ndimage.map_coordinates(good.astype(np.float32), at, order=1, cval=0) > 0.99
         total += seen * ndimage.map_coordinates(frame, at, order=3, mode="mirror")
         count += seen
@@ -41,20 +42,20 @@ def pulled_back(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) 
     return nearest_filled(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
 
 
-def places(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
+def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
     """Where the pixels of a grid (h, w), `ratio` times as fine as a frame, look: (y, x) from the centre, (2, h, w)."""
     y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
     at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
     return np.asarray((at[1::-1] / at[2]).reshape(2, *size))
 
 
-def indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
+def to_indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
     """Indices into an array (h, w), `ratio` times as fine as a frame, of places (2, ...) from the centre."""
     middle = (np.array(shape) - 1) / 2
     return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
 
 
-def whole(frames: Array, valid: Array) -> Array:
+def fill_invalid(frames: Array, valid: Array) -> Array:
     """Frames (N, h, w) in which samples that are not valid are like their nearest neighbour that is."""
     pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
     return np.stack(
@@ -65,25 +66,25 @@ def whole(frames: Array, valid: Array) -> Array:
 @register("method", "average")
 def average(burst: Burst, config: Config) -> Result:
     """Register the frames of a scene and average them; gain and offset stay as they are."""
-    return averaged(burst, config, burst.frames)
+    return average_frames(burst, config, burst.frames)
 
 
-def find(burst: Burst, config: Config) -> Found:
+def register_burst(burst: Burst, config: Config) -> Registration:
     """Register the burst: the fixed pattern is no obstacle to it."""
     return register_frames(burst, config, lookup("problem", config.problem, "problem")())
 
 
-def averaged(burst: Burst, config: Config, frames: Array, found: Found | None = None) -> Result:
+def average_frames(burst: Burst, config: Config, frames: Array, found: Registration | None = None) -> Result:
     """Register the burst and average `frames`, (N, h, w), which are its frames corrected; gain one, offset zero.
 
     `found` is the registration, where it is known.
     """
-    motion, used, messages = found or find(burst, config)
+    motion, used, messages = found or register_burst(burst, config)
     kept = dataclasses.replace(burst, frames=frames[used].astype(np.float32), valid=burst.valid[used])
     problem, geometry = build(config, kept, None if motion is None else motion[used])
     if motion is not None:
         good = kept.valid & ~kept.bad_pixels
-        scene = pulled_back(kept.frames, good, motion[used].numpy(), geometry.ratio)
+        scene = registered_mean(kept.frames, good, motion[used].numpy(), geometry.ratio)
     else:
         with torch.no_grad():
             mean, weight = problem.backproject(problem.values())
@@ -97,17 +98,19 @@ def averaged(burst: Burst, config: Config, frames: Array, found: Found | None = 
     return result
 
 
-def corrected(burst: Burst, config: Config, gain: Array, offset: Array, found: Found | None = None) -> Result:
+def correct_and_average(
+    burst: Burst, config: Config, gain: Array, offset: Array, found: Registration | None = None
+) -> Result:
     """Correct the frames for a sensor's gain and offset, (h, w) in any gauge, then register and average them.
 
     Pixels that hardly answer to flux, or far too much, become bad ones.
     """
-    found = found or find(burst, config)
+    found = found or register_burst(burst, config)
     gain = gain / np.median(gain[~burst.bad_pixels])
-    good = ~burst.bad_pixels & (gain > LEAST) & (gain < MOST)
+    good = ~burst.bad_pixels & (gain > MIN_GAIN) & (gain < MAX_GAIN)
     gain = np.where(good, gain, 1.0)
     burst = dataclasses.replace(burst, bad_pixels=~good)
-    result = averaged(burst, config, (burst.frames - offset) / gain, found)
+    result = average_frames(burst, config, (burst.frames - offset) / gain, found)
     result.gain, result.offset = gain, offset
     to_gauge(result)
     return result

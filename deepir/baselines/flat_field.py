@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from deepir.baselines.average import Array, corrected
+from deepir.baselines.average import Array, correct_and_average
 from deepir.burst import Burst
-from deepir.calibration import from_flats, mean
+from deepir.calibration import maps_from_flats, mean_frame
 from deepir.config import Config
 from deepir.errors import ConfigError, DataError
 from deepir.io import stream_frames
@@ -40,17 +40,19 @@ def flat_field(
             "method 'flat_field': give flat frames: method.shutter=FILE, or method.cold=FILE method.hot=FILE"
         )
     named = {"shutter": shutter, "cold": cold, "hot": hot}
-    flats = {name: flat(path, name, burst.size) for name, path in named.items() if path is not None}
-    maps = from_flats([flats["cold"], flats["hot"]] if "hot" in flats else [flats["shutter"]])
+    flats = {name: read_flat(path, name, burst.size) for name, path in named.items() if path is not None}
+    maps = maps_from_flats([flats["cold"], flats["hot"]] if "hot" in flats else [flats["shutter"]])
     bad, offset = maps.bad_pixels | burst.bad_pixels, maps.offset
     if "shutter" in flats:  # the latest
         offset = flats["shutter"] - maps.gain * flats["shutter"][~bad].mean()
-    return corrected(dataclasses.replace(burst, bad_pixels=bad), config, maps.gain, np.where(bad, 0, offset))
+    return correct_and_average(
+        dataclasses.replace(burst, bad_pixels=bad), config, maps.gain, np.where(bad, 0, offset)
+    )
 
 
-def flat(path: str, option: str, size: tuple[int, int]) -> Array:
+def read_flat(path: str, option: str, size: tuple[int, int]) -> Array:
     """The mean (h, w) of the frames of a file."""
-    found = mean(stream_frames(path), path)
+    found = mean_frame(stream_frames(path), path)
     if found.shape != size:
         raise DataError(
             f"{path}: frames of {found.shape[0]} x {found.shape[1]} px (method.{option}), the burst's have "

@@ -6,7 +6,7 @@ import warnings
 
 from deepir.cameras.camera import Array, Camera
 from deepir.errors import DataError
-from deepir.io.extras import needed
+from deepir.io.extras import import_optional
 from deepir.registry import register
 
 
@@ -20,7 +20,7 @@ class Boson(Camera):
     correction = "the Boson's automatic shutter is held until the burst is taken"
 
     def __init__(self, *, number: int | None = None, port: str | None = None) -> None:
-        module = needed("flirpy.camera.boson", "boson", "camera 'boson'")
+        module = import_optional("flirpy.camera.boson", "boson", "camera 'boson'")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # flirpy warns of what is raised here

@@ -11,11 +11,11 @@ import numpy as np
 from deepir.cameras.camera import Array, Camera
 from deepir.errors import DataError
 
-SIDE = 160  # px: frames are registered at a size of at most this
-FAR = 3.0  # px along an axis that the camera should have moved by at least
-FROZEN = 0.4  # s without a new picture that mean a shutter; cameras for export send nine pictures a second
-PATIENCE = 5.0  # s after which no picture will come any more
-PAUSE = 0.005  # s between two looks at the camera
+MAX_REGISTRATION_SIDE = 160  # px; frames are reduced to at most this side before registration
+MIN_CAPTURE_SPAN = 3.0  # px of motion along each axis that a burst needs
+FREEZE_TIME = 0.4  # s without a new picture that indicate a shutter closure; export cameras send 9 Hz
+FRAME_TIMEOUT = 5.0  # s without a new picture after which the capture fails
+POLL_INTERVAL = 0.005  # s between two reads of the camera
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ def capture(camera: Camera, count: int, every: float, tell: Callable[[Sequence[A
         frame, now = camera.read(), time.monotonic()
         if frame is None or (last is not None and np.array_equal(frame, last)):
             waiting = now if waiting is None else waiting
-            if now - waiting > PATIENCE:
+            if now - waiting > FRAME_TIMEOUT:
                 raise DataError(_silence(last))
-            time.sleep(PAUSE)
+            time.sleep(POLL_INTERVAL)
             continue
         if frame.ndim != 2 or (last is not None and frame.shape != last.shape):
             raise DataError(f"the camera gives frames of shape {frame.shape}; one size (h, w) is needed")
@@ -61,14 +61,14 @@ def capture(camera: Camera, count: int, every: float, tell: Callable[[Sequence[A
 
 def _silence(last: Array | None) -> str:
     if last is None:
-        return f"the camera has sent nothing for {PATIENCE:.0f} s: unplug it and plug it in again, and try once more"
+        return f"the camera has sent nothing for {FRAME_TIMEOUT:.0f} s: unplug it and plug it in again, and try once more"
     return (
-        f"the camera's picture has not changed for {PATIENCE:.0f} s, not even by noise: its shutter is closed, it is "
+        f"the camera's picture has not changed for {FRAME_TIMEOUT:.0f} s, not even by noise: its shutter is closed, it is "
         "frozen, or something reduces its noise to nothing"
     )
 
 
-def reach(frames: Sequence[Array]) -> tuple[float, float] | None:
+def motion_span(frames: Sequence[Array]) -> tuple[float, float] | None:
     """How far frames (h, w) lie apart along x and along y, px; None if the last shows another place.
 
     Registered as a run does it, the pattern left out, but by shifts only, and on small frames.
@@ -78,7 +78,7 @@ def reach(frames: Sequence[Array]) -> tuple[float, float] | None:
     from deepir.registration import register
 
     stack = torch.from_numpy(np.stack(frames).astype(np.float32))
-    factor = -(-max(stack.shape[1:]) // SIDE)
+    factor = -(-max(stack.shape[1:]) // MAX_REGISTRATION_SIDE)
     found = register(torch.nn.functional.avg_pool2d(stack, factor), model="shift")
     if not found.used[-1]:
         return None
@@ -93,10 +93,10 @@ def advice(span: tuple[float, float] | None) -> str:
         return "this frame shows another place: move less at a time"
     x, y = span
     so_far = f"{x:.0f} px along x and {y:.0f} px along y so far"
-    if x < FAR and y < FAR:
+    if x < MIN_CAPTURE_SPAN and y < MIN_CAPTURE_SPAN:
         return f"{so_far}: move the camera, in a small circle"
-    if x < FAR:
+    if x < MIN_CAPTURE_SPAN:
         return f"{so_far}: move it sideways too"
-    if y < FAR:
+    if y < MIN_CAPTURE_SPAN:
         return f"{so_far}: move it up and down too"
     return f"{so_far}: well done, on in a circle"

@@ -39,13 +39,13 @@ def load_plugins(modules: Sequence[str] | None) -> list[str]:
     return list(modules or ())
 
 
-def parted(what: Sequence[str]) -> tuple[list[str], list[str]]:
+def split_arguments(what: Sequence[str]) -> tuple[list[str], list[str]]:
     """Files and settings among the arguments of a command that takes many of both."""
     settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
     return [each for each in what if each not in settings], settings
 
 
-def recording(file: str, settings: Sequence[str], keys: Sequence[str]) -> Config:
+def recording_config(file: str, settings: Sequence[str], keys: Sequence[str]) -> Config:
     """How a file is to be read, and shown; `ConfigError` for settings other than of `keys`."""
     from deepir.config import load
     from deepir.errors import ConfigError

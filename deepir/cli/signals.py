@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from deepir.optim.solve import Progress
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # signals that end a run where it can be continued
 
 
 class Interrupted(BaseException):
@@ -34,7 +34,7 @@ class Interruptible:
         self.former: dict[int, Any] = {}
 
     def __enter__(self) -> Interruptible:
-        self.former = {signum: signal.signal(signum, self._handle) for signum in SIGNALS}
+        self.former = {signum: signal.signal(signum, self._handle) for signum in HANDLED_SIGNALS}
         return self
 
     def __exit__(
@@ -56,7 +56,7 @@ class Interruptible:
         os.write(2, b"\ndeepir: stopping after this iteration; once more stops at once\n")
 
 
-def farewell(error: Interrupted, folder: Path) -> int:
+def report_interrupted(error: Interrupted, folder: Path) -> int:
     """Say how to go on; the exit status."""
     if (folder / "checkpoint.safetensors").exists():
         what = f"interrupted; go on with: deepir resume {folder}"
@@ -68,7 +68,7 @@ def farewell(error: Interrupted, folder: Path) -> int:
     return error.status
 
 
-def stopped(error: Interrupted) -> int:
+def report_aborted(error: Interrupted) -> int:
     """Say that a command that cannot be continued has left nothing behind; the exit status."""
     print("deepir: interrupted; nothing was written", file=sys.stderr)
     return error.status

@@ -14,14 +14,23 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from deepir.errors import ConfigError, DeepIRError, nearest
 from deepir.registry import lookup
 
-#: Arguments that the problem, or the run of a method, supplies, never a configuration.
-CONTEXT = frozenset(
+#: Arguments that the problem or the run supplies, never a configuration.
+CONTEXT_ARGUMENTS = frozenset(
     {"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"}
     | {"burst", "config", "callbacks", "checkpoint"}
 )
-WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
-SIMPLE = frozenset(kind.__name__ for kind in WANTED)
-WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
+#: How messages describe a value of a type.
+TYPE_DESCRIPTIONS = {
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+    type(None): "null",
+}
+#: Names that pydantic gives to the branches of a union of scalars.
+SCALAR_TYPE_NAMES = frozenset(kind.__name__ for kind in TYPE_DESCRIPTIONS)
+#: How messages describe the elements of a list.
+ELEMENT_DESCRIPTIONS = {int: "whole numbers", float: "numbers", str: "names"}
 
 
 def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context: Any) -> Any:
@@ -49,7 +58,7 @@ def options_schema(component: Any) -> type[BaseModel]:
     fields: dict[str, Any] = {
         name: (p.annotation, ... if p.default is p.empty else p.default)
         for name, p in _arguments(component).items()
-        if name not in CONTEXT
+        if name not in CONTEXT_ARGUMENTS
     }
     return create_model(component.__name__, __config__=ConfigDict(extra="forbid"), **fields)
 
@@ -112,25 +121,25 @@ def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) 
     elif worst["type"].startswith(("greater", "less")):
         need = worst["msg"].lower().replace("input should", "it must")
     else:
-        need = f"{wanted(steps[-1][1]) if steps else 'a mapping'} is needed"
+        need = f"{describe_type(steps[-1][1]) if steps else 'a mapping'} is needed"
     return path, f"{path} = {worst['input']!r}: {need}"
 
 
-def wanted(annotation: Any) -> str:
+def describe_type(annotation: Any) -> str:
     """What a value of this type is, in words.
 
     >>> wanted(int | list[float] | None)
     'a whole number or a list [...] of numbers'
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if annotation in WANTED:
-        return WANTED[annotation]
+    if annotation in TYPE_DESCRIPTIONS:
+        return TYPE_DESCRIPTIONS[annotation]
     if origin is Literal:
         return " or ".join(f"'{each}'" for each in arguments)
     if origin in (Union, types.UnionType):
-        return " or ".join(wanted(each) for each in _alternatives(annotation))
+        return " or ".join(describe_type(each) for each in _alternatives(annotation))
     if origin in (list, tuple) and arguments:
-        return f"a list [...] of {WANTED_MANY.get(arguments[0], 'mappings')}"
+        return f"a list [...] of {ELEMENT_DESCRIPTIONS.get(arguments[0], 'mappings')}"
     if names := _keys(annotation):
         return f"a mapping with {', '.join(names)}"
     return "a mapping" if annotation is dict or origin is dict else f"a value of type {annotation}"
@@ -145,7 +154,7 @@ def annotation_of(schema: type[BaseModel], path: str) -> Any:
 def _steps(schema: Any, loc: tuple[int | str, ...]) -> Iterator[tuple[str, Any]]:
     """A path's keys with their types; the names that pydantic gives to a union's branches are left out."""
     for part in loc:
-        if len(_alternatives(schema)) > 1 and (part in SIMPLE or str(part).startswith("dict[")):
+        if len(_alternatives(schema)) > 1 and (part in SCALAR_TYPE_NAMES or str(part).startswith("dict[")):
             return  # pydantic's name of a branch that has no keys of its own
         models = [each for each in _alternatives(schema) if hasattr(each, "model_fields")]
         inner = next((m.model_fields[part].annotation for m in models if part in m.model_fields), None)

@@ -20,8 +20,10 @@ from deepir.config.yaml import parse
 from deepir.errors import ConfigError, nearest
 from deepir.paths import expanded, is_file
 
-PACKED = Path(__file__).parent.parent / "configs"  # in the wheel
-SHIPPED = PACKED if PACKED.is_dir() else Path(__file__).parents[2] / "configs"  # in a checkout
+PACKAGED_CONFIGS = Path(__file__).parent.parent / "configs"  # shipped configurations in the wheel
+SHIPPED_CONFIGS = (
+    PACKAGED_CONFIGS if PACKAGED_CONFIGS.is_dir() else Path(__file__).parents[2] / "configs"
+)  # the same in a checkout
 
 
 def load(
@@ -45,11 +47,11 @@ def load(
     base = _merge(
         label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {})
     )
-    pairs = overrides.split(changes, Config)
+    pairs = overrides.parse_settings(changes, Config)
     prior = (base | dict(pairs)).get("prior") or Config.model_fields["prior"].default
     whole = _merge(label, _preset(str(prior)), base)
     for key, value in pairs:
-        overrides.apply(whole, key, value)
+        overrides.apply_setting(whole, key, value)
     checked = _check(_merge(label, whole, resolve=True), label, changes)
     _order(checked, list(base.get("physics") or {}), label)
     return checked
@@ -69,7 +71,7 @@ def find(name: str | Path) -> Path:
     """The file of a configuration, given its path or its shipped name."""
     path = expanded(name)
     if str(name) in shipped_names() and not is_file(path):
-        return SHIPPED / f"{name}.yaml"
+        return SHIPPED_CONFIGS / f"{name}.yaml"
     if path.suffix in (".yaml", ".yml") and is_file(path):
         return path
     if os.path.exists(path):  # noqa: PTH110 - however long
@@ -84,13 +86,16 @@ def find(name: str | Path) -> Path:
 
 def shipped_names() -> list[str]:
     """Names of the shipped configurations, presets of priors left out."""
-    found = (path.relative_to(SHIPPED).with_suffix("").as_posix() for path in SHIPPED.rglob("*.yaml"))
+    found = (
+        path.relative_to(SHIPPED_CONFIGS).with_suffix("").as_posix()
+        for path in SHIPPED_CONFIGS.rglob("*.yaml")
+    )
     return sorted(name for name in found if not name.startswith("prior/"))
 
 
 def priors() -> list[str]:
     """Names of the priors' presets."""
-    return sorted(path.stem for path in (SHIPPED / "prior").glob("*.yaml"))
+    return sorted(path.stem for path in (SHIPPED_CONFIGS / "prior").glob("*.yaml"))
 
 
 def headline(path: Path) -> str:
@@ -152,7 +157,7 @@ def _preset(name: str) -> dict[str, Any]:
     """What `prior: name` stands for: a shipped preset, one's own .yaml file, or a field without penalties."""
     own = expanded(name)
     if name in priors():
-        return _read(SHIPPED / "prior" / f"{name}.yaml")
+        return _read(SHIPPED_CONFIGS / "prior" / f"{name}.yaml")
     if own.suffix in (".yaml", ".yml"):
         if not is_file(own):
             raise ConfigError(

@@ -17,11 +17,11 @@ from deepir.config.components import annotation_of
 from deepir.config.yaml import parse
 from deepir.errors import ConfigError, nearest
 
-#: Parts of a configuration that name components, whose keys the schema does not know.
-OPEN = ("physics", "scene", "fidelity", "method")
+#: Sections that name components, whose keys the schema does not know.
+COMPONENT_SECTIONS = ("physics", "scene", "fidelity", "method")
 
 
-def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]]:
+def parse_settings(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]]:
     """Keys with their values; `ConfigError` for one that is not `key=value`, or whose value is not YAML."""
     found = []
     for pair in pairs:
@@ -50,7 +50,7 @@ def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]
     return found
 
 
-def apply(whole: dict[str, Any], key: str, value: Any) -> None:
+def apply_setting(whole: dict[str, Any], key: str, value: Any) -> None:
     """Make one change in place.
 
     Raises:
@@ -74,7 +74,7 @@ def _inner(node: Any, part: str, where: str, key: str) -> Any:
     step = _index(node, part, key)
     if isinstance(node, dict) and node.get(step) is None:
         node[step] = {}
-    elif isinstance(node[step], str) and where.partition(".")[0] in OPEN:
+    elif isinstance(node[step], str) and where.partition(".")[0] in COMPONENT_SECTIONS:
         node[step] = {"type": node[step]}
     if not isinstance(node[step], dict | list):
         raise ConfigError(f"{key}: {where} is {node[step]!r}, which has no keys")
@@ -92,7 +92,7 @@ def _index(node: Any, part: str, key: str) -> Any:
 def _remove(node: Any, last: Any, key: str) -> None:
     if isinstance(node, list) or last in node:
         del node[last]
-    elif key.partition(".")[0] in OPEN:
+    elif key.partition(".")[0] in COMPONENT_SECTIONS:
         raise ConfigError(f"{key}=null: there is no '{last}' to remove; {nearest(str(last), map(str, node))}")
     else:
         node[last] = None  # for the schema to judge

@@ -8,7 +8,7 @@ from typing import Any
 from deepir.errors import DataError
 
 
-def needed(library: str, extra: str, what: str) -> Any:
+def import_optional(library: str, extra: str, what: str) -> Any:
     """The module `library`; `DataError` that names deepir's `extra` where it is not installed."""
     try:
         return importlib.import_module(library)

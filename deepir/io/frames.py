@@ -20,8 +20,8 @@ from deepir.io.readers import Array
 from deepir.io.readers.pictures import folder
 from deepir.paths import expanded
 
-#: Pairs of frames beside a burst that are kept to judge its correction, and how many frames they are apart at most.
-PAIRS_BESIDE, FARTHEST_PAIR = 6, 8
+MAX_UNSELECTED_PAIRS = 6  # pairs of frames outside a burst that are kept to score its correction
+MAX_PAIR_GAP = 8  # frames between the two of a pair
 
 Select = str | int | Sequence[int] | None
 
@@ -54,11 +54,11 @@ def read_frames(
     header. Raises `DataError` for whatever cannot be read or is no burst of numbers.
     """
     file = expanded(path)
-    stored = stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
+    stored = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
     frames = to_float32(select_frames(stored, select, source))
     kelvin = readers.radiometry(file) if raw is None else None
-    return Frames(frames, source, stored.dtype.name, digest(file), kelvin, frames_beside(stored, select))
+    return Frames(frames, source, stored.dtype.name, digest(file), kelvin, unselected_pairs(stored, select))
 
 
 def stream_frames(
@@ -71,7 +71,7 @@ def stream_frames(
     file = expanded(path)
     pieces = readers.stream(file, key) if raw is None else headerless.stream(file, raw)
     for piece in pieces:
-        yield from stack(piece, str(file))
+        yield from to_stack(piece, str(file))
 
 
 def digest(path: str | os.PathLike[str]) -> str:
@@ -81,7 +81,7 @@ def digest(path: str | os.PathLike[str]) -> str:
         return _sha256(file)
 
 
-def stack(array: Array, source: str) -> Array:
+def to_stack(array: Array, source: str) -> Array:
     """`(N, h, w)` from `(h, w)`, `(N, h, w)`, `(N, 1, h, w)` or `(N, h, w, 1)`.
 
     Raises `DataError` for other shapes, and for values that are neither integers nor floats.
@@ -129,17 +129,17 @@ def select_frames(frames: Array, select: Select, source: str) -> Array:
     return frames[picked]
 
 
-def frames_beside(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
+def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
     """Pairs of frames (2 M, h, w) that `select` leaves out, from about those that it takes; None where there are none.
 
-    Those of a pair are as far apart as half the burst reaches, and `FARTHEST_PAIR` frames at most.
+    Those of a pair are as far apart as half the burst reaches, and `MAX_PAIR_GAP` frames at most.
     """
     if select is None:
         return None
     numbers = np.arange(len(frames))
     taken = numbers[_indices(select)]
     reach = int(np.ptp(taken))
-    gap = int(np.clip(reach // 2, 1, FARTHEST_PAIR))
+    gap = int(np.clip(reach // 2, 1, MAX_PAIR_GAP))
     free = (
         ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
     )
@@ -147,7 +147,7 @@ def frames_beside(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.
     if not len(starts):
         return None
     some = starts[
-        np.unique(np.linspace(0, len(starts) - 1, min(len(starts), PAIRS_BESIDE)).round().astype(int))
+        np.unique(np.linspace(0, len(starts) - 1, min(len(starts), MAX_UNSELECTED_PAIRS)).round().astype(int))
     ]
     return to_float32(frames[np.stack((some, some + gap), 1).ravel()])
 
@@ -173,7 +173,7 @@ def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
 
 def _sha256(path: Path) -> str:
     if folder.sniff(b"", path):
-        digests = "".join(_sha256(file) for file in folder.members(path))
+        digests = "".join(_sha256(file) for file in folder.burst_files(path))
         return hashlib.sha256(digests.encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

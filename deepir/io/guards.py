@@ -10,15 +10,10 @@ import numpy as np
 
 from deepir.errors import DataError
 
-GIB = 2**30
-MOST_BYTES = 8 * GIB
-"""The largest array that is read at once."""
-
-MOST_COMPRESSED = 3000
-"""Bytes out of one byte: deflate reaches 1032, LZW about 2700."""
-
-SMALL = GIB // 4
-"""Below this a wrong claim does no harm, and a very empty mask may really be that compressible."""
+GIB = 2**30  # bytes
+MAX_ARRAY_BYTES = 8 * GIB  # largest array that is read at once
+MAX_COMPRESSION_RATIO = 3000  # bytes out of one byte: deflate reaches 1032, LZW about 2700
+UNCHECKED_BYTES = GIB // 4  # size up to which a claim is not checked: an empty mask may be that compressible
 
 
 def check_size(
@@ -29,19 +24,19 @@ def check_size(
     Raises `DataError` where the claim is negative, more than the file can hold, or, of what is read `at_once`,
     more than 8 GiB.
     """
-    most = max(SMALL, MOST_COMPRESSED * stored) if compressed else stored
+    most = max(UNCHECKED_BYTES, MAX_COMPRESSION_RATIO * stored) if compressed else stored
     if not 0 <= declared <= most:
         raise DataError(
             f"{path}: damaged or truncated: it declares {declared:,} bytes of data but holds {stored:,}"
         )
-    if at_once and declared > MOST_BYTES:
+    if at_once and declared > MAX_ARRAY_BYTES:
         raise DataError(
-            f"{path}: {declared / GIB:.1f} GiB of data; at most {MOST_BYTES // GIB} GiB are read at once. "
+            f"{path}: {declared / GIB:.1f} GiB of data; at most {MAX_ARRAY_BYTES // GIB} GiB are read at once. "
             "Split the file."
         )
 
 
-def collect(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[Any, Any]:
+def stack_frames(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[Any, Any]:
     """Frames `(h, w)` of the file `path` as `(N, h, w)`.
 
     Raises `DataError` where there are none, they differ in size, or are more than the file can hold.
@@ -59,7 +54,7 @@ def collect(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[An
     return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
 
-def grey(pixels: np.ndarray[Any, Any], path: Path) -> np.ndarray[Any, Any]:
+def to_grey(pixels: np.ndarray[Any, Any], path: Path) -> np.ndarray[Any, Any]:
     """The one channel of a grey picture that was stored in colour.
 
     `pixels` is `(..., C)` with C = 1 to 4; alpha (C = 2 or 4) is dropped. Up to 1 % of coloured pixels are a

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.frames import stack, to_float32
+from deepir.io.frames import to_float32, to_stack
 from deepir.io.inspection.checks import Mask
 from deepir.io.readers.arrays import npz
 from deepir.paths import expanded
@@ -27,7 +27,7 @@ def read_mask(path: str | os.PathLike[str], shape: Shape) -> Mask:
     array = readers.read(file)
     if array.dtype.kind == "b":
         array = array.astype(np.uint8)
-    mask = np.ma.getdata(stack(array, str(file))) != 0
+    mask = np.ma.getdata(to_stack(array, str(file))) != 0
     if mask.shape != (1, *shape):
         raise DataError(f"{file}: the mask is {_size(mask.shape)}, the frames are {_size(shape)}")
     if mask.all():
@@ -48,7 +48,7 @@ def read_truth(
     arrays = {"scene": readers.read(file)} if readers.find(file) is not npz else _arrays(file)
     if "scene" not in arrays:
         raise DataError(f"{file}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")
-    scene = stack(arrays["scene"], f"{file}[scene]")
+    scene = to_stack(arrays["scene"], f"{file}[scene]")
     factor = max(1, scene.shape[1] // shape[0])
     if scene.shape[1:] != (factor * shape[0], factor * shape[1]):
         raise DataError(

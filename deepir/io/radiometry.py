@@ -12,7 +12,7 @@ from deepir.config import schema
 from deepir.errors import ConfigError
 
 Array = np.ndarray[Any, Any]
-ZERO_CELSIUS = 273.15
+ZERO_CELSIUS = 273.15  # K
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,10 @@ class Planck:
 
 
 Radiometry = Linear | Planck
-KELVIN = Linear(1.0)
+KELVIN = Linear(1.0)  # of data that are in kelvin already
 
 
-def unit(radiometry: Radiometry | None) -> dict[str, Any]:
+def unit_metadata(radiometry: Radiometry | None) -> dict[str, Any]:
     """What a file of values says of their unit: `{"unit": "K"}`, or counts and how kelvin are made of them."""
     if radiometry is None:
         return {}
@@ -86,7 +86,7 @@ def unit(radiometry: Radiometry | None) -> dict[str, Any]:
     return {"unit": "counts", "radiometry": asdict(radiometry)}
 
 
-def air(
+def air_transmission(
     distance: float,
     humidity: float,
     kelvin: float,
@@ -107,7 +107,7 @@ def air(
     return share * bands[0] + (1 - share) * bands[1]
 
 
-def chosen(found: Radiometry | None, asked: schema.Radiometry) -> Radiometry | None:
+def resolve_radiometry(found: Radiometry | None, asked: schema.Radiometry) -> Radiometry | None:
     """What the file says, with what the user has `asked` for (`data.radiometry`) in its place.
 
     Raises:

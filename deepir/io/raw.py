@@ -19,19 +19,19 @@ def read(path: Path, layout: Raw) -> Array:
     Raises `DataError` where the file is missing, or does not hold a whole number of such frames.
     """
     with guarded(path):
-        frames = mapped(path, layout)
+        frames = map_frames(path, layout)
         check_size(path, frames.nbytes, frames.nbytes)
-        return significant(frames, layout)
+        return clear_unused_bits(frames, layout)
 
 
 def stream(path: Path, layout: Raw) -> Iterator[Array]:
     """Frame after frame `(h, w)`, as `read` gives them."""
     with guarded(path):
-        frames = mapped(path, layout)
-    yield from (significant(frame, layout) for frame in frames)
+        frames = map_frames(path, layout)
+    yield from (clear_unused_bits(frame, layout) for frame in frames)
 
 
-def mapped(path: Path, layout: Raw) -> Array:
+def map_frames(path: Path, layout: Raw) -> Array:
     """The samples as they stand in the file, `(N, h, w)`."""
     dtype = np.dtype("u1" if layout.bits <= 8 else f"{'<' if layout.endian == 'little' else '>'}u2")
     frame = layout.height * layout.width * dtype.itemsize
@@ -45,7 +45,7 @@ def mapped(path: Path, layout: Raw) -> Array:
     return np.memmap(path, dtype, "r", layout.offset, shape)
 
 
-def significant(samples: Array, layout: Raw) -> Array:
+def clear_unused_bits(samples: Array, layout: Raw) -> Array:
     """Samples in the machine's byte order, without the bits above the layout's."""
     kept: Array = samples & samples.dtype.type(2**layout.bits - 1)
     return kept.astype(kept.dtype.newbyteorder("="), copy=False)

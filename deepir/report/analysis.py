@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from deepir.analysis import Statistics, Verdict
-from deepir.analysis.statistics import ALIKE, HOLDS, Array
-from deepir.io import replace
-from deepir.report.summary import DEVIATION, draw_map
+from deepir.analysis.statistics import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL, Array
+from deepir.io import atomic_file
+from deepir.report.summary import DEVIATION_PALETTE, draw_map
 
 
 def write_analysis(
@@ -32,12 +32,12 @@ def write_analysis(
     if statistics.in_time is not None:
         _over_time(grid[1, 1], statistics.in_time)
     elif doubt is not None:
-        draw_map(grid[1, 1], doubt, "standard deviation of the scene", DEVIATION)
+        draw_map(grid[1, 1], doubt, "standard deviation of the scene", DEVIATION_PALETTE)
     else:
         grid[1, 1].set_axis_off()
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=100)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
@@ -73,7 +73,7 @@ def _along(axes: Any, statistics: Statistics) -> None:
         "xy", (middle[farthest, farthest:], middle[farthest:, farthest]), statistics.lengths, strict=True
     ):
         axes.plot(lags, along, ".-", label=f"along {name}: {far:.1f} px")
-    axes.axhline(ALIKE, color="grey", linewidth=0.8, linestyle=":")
+    axes.axhline(CORRELATION_LENGTH_LEVEL, color="grey", linewidth=0.8, linestyle=":")
     axes.set_title("autocorrelation along an axis; what stays are lines", fontsize=10)
     axes.set(xlabel="lag (px)", xlim=(0, min(farthest, 25)), ylim=(-0.2, 1.02))
     axes.legend(fontsize=9)
@@ -81,6 +81,6 @@ def _along(axes: Any, statistics: Statistics) -> None:
 
 def _over_time(axes: Any, in_time: Array) -> None:
     axes.plot(in_time, ".-")
-    axes.axhline(HOLDS, color="grey", linewidth=0.8, linestyle=":")
+    axes.axhline(STABILITY_LEVEL, color="grey", linewidth=0.8, linestyle=":")
     axes.set_title("autocorrelation from frame to frame", fontsize=10)
     axes.set(xlabel="frames apart", ylim=(min(0.0, float(in_time.min())), 1.05))

@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepir.config import SHIPPED, headline, priors, shipped_names
+from deepir.config import SHIPPED_CONFIGS, headline, priors, shipped_names
 from deepir.config.components import options_schema
 from deepir.registry import components, summary
 
-HEAD = """# Components
+PAGE_HEADER = """# Components
 
 What a configuration may name. `deepir list` prints the same, with plugins. This page is written by
 `python -m deepir.report.components docs/components.md`; [extending.md](extending.md) says how to add to it.
 """
 #: Kind -> heading, and what it is.
-KINDS = {
+COMPONENT_KINDS = {
     "operator": ("Operators", "Stages of `physics`, applied top to bottom. Each slot takes a field."),
     "field": (
         "Fields",
@@ -33,10 +33,10 @@ KINDS = {
 }
 
 
-def page() -> str:
+def components_page() -> str:
     """The page, in Markdown: deepir's own components, whatever plugins are installed."""
-    parts = [HEAD]
-    for kind, (title, text) in KINDS.items():
+    parts = [PAGE_HEADER]
+    for kind, (title, text) in COMPONENT_KINDS.items():
         found = {
             name: each for name, each in components(kind).items() if each.__module__.startswith("deepir.")
         }
@@ -46,10 +46,13 @@ def page() -> str:
             columns, rows = columns[:-1], [row[:-1] for row in rows]
         parts.append(f"## {title}\n\n{text}\n\n{_table(columns, rows)}")
     shipped = {
-        "Priors": ("Presets of the scene: `prior`.", {n: SHIPPED / "prior" / f"{n}.yaml" for n in priors()}),
+        "Priors": (
+            "Presets of the scene: `prior`.",
+            {n: SHIPPED_CONFIGS / "prior" / f"{n}.yaml" for n in priors()},
+        ),
         "Configurations": (
             "Shipped: `deepir run NAME`.",
-            {n: SHIPPED / f"{n}.yaml" for n in shipped_names()},
+            {n: SHIPPED_CONFIGS / f"{n}.yaml" for n in shipped_names()},
         ),
     }
     for title, (text, files) in shipped.items():
@@ -86,4 +89,4 @@ def _table(columns: list[str], rows: list[list[str]]) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
+    Path(sys.argv[1]).write_text(components_page(), encoding="utf-8")

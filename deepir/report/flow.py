@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepir.io import replace
+from deepir.io import atomic_file
 from deepir.operators.homography import displacements
 from deepir.operators.warp import coords
 
 Array = np.ndarray[Any, Any]
 
-MOST = 4  # frames that are shown
+MAX_SHOWN_FRAMES = 4  # frames in the picture
 
 
 def write_flow(path: Path, flow: Array, motion: Array) -> None:
@@ -25,7 +25,7 @@ def write_flow(path: Path, flow: Array, motion: Array) -> None:
 
     moved = [k for k in range(len(flow)) if np.isfinite(motion[k]).all() and flow[k].any()]
     shown = (
-        [moved[i] for i in np.unique(np.linspace(0, len(moved) - 1, MOST).round().astype(int))]
+        [moved[i] for i in np.unique(np.linspace(0, len(moved) - 1, MAX_SHOWN_FRAMES).round().astype(int))]
         if moved
         else []
     )
@@ -41,23 +41,24 @@ def write_flow(path: Path, flow: Array, motion: Array) -> None:
         1, len(shown) + 1, width_ratios=[1.0] * len(shown) + [0.5], squeeze=False
     )[0]
     for each, k, picture in zip(axes, shown, beside, strict=True):
-        each.imshow(colours(picture / reach), interpolation="nearest")
+        each.imshow(flow_colours(picture / reach), interpolation="nearest")
         each.set_title(f"frame {k}, beside its homography", fontsize=10)
         each.set_axis_off()
     x = np.linspace(-1, 1, 101)
     wheel = np.stack(np.broadcast_arrays(x, x[:, None]))
     legend.imshow(
-        np.where(np.hypot(*wheel)[..., None] <= 1, colours(wheel), 1.0), extent=(-reach, reach, reach, -reach)
+        np.where(np.hypot(*wheel)[..., None] <= 1, flow_colours(wheel), 1.0),
+        extent=(-reach, reach, reach, -reach),
     )
     legend.set_title("px, x right, y down", fontsize=9)
     legend.tick_params(labelsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
-def colours(vectors: Array) -> Array:
+def flow_colours(vectors: Array) -> Array:
     """(2, h, w) vectors as (h, w, 3) colours: white is zero, a length of one or more is a full colour."""
     from matplotlib.colors import hsv_to_rgb
 

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from deepir.io.output.write import plain, replace
+from deepir.io.output.write import atomic_file, to_json_types
 
-WEB = Path(__file__).parent / "web"
+WEB_FOLDER = Path(__file__).parent / "web"  # templates, scripts and styles
 
 
 def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
@@ -27,12 +27,12 @@ def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str,
     page = _read("page.html")
     for name, text in parts.items():
         page = page.replace(f"%{name}%", text)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_text(page, encoding="utf-8")
 
 
 def _read(name: str) -> str:
-    return (WEB / name).read_text(encoding="utf-8")
+    return (WEB_FOLDER / name).read_text(encoding="utf-8")
 
 
 def _digest(text: str) -> str:
@@ -41,4 +41,4 @@ def _digest(text: str) -> str:
 
 def _json(data: Mapping[str, Any]) -> str:
     """JSON that cannot end the element it stands in: no `<`."""
-    return json.dumps(plain(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return json.dumps(to_json_types(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("deepir")
 
 
-class Lines:
+class ProgressLines:
     """Says where the run is when a stage begins and ends, and every `every` seconds."""
 
     def __init__(self, say: Callable[[str], None], every: float = 10.0) -> None:
@@ -47,7 +47,7 @@ class Lines:
         return line
 
 
-class Bar:
+class ProgressBar:
     """A bar on stderr with stage, iteration, loss, held-out error and the time that is left at most."""
 
     def __init__(self, every: float = 2.0) -> None:
@@ -66,7 +66,7 @@ class Bar:
         )
         self.task = self.bar.add_task("registering", total=None, what="")
 
-    def __enter__(self) -> Bar:
+    def __enter__(self) -> ProgressBar:
         self.bar.start()
         return self
 
@@ -85,7 +85,7 @@ class Bar:
         self.bar.update(self.task, description=progress.stage, total=1.0, completed=progress.done, what=what)
 
 
-class Warnings(logging.Handler):
+class WarningHandler(logging.Handler):
     """Puts the package's warnings on stderr, above the bar."""
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -95,15 +95,15 @@ class Warnings(logging.Handler):
 
 
 @contextmanager
-def on_stderr() -> Iterator[Callable[[Progress], None]]:
+def show_progress() -> Iterator[Callable[[Progress], None]]:
     """Give the callback that fits: a bar for a person, lines for a file; show warnings meanwhile."""
-    handler = Warnings()
+    handler = WarningHandler()
     log.addHandler(handler)
     try:
         if sys.stderr.isatty():
-            with Bar() as bar:
+            with ProgressBar() as bar:
                 yield bar
         else:
-            yield Lines(lambda line: print(line, file=sys.stderr, flush=True))
+            yield ProgressLines(lambda line: print(line, file=sys.stderr, flush=True))
     finally:
         log.removeHandler(handler)

@@ -11,19 +11,26 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.simulate.detector.bolometer import housing, pixels
+from deepir.simulate.detector.bolometer import bolometer_pixels, housing_flux
 from deepir.simulate.detector.line_noise import line_noise
-from deepir.simulate.detector.sensor import expose, more_defects, pattern
-from deepir.simulate.detector.thermal_lag import constants, lagged, path
+from deepir.simulate.detector.sensor import add_defects, expose, fixed_pattern
+from deepir.simulate.detector.thermal_lag import apply_lag, smooth_path, time_constants
 from deepir.simulate.events import observe
 from deepir.simulate.optics.blur import psf
-from deepir.simulate.optics.parallax import flow_of, parallax, relief
-from deepir.simulate.optics.rendering import at_rest, drawn, homographies, move, reach_of, scale_of
+from deepir.simulate.optics.parallax import dense_flow, parallax, relief
+from deepir.simulate.optics.rendering import (
+    draw_scene,
+    homographies,
+    picture_scale,
+    random_motion,
+    render_reference,
+    visible_reach,
+)
 from deepir.simulate.optics.stray_flux import stray_flux
 from deepir.simulate.scenes.pictures import Scene
 from deepir.simulate.scenes.procedural import procedural
-from deepir.simulate.settings import DEFAULT, Settings
-from deepir.simulate.views import look
+from deepir.simulate.settings import DEFAULT_SETTINGS, Settings
+from deepir.simulate.views import render_own_scenes
 
 
 @dataclass(frozen=True)
@@ -73,7 +80,7 @@ class Simulation:
 
 
 def simulate(
-    scene: Scene | Sequence[Scene] | None = None, settings: Settings = DEFAULT, *, seed: int = 0
+    scene: Scene | Sequence[Scene] | None = None, settings: Settings = DEFAULT_SETTINGS, *, seed: int = 0
 ) -> Simulation:
     """Record a burst of a scene, or with `own_scenes` a frame of each of several.
 
@@ -95,37 +102,40 @@ def simulate(
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
     # Of lag, parallax, own scenes and stray flux there is mostly one.
     rare_rng, bolometer_rng, lines_rng = streams[8:]
-    motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
+    motion, tau, beside = random_motion(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
-        motion, tau = homographies(settings, path(settings, rare_rng)), constants(settings, rare_rng)
-    gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
+        motion, tau = (
+            homographies(settings, smooth_path(settings, rare_rng)),
+            time_constants(settings, rare_rng),
+        )
+    gain, offset, bad = fixed_pattern(settings, pattern_rng, shading_rng)
     if settings.bolometer:
-        gain, offset, slowness = pixels(settings, bolometer_rng)
+        gain, offset, slowness = bolometer_pixels(settings, bolometer_rng)
         tau = tau * slowness
     if settings.own_scenes:
         motion = np.tile(np.eye(3), (settings.n_frames, 1, 1))
-        flux, static, scale = look(scene, settings, rare_rng)
+        flux, static, scale = render_own_scenes(scene, settings, rare_rng)
         moving = np.zeros(flux.shape, bool)
     else:
-        reach = reach_of(motion, settings)
-        picture = drawn(partial(procedural, seed) if scene is None else scene, reach, settings)
-        scale = scale_of(picture.shape, reach, settings)
+        reach = visible_reach(motion, settings)
+        picture = draw_scene(partial(procedural, seed) if scene is None else scene, reach, settings)
+        scale = picture_scale(picture.shape, reach, settings)
         if settings.parallax:
             beside = parallax(motion, relief(settings, rare_rng), settings)
         flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
         if settings.tau:
             flux, motion, moving = (
-                lagged(flux, tau, settings),
+                apply_lag(flux, tau, settings),
                 motion[:: settings.substeps],
                 moving[:: settings.substeps],
             )
         if settings.factor > 1 or settings.sharp:
-            static = at_rest(picture, scale, settings)
+            static = render_reference(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
-    warmth = housing(settings)
+    warmth = housing_flux(settings)
     flux, static = settings.range * flux + dark + warmth, settings.range * static + dark
 
-    bad = more_defects(bad, settings, defects_rng)
+    bad = add_defects(bad, settings, defects_rng)
     gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
     stray = settings.range * stray_flux(settings, rare_rng)
     flux, static, stray = flux + stray, static + stray[bad == 0].mean(), stray - stray[bad == 0].mean()
@@ -142,7 +152,7 @@ def simulate(
         columns=columns,
         stray=stray,
         motion=motion,
-        flow=flow_of(motion, settings.shape, beside),
+        flow=dense_flow(motion, settings.shape, beside),
         tau=tau,
         housing=warmth,
         bad_pixels=bad > 0,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.optics.blur import blurred
+from deepir.simulate.optics.blur import blur_picture
 from deepir.simulate.optics.rendering import render
 from deepir.simulate.scenes.procedural import procedural
 from deepir.simulate.settings import Settings
 
-SEEN = 1e-4  # of the range: a change of flux from which a sample counts as moving
+MIN_FLUX_CHANGE = 1e-4  # change of flux, in ranges, from which a sample counts as moving
 
 
 def observe(
@@ -25,22 +25,22 @@ def observe(
 
     def seen(scene: np.ndarray, frames: slice) -> np.ndarray:
         more = None if beside is None else beside[frames]
-        behind = blurred(scene, scale, settings)
+        behind = blur_picture(scene, scale, settings)
         return render(behind, motion[frames], settings.shape, scale, settings.psf_sigma, more)
 
     static = seen(picture, np.s_[:])
     flux, failed = static.copy(), settings.failed_frame
     if settings.walker:
         flux_of_walker = static[0].mean() + settings.walker_contrast
-        for k, cover in enumerate(walk(picture.shape, scale, settings, walk_rng)):
+        for k, cover in enumerate(walker_cover(picture.shape, scale, settings, walk_rng)):
             flux[k] = seen(picture + cover * (flux_of_walker - picture), np.s_[k : k + 1])[0]
     if failed:
         another = procedural(int(place_rng.integers(2**31)), (picture.shape[0], picture.shape[1]))
         static[failed] = flux[failed] = seen(another, np.s_[failed : failed + 1])[0]
-    return flux, np.abs(flux - static) > SEEN, static[0]
+    return flux, np.abs(flux - static) > MIN_FLUX_CHANGE, static[0]
 
 
-def walk(
+def walker_cover(
     shape: tuple[int, ...], scale: float, settings: Settings, rng: np.random.Generator
 ) -> list[np.ndarray]:
     """How much of each picture px the walker covers, for each frame; he is near the middle at half time."""
@@ -52,12 +52,12 @@ def walk(
     for k in range(settings.n_frames):
         along = middle + way * settings.walker_speed * (k - (settings.n_frames - 1) / 2)
         gait = np.cos(np.pi * settings.walker_speed * k / (0.4 * tall))  # two steps are 0.8 of one's height
-        distance = person((x[None, :] - along) / tall, (feet - y[:, None]) / tall, 0.18 * gait)
+        distance = person_distance((x[None, :] - along) / tall, (feet - y[:, None]) / tall, 0.18 * gait)
         covers.append(np.clip(0.5 - distance * tall * scale, 0, 1))
     return covers
 
 
-def person(x: np.ndarray, y: np.ndarray, stride: float) -> np.ndarray:
+def person_distance(x: np.ndarray, y: np.ndarray, stride: float) -> np.ndarray:
     """Signed distance from a person of height one who stands at (0, 0); x to the right, y up."""
     parts = (
         ((0.0, 0.93), (0.0, 0.91), 0.07),  # head

@@ -11,11 +11,11 @@ import numpy as np
 
 from deepir.errors import ConfigError
 from deepir.simulate.burst import Simulation, simulate
-from deepir.simulate.scenes.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 from deepir.simulate.settings import Settings, parse
 
 
-def recorded(given: Mapping[str, Any], seed: int) -> Simulation:
+def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:
     """The simulation of `given`: `Settings` by name, and `scene` and `seed`.
 
     Args:
@@ -37,10 +37,10 @@ def recorded(given: Mapping[str, Any], seed: int) -> Simulation:
 
 @functools.lru_cache(maxsize=2)  # a check of many configurations asks for the same burst again and again
 def _recorded(settings: Settings, scene: str | None, seed: int, changed: int) -> Simulation:
-    return simulate(None if scene is None else picture(scene), settings, seed=seed)
+    return simulate(None if scene is None else load_picture(scene), settings, seed=seed)
 
 
-def truth(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
+def truth_arrays(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
     """The arrays that a result is compared with, float32; the scene is NaN where somebody stands before it."""
     found = simulation.truth
     scene = np.where(found.moving[0], np.nan, found.scene) if found.moving[0].any() else found.scene

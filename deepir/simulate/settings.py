@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from deepir.config.components import explain
 from deepir.errors import ConfigError, nearest
 
+#: Allowed values of the settings that are names.
 CHOICES = {
     "motion": ("shift", "rigid", "affine", "homography"),
     "jitter": ("both", "x", "y"),
@@ -22,12 +23,18 @@ CHOICES = {
     "stray_shape": ("smooth", "radial", "ring", "edge"),
 }
 
-#: Px at most: the scene is drawn as large, or the blur's kernel.
-LONGEST = {"max_shift": 2000, "psf_sigma": 50, "airy_radius": 50, "defocus_radius": 50, "motion_blur": 200}
-MOST = 2**30  # samples of all frames: what is held of them at once fits into a large memory
+#: Largest values, px: the size of the drawn scene or of the blur kernel grows with them.
+MAX_LENGTHS = {
+    "max_shift": 2000,
+    "psf_sigma": 50,
+    "airy_radius": 50,
+    "defocus_radius": 50,
+    "motion_blur": 200,
+}
+MAX_SAMPLES = 2**30  # samples of all frames: intermediate arrays then fit into a large memory
 
-#: Effects that exclude others.
-APART = {
+#: Effects and the others that each excludes.
+EXCLUSIVE_EFFECTS = {
     "tau": ("walker", "failed_frame", "parallax", "own_scenes"),
     "own_scenes": ("walker", "failed_frame", "parallax"),
 }
@@ -135,19 +142,19 @@ class Settings:
             raise ConfigError("simulate: fps must be positive, and substeps a whole number from 1 to 100")
 
     def _check_apart(self) -> None:
-        for key, others in APART.items():
+        for key, others in EXCLUSIVE_EFFECTS.items():
             other = next((each for each in others if getattr(self, each)), None)
             if getattr(self, key) and other:
                 raise ConfigError(f"simulate.{key}: not together with simulate.{other}")
 
     def _check_size(self) -> None:
         """Raise `ConfigError` for more than a memory holds."""
-        for key, most in LONGEST.items():
+        for key, most in MAX_LENGTHS.items():
             if (value := getattr(self, key)) > most:
                 raise ConfigError(f"simulate.{key} = {value}: at most {most} px")
-        if (samples := math.prod((self.n_frames, *self.shape))) > MOST:
+        if (samples := math.prod((self.n_frames, *self.shape))) > MAX_SAMPLES:
             raise ConfigError(
-                f"simulate: {samples:.3g} samples (n_frames times shape); at most {MOST:.3g} are simulated"
+                f"simulate: {samples:.3g} samples (n_frames times shape); at most {MAX_SAMPLES:.3g} are simulated"
             )
 
     @property
@@ -161,7 +168,7 @@ class Settings:
         return self.contrast if self.counts else 1.0
 
 
-DEFAULT = Settings()
+DEFAULT_SETTINGS = Settings()
 
 
 @functools.cache
@@ -178,10 +185,12 @@ def parse(given: Mapping[str, Any], extra: tuple[str, ...] = ()) -> Settings:
 
     `extra` names further keys that a user may give there, to be named in errors.
     """
-    return Settings(**checked(given, Settings, "simulate", extra))
+    return Settings(**checked_values(given, Settings, "simulate", extra))
 
 
-def checked(given: Mapping[str, Any], of: type, where: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
+def checked_values(
+    given: Mapping[str, Any], of: type, where: str, extra: tuple[str, ...] = ()
+) -> dict[str, Any]:
     """The values of all fields of a dataclass, as in `parse`; `where` names them in errors."""
     known = schema(extra, of)
     try:

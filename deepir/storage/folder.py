@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from deepir.errors import ConfigError
-from deepir.io.output.write import replace, write_json
+from deepir.io.output.write import atomic_file, write_json
 
-#: All that a run writes, and --overwrite removes; the configuration goes first and is the last to be removed.
-FILES = (
+#: All files that a run writes and --overwrite removes; the configuration is written first and removed last.
+RUN_FILES = (
     "config.yaml",
     "run.json",
     "deepir.log",
@@ -32,15 +32,16 @@ FILES = (
     "report.html",
     "metrics.json",
 )
-#: What `deepir.io.output.write.replace` leaves behind when it is killed.
-TEMPORARY = re.compile(r"\.(\w+)\.[0-9a-f]{8}(\.\w+)")
-HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
+#: Files that `deepir.io.output.write.atomic_file` leaves behind when it is killed.
+TEMPORARY_PATTERN = re.compile(r"\.(\w+)\.[0-9a-f]{8}(\.\w+)")
+#: First line of config.yaml, by which a run's folder is recognised.
+CONFIG_HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 
 log = logging.getLogger("deepir")
 
 
 @dataclass(frozen=True)
-class Folder:
+class RunFolder:
     """Where a run writes. It may lie beside other files, but never over them."""
 
     path: Path
@@ -66,7 +67,7 @@ class Folder:
                 f"output.dir: {self.path} is a file; give a folder, for example output.dir=runs/mine"
             )
         try:
-            held = [name for name in FILES if (self.path / name).exists()]
+            held = [name for name in RUN_FILES if (self.path / name).exists()]
             ours = self.config.exists() and self.config.read_text(encoding="utf-8").startswith("# deepir")
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"output.dir: {self.path} cannot be read: {error}") from None
@@ -98,14 +99,14 @@ class Folder:
         made = [each for each in (self.path, *self.path.parents) if not each.exists()]
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            former = [name for name in FILES if (self.path / name).exists()]
+            former = [name for name in RUN_FILES if (self.path / name).exists()]
             if former:
                 self._remove(self._aside)
                 self._aside.mkdir()
                 for name in reversed(former):
                     (self.path / name).rename(self._aside / name)
-            with replace(self.config) as part:
-                part.write_text(HEADER + config, encoding="utf-8")
+            with atomic_file(self.config) as part:
+                part.write_text(CONFIG_HEADER + config, encoding="utf-8")
         except OSError as error:
             raise ConfigError(
                 f"output.dir: {self.path} cannot be written: {error.strerror or error}"
@@ -118,17 +119,17 @@ class Folder:
         self._remove(self._aside)
         (self.path / "checkpoint.part").unlink(missing_ok=True)
         for path in self.path.iterdir():
-            found = TEMPORARY.fullmatch(path.name)
-            if found and found[1] + found[2] in FILES:
+            found = TEMPORARY_PATTERN.fullmatch(path.name)
+            if found and found[1] + found[2] in RUN_FILES:
                 path.unlink()
 
     def discard(self, made: list[Path]) -> None:
         """The run cannot work with these data: take away what `begin` wrote, and put a former run back."""
-        for name in reversed(FILES):
+        for name in reversed(RUN_FILES):
             with suppress(FileNotFoundError):
                 (self.path / name).unlink()
         if self._aside.is_dir():
-            for name in FILES:
+            for name in RUN_FILES:
                 with suppress(FileNotFoundError):
                     (self._aside / name).rename(self.path / name)
         self._remove(self._aside)
@@ -177,7 +178,7 @@ class Folder:
     @staticmethod
     def _remove(folder: Path) -> None:
         """A folder that holds nothing but a run's files."""
-        for name in FILES:
+        for name in RUN_FILES:
             with suppress(FileNotFoundError, NotADirectoryError):
                 (folder / name).unlink()
         with suppress(OSError):

@@ -19,11 +19,11 @@ from deepir.config import Config, Data, dump, read
 from deepir.errors import ConfigError, DataError, SolverError
 from deepir.optim.solve import Progress
 from deepir.paths import expanded
-from deepir.report.progress import Lines
+from deepir.report.progress import ProgressLines
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, machine, prepare, versions
 from deepir.storage.checkpoint import FileCheckpoint
-from deepir.storage.folder import FILES, Folder
+from deepir.storage.folder import RUN_FILES, RunFolder
 
 log = logging.getLogger("deepir")
 
@@ -43,12 +43,12 @@ def run_into(
         DeepIRError: Configuration, data or folder are wrong; nothing is written, a former run stays.
         SolverError: The solve failed; its state is in the folder.
     """
-    folder = Folder(expanded(path).absolute())
+    folder = RunFolder(expanded(path).absolute())
     folder.check_free(overwrite=overwrite)
-    config = pinned(config, folder)
+    config = pin_config(config, folder)
     _check_inputs(config, folder)
     data = prepare(config, frames)
-    inputs = hashes(config.data, data.sha256)
+    inputs = input_digests(config.data, data.sha256)
     record = {"versions": versions(), "machine": machine(), "plugins": list(plugins), "inputs": inputs}
     made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
     work = _Work(folder, config, data, callbacks)
@@ -67,7 +67,7 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
     Raises:
         ConfigError: There is no run, it lacks a plugin, or its input has changed.
     """
-    folder = Folder(expanded(path).absolute())
+    folder = RunFolder(expanded(path).absolute())
     if not folder.path.is_dir() or folder.state() == "new":
         raise ConfigError(f"{path}: no run in this folder{_known_runs(path.parent)}")
     if folder.state() == "finished":
@@ -79,13 +79,17 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
     if config.data.path is None and config.data.simulate is None:
         raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
     data = prepare(config)
-    check_unchanged(record.get("inputs", {}), hashes(config.data, data.sha256), path)
+    check_unchanged(record.get("inputs", {}), input_digests(config.data, data.sha256), path)
     before = _seconds(folder, record)
     with folder.logging():
         _check_state(folder)
         if record.get("versions", versions()) != versions():
             log.warning("started with %s, resumed with %s", record["versions"], versions())
-        fresh = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
+        fresh = {
+            "versions": versions(),
+            "plugins": list(plugins),
+            "inputs": input_digests(config.data, data.sha256),
+        }
         begun = {"machine": machine(), "started": time.time(), "seconds": before}
         folder.write_record(fresh | record | begun)
         return _Work(folder, config, data, callbacks, before).run()
@@ -95,7 +99,7 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
 class _Work:
     """Solve into a folder that is ready."""
 
-    folder: Folder
+    folder: RunFolder
     config: Config
     data: Burst
     callbacks: Callbacks
@@ -107,7 +111,7 @@ class _Work:
         log.info("deepir %(deepir)s, torch %(torch)s, python %(python)s", versions())
         log.info("input %s, %s, sha256 %s", data.source, data.frames.shape, data.sha256)
         try:
-            callbacks: Callbacks = [self._first, Lines(log.info), *self.callbacks]
+            callbacks: Callbacks = [self._first, ProgressLines(log.info), *self.callbacks]
             result = execute(
                 self.config, data, callbacks=callbacks, checkpoint=FileCheckpoint(folder.checkpoint)
             )
@@ -137,7 +141,7 @@ class _Work:
             self.folder.keep()
 
 
-def pinned(config: Config, folder: Folder) -> Config:
+def pin_config(config: Config, folder: RunFolder) -> Config:
     """The configuration with all that a later process might see differently: paths, threads."""
 
     def absolute(path: str | None) -> str | None:
@@ -176,16 +180,16 @@ def pinned(config: Config, folder: Folder) -> Config:
     )
 
 
-def _check_inputs(config: Config, folder: Folder) -> None:
+def _check_inputs(config: Config, folder: RunFolder) -> None:
     for key in ("path", "truth", "mask"):
         path = getattr(config.data, key)
-        if path is not None and Path(path).parent == folder.path and Path(path).name in FILES:
+        if path is not None and Path(path).parent == folder.path and Path(path).name in RUN_FILES:
             raise ConfigError(
                 f"data.{key}: {path} is a result that this run would replace; give another output.dir"
             )
 
 
-def hashes(paths: Data, frames: str) -> dict[str, str]:
+def input_digests(paths: Data, frames: str) -> dict[str, str]:
     """The digest of each file of the input; `frames` is that of the burst."""
     found = {} if paths.path is None else {paths.path: frames}
     for path in (paths.mask, paths.truth):
@@ -204,7 +208,7 @@ def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path)
             )
 
 
-def _check_state(folder: Folder) -> None:
+def _check_state(folder: RunFolder) -> None:
     """A checkpoint that cannot be read is left out: the run starts again."""
     try:
         if folder.checkpoint.exists():
@@ -214,7 +218,7 @@ def _check_state(folder: Folder) -> None:
         folder.checkpoint.unlink()
 
 
-def _seconds(folder: Folder, record: Mapping[str, Any]) -> float:
+def _seconds(folder: RunFolder, record: Mapping[str, Any]) -> float:
     """Work that the checkpoint holds; what was done after it is done again."""
     if not folder.checkpoint.exists() or "started" not in record:
         return 0.0

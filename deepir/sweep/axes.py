@@ -12,9 +12,11 @@ from deepir.errors import ConfigError, DataError
 from deepir.paths import expanded
 
 #: Axes over which medians are taken.
-REPEATS = ("seed", "data.simulate.seed")
-BURST = "burst"
-OPENING, CLOSING, QUOTES = "[{(", "]})", "\"'"
+REPEAT_AXES = ("seed", "data.simulate.seed")
+BURST_AXIS = "burst"  # key of the axis of bursts
+OPENING_BRACKETS = "[{("
+CLOSING_BRACKETS = "]})"
+QUOTES = "\"'"
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Axis:
     choices: Mapping[str, Sequence[str]]
 
 
-def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
+def parse_axes(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
     """Settings with one value, and an axis for each that lists several: `prior=tv,dip`.
 
     A comma within brackets or quotes belongs to a value. Raises `ConfigError` where all values are the same one.
@@ -34,7 +36,7 @@ def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
     axes: dict[str, Axis] = {}
     for setting in settings:
         key, _, text = (part.strip() for part in setting.partition("="))
-        values = [value.strip() for value in split(text)]
+        values = [value.strip() for value in split_at_commas(text)]
         axes.pop(key, None)  # as everywhere: of a key given twice, the last counts
         if len(values) == 1:
             fixed.append(setting)
@@ -45,7 +47,7 @@ def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
     return fixed, list(axes.values())
 
 
-def split(text: str) -> list[str]:
+def split_at_commas(text: str) -> list[str]:
     """A text at its commas, those within brackets or quotes left out.
 
     >>> split("[0, 3],5")
@@ -57,7 +59,7 @@ def split(text: str) -> list[str]:
             quote = "" if letter == quote else quote
         elif letter in QUOTES:
             quote = letter
-        depth += (not quote) * ((letter in OPENING) - (letter in CLOSING))
+        depth += (not quote) * ((letter in OPENING_BRACKETS) - (letter in CLOSING_BRACKETS))
         if letter == "," and depth <= 0 and not quote:
             parts.append("")
         else:
@@ -65,7 +67,7 @@ def split(text: str) -> list[str]:
     return parts
 
 
-def bursts(patterns: Sequence[str]) -> Axis:
+def burst_axis(patterns: Sequence[str]) -> Axis:
     """An axis of bursts: files, folders of pictures, and globs of these.
 
     STEM_truth.npz is the truth of STEM.npz beside it, as `deepir simulate` writes them.
@@ -85,7 +87,8 @@ def bursts(patterns: Sequence[str]) -> Axis:
     stems = [Path(path).stem for path in paths]
     names = stems if len(set(stems)) == len(stems) else paths
     return Axis(
-        BURST, {name: _burst(path, truths.get(path, "")) for name, path in zip(names, paths, strict=True)}
+        BURST_AXIS,
+        {name: _burst(path, truths.get(path, "")) for name, path in zip(names, paths, strict=True)},
     )
 
 
@@ -100,7 +103,7 @@ def folder_name(values: Mapping[str, str]) -> str:
     Raises:
         ConfigError: It is too long for one.
     """
-    parts = [value if key == BURST else f"{key}={value}" for key, value in values.items()]
+    parts = [value if key == BURST_AXIS else f"{key}={value}" for key, value in values.items()]
     name = ",".join(re.sub(r"[^\w.+=-]+", "-", part) for part in parts)
     if len(name.encode()) > 240:
         raise ConfigError(f"{name[:80]}...: too long for a folder; put long values into a .yaml file")

@@ -15,9 +15,9 @@ from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.frames import digest
 from deepir.paths import expanded
 from deepir.runner import prepare
-from deepir.storage.folder import Folder
-from deepir.storage.stored import check_unchanged, hashes, pinned
-from deepir.sweep.axes import BURST, Axis, folder_name
+from deepir.storage.folder import RunFolder
+from deepir.storage.stored import check_unchanged, input_digests, pin_config
+from deepir.sweep.axes import BURST_AXIS, Axis, folder_name
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Cell:
 
     values: Mapping[str, str]
     config: Config
-    folder: Folder
+    folder: RunFolder
 
     @property
     def name(self) -> str:
@@ -52,7 +52,9 @@ class Cell:
         return state
 
 
-def cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, threads: int) -> list[Cell]:
+def make_cells(
+    name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, threads: int
+) -> list[Cell]:
     """The product of the axes' choices.
 
     Args:
@@ -84,9 +86,9 @@ def cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, 
 
 
 def _cell(values: Mapping[str, str], config: Config, path: Path, threads: int) -> Cell:
-    folder = Folder(expanded(path).absolute())
+    folder = RunFolder(expanded(path).absolute())
     return Cell(
-        values, pinned(config.model_copy(update={"threads": config.threads or threads}), folder), folder
+        values, pin_config(config.model_copy(update={"threads": config.threads or threads}), folder), folder
     )
 
 
@@ -99,7 +101,7 @@ def _one_burst(config: Config, most: int | None) -> Config:
     return config.model_copy(update={"data": data})
 
 
-def check(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
+def check_cells(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
     """Find what is wrong with any of them before anything runs, but for the files of bursts that an axis names.
 
     Configurations that differ in seeds only are checked once, and on one burst that can be read; not at all
@@ -122,7 +124,7 @@ def check(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
         other = next((each for each in reversed(found) if _kind(each) != kind), None)
         common = other is not None and str(_wrong(other)) == str(error)
         named = error if common else type(error)(f"{cell.name}: {error}")
-        if not (isinstance(named, DataError) and BURST in cell.values):
+        if not (isinstance(named, DataError) and BURST_AXIS in cell.values):
             raise named
         unread[kind] = named
     if unread:
@@ -140,7 +142,7 @@ def _wrong(cell: Cell) -> DeepIRError | None:
 
 def _kind(cell: Cell) -> tuple[str, ...]:
     """What matters to a check."""
-    return tuple(value for key, value in cell.values.items() if key not in ("seed", BURST))
+    return tuple(value for key, value in cell.values.items() if key not in ("seed", BURST_AXIS))
 
 
 def check_inputs(found: Sequence[Cell]) -> None:
@@ -148,7 +150,7 @@ def check_inputs(found: Sequence[Cell]) -> None:
     for cell in found:
         if cell.state() == "finished":
             data = cell.config.data
-            now = hashes(data, "" if data.path is None else digest(data.path))
+            now = input_digests(data, "" if data.path is None else digest(data.path))
             check_unchanged(cell.folder.record().get("inputs", {}), now, cell.folder.path)
 
 

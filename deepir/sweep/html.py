@@ -8,18 +8,18 @@ from typing import Any
 from urllib.parse import quote
 
 from deepir.report.page import write_page
-from deepir.sweep.plots import curves, drawn
-from deepir.sweep.table import SHOWN, Group, Row, grouped, shown
+from deepir.sweep.plots import curves, plottable
+from deepir.sweep.table import TABLE_METRICS, Group, Row, group_rows, shown_metrics
 
 
 def write_report(path: Path, found: Sequence[Row], title: str) -> None:
     """Write the page beside the folders of the runs; `title` is the command."""
-    groups, metrics = grouped(found), shown(found)
-    finished, against = drawn(found)
+    groups, metrics = group_rows(found), shown_metrics(found)
+    finished, against = plottable(found)
     data = {
         "title": title,
         "axes": list(groups[0].values),
-        "metrics": [{"name": SHOWN[each][0], "decimals": SHOWN[each][1]} for each in metrics],
+        "metrics": [{"name": TABLE_METRICS[each][0], "decimals": TABLE_METRICS[each][1]} for each in metrics],
         "rows": [
             {
                 "values": list(group.values.values()),

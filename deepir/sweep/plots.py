@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deepir.io import replace
-from deepir.sweep.axes import BURST, REPEATS
-from deepir.sweep.table import SHOWN, Group, Row, grouped, shown
+from deepir.io import atomic_file
+from deepir.sweep.axes import BURST_AXIS, REPEAT_AXES
+from deepir.sweep.table import TABLE_METRICS, Group, Row, group_rows, shown_metrics
 
-FRAMES = "data.frames"
-AVERAGED = (*REPEATS, BURST)
+FRAMES_AXIS = "data.frames"  # key of the axis of frame counts
+AVERAGED_AXES = (*REPEAT_AXES, BURST_AXIS)  # axes over which curves take medians
 
 
 def write_plots(path: Path, found: Sequence[Row]) -> None:
@@ -24,8 +24,8 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    metric = shown(found)[0]
-    finished, against = drawn(found)
+    metric = shown_metrics(found)[0]
+    finished, against = plottable(found)
     if not against:
         path.unlink(missing_ok=True)
         return
@@ -35,7 +35,7 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     for axes, x in zip(figure.subplots(1, len(against), squeeze=False)[0], against, strict=True):
         for label, groups in lines.items():
             _draw(axes, groups, x, metric, label)
-        axes.set(xlabel=x, ylabel=SHOWN[metric][0])
+        axes.set(xlabel=x, ylabel=TABLE_METRICS[metric][0])
         axes.grid(alpha=0.3)
         if x == "seconds":
             axes.set_xscale("log")
@@ -48,14 +48,14 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
-def drawn(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
+def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
     """The rows that can be drawn, and against what: nothing, where they make a single point."""
-    finished = [row for row in found if row.metrics.get(shown(found)[0]) is not None]
-    if not finished or len(grouped(finished, AVERAGED)) < 2:
+    finished = [row for row in found if row.metrics.get(shown_metrics(found)[0]) is not None]
+    if not finished or len(group_rows(finished, AVERAGED_AXES)) < 2:
         return finished, []
     several = len({row.metrics["frames"] for row in finished}) > 1
     return finished, ["frames", "seconds"] if several else ["seconds"]
@@ -64,8 +64,8 @@ def drawn(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
 def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
     """Groups that differ in the number of frames only, by what they have in common."""
     lines: dict[str, list[Group]] = {}
-    for group in grouped(found, AVERAGED):
-        label = ", ".join(value for key, value in group.values.items() if key != FRAMES)
+    for group in group_rows(found, AVERAGED_AXES):
+        label = ", ".join(value for key, value in group.values.items() if key != FRAMES_AXIS)
         lines.setdefault(label, []).append(group)
     return lines
 

@@ -12,7 +12,7 @@ from deepir.errors import ConfigError
 from deepir.paths import expanded
 from deepir.sweep import cluster, table
 from deepir.sweep.axes import Axis
-from deepir.sweep.cells import Cell, cells, check, check_inputs
+from deepir.sweep.cells import Cell, check_cells, check_inputs, make_cells
 
 
 @dataclass
@@ -34,7 +34,7 @@ class Sweep:
         """Finish all cells; `say` hears of each as it ends."""
         if todo := self.todo():
             workers = min(self.workers, len(todo))
-            for cell, error in cluster.outcomes(todo, workers=workers, scheduler=scheduler, plugins=plugins):
+            for cell, error in cluster.run_cells(todo, workers=workers, scheduler=scheduler, plugins=plugins):
                 if error is not None:
                     self.errors[cell.name] = error
                 say(cell, error)
@@ -44,7 +44,7 @@ class Sweep:
         from deepir.sweep.html import write_report
         from deepir.sweep.plots import write_plots
 
-        found = table.rows(self.cells, self.errors)
+        found = table.make_rows(self.cells, self.errors)
         self.folder.mkdir(parents=True, exist_ok=True)
         table.write_markdown(self.folder / "table.md", found, title)
         table.write_csv(self.folder / "table.csv", found)
@@ -89,20 +89,20 @@ def prepare(
         raise ConfigError("nothing varies: list values with commas, for example prior=tv,dip seed=0,1,2")
     first = load(name, [*settings, *(each for axis in axes for each in next(iter(axis.choices.values())))])
     base = expanded(first.output.dir or folder).absolute()
-    cores = cluster.cores()
+    cores = cluster.core_count()
     count = workers or min(
         math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1))
     )
-    found = cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
+    found = make_cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
     table.check_free(base)
     if overwrite:
         for cell in found:
             cell.folder.check_free(overwrite=True)
-        check(found)
+        check_cells(found)
         for cell in found:
             cell.folder.discard([cell.folder.path])
     else:
         finished = [cell for cell in found if cell.state() == "finished"]
-        check([cell for cell in found if cell not in finished], finished)
+        check_cells([cell for cell in found if cell not in finished], finished)
         check_inputs(found)
     return Sweep(base, found, count)

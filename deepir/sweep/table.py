@@ -12,18 +12,19 @@ from statistics import median
 from typing import Any
 
 from deepir.errors import ConfigError
-from deepir.io import replace
-from deepir.sweep.axes import REPEATS
+from deepir.io import atomic_file
+from deepir.sweep.axes import REPEAT_AXES
 from deepir.sweep.cells import Cell
 
-#: What the table shows of `metrics.json`: heading, and decimals (None: three digits). `table.csv` has all numbers.
-SHOWN = {
+#: Metrics of `metrics.json` in the table: heading and decimals (None: three digits). `table.csv` has all.
+TABLE_METRICS = {
     "psnr_aligned": ("PSNR (dB)", 2),
     "radiometric_rmse": ("radiometric error", None),
     "held_out_rmse": ("held-out error", None),
     "seconds": ("seconds", None),
 }
-HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
+#: First line of table.md, by which it is recognised.
+TABLE_HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,12 @@ class Group:
         return (median(found), min(found), max(found)) if found else None
 
 
-def rows(cells: Sequence[Cell], errors: Mapping[str, str]) -> list[Row]:
+def make_rows(cells: Sequence[Cell], errors: Mapping[str, str]) -> list[Row]:
     """A row for each cell; `errors` by the cells' names."""
     return [Row(cell.name, cell.values, _metrics(cell), errors.get(cell.name, "")) for cell in cells]
 
 
-def grouped(found: Sequence[Row], without: Sequence[str] = REPEATS) -> list[Group]:
+def group_rows(found: Sequence[Row], without: Sequence[str] = REPEAT_AXES) -> list[Group]:
     """The rows by their values, those of the axes `without` left out, in order."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     keys = [key for key in found[0].values if key not in without]
@@ -63,45 +64,45 @@ def grouped(found: Sequence[Row], without: Sequence[str] = REPEATS) -> list[Grou
     return [Group(dict(zip(keys, values, strict=True)), each) for values, each in groups.items()]
 
 
-def shown(found: Sequence[Row]) -> list[str]:
+def shown_metrics(found: Sequence[Row]) -> list[str]:
     """The metrics that the table shows: the held-out error only where there is no truth."""
     truth = any("psnr_aligned" in row.metrics for row in found)
     unknown = ("held_out_rmse",) if truth else ("psnr_aligned", "radiometric_rmse")
-    return [metric for metric in SHOWN if metric not in unknown]
+    return [metric for metric in TABLE_METRICS if metric not in unknown]
 
 
-def lines(found: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
+def table_lines(found: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
     """Headings and cells of the table: a line for each group, medians with the least and the greatest."""
-    groups, metrics = grouped(found), shown(found)
-    heads = [*groups[0].values, "finished", *(SHOWN[metric][0] for metric in metrics)]
+    groups, metrics = group_rows(found), shown_metrics(found)
+    heads = [*groups[0].values, "finished", *(TABLE_METRICS[metric][0] for metric in metrics)]
     body = []
     for group in groups:
         done = sum(bool(row.metrics) for row in group.rows)
-        figures = [_figure(group.spread(metric), SHOWN[metric][1]) for metric in metrics]
+        figures = [_figure(group.spread(metric), TABLE_METRICS[metric][1]) for metric in metrics]
         body.append([*group.values.values(), f"{done}/{len(group.rows)}", *figures])
     return heads, body
 
 
-def figures(cell: Cell) -> str:
+def metrics_line(cell: Cell) -> str:
     """What came out of one cell, in a line."""
-    found = rows([cell], {})
-    heads, (body,) = lines(found)
+    found = make_rows([cell], {})
+    heads, (body,) = table_lines(found)
     return ", ".join(
-        f"{head} {each}" for head, each in list(zip(heads, body, strict=True))[-len(shown(found)) :]
+        f"{head} {each}" for head, each in list(zip(heads, body, strict=True))[-len(shown_metrics(found)) :]
     )
 
 
 def markdown(found: Sequence[Row], title: str) -> str:
     """The table as a page, with the machines that ran it and what failed."""
-    heads, body = lines(found)
+    heads, body = table_lines(found)
     table = [heads, ["---"] * len(heads), *([cell.replace("|", "\\|") for cell in line] for line in body)]
     text = "".join(f"| {' | '.join(line)} |\n" for line in table)
-    repeated = any(len(group.rows) > 1 for group in grouped(found))
+    repeated = any(len(group.rows) > 1 for group in group_rows(found))
     note = "Medians over seeds, with the least and the greatest.\n\n" if repeated else ""
     ran = sorted({row.metrics["machine"] for row in found if "machine" in row.metrics})
     where = "".join(f"\nOn {each}.\n" for each in ran)
     failed = "".join(f"- `{row.name}`: {row.error}\n" for row in found if row.error)
-    return f"{HEADER}# Results\n\n`{title}`\n\n{note}{text}{where}" + (
+    return f"{TABLE_HEADER}# Results\n\n`{title}`\n\n{note}{text}{where}" + (
         f"\nFailed:\n\n{failed}" if failed else ""
     )
 
@@ -121,13 +122,13 @@ def write_csv(path: Path, found: Sequence[Row]) -> None:
     writer.writeheader()
     for row in found:
         writer.writerow({**row.metrics, **row.values, "error": row.error})
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_text(stream.getvalue(), encoding="utf-8")
 
 
 def write_markdown(path: Path, found: Sequence[Row], title: str) -> None:
     """The table, and what failed."""
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_text(markdown(found, title), encoding="utf-8")
 
 
@@ -135,7 +136,7 @@ def check_free(folder: Path) -> None:
     """Raise `ConfigError` if the folder holds a table that no sweep wrote."""
     page = folder / "table.md"
     try:
-        ours = page.is_file() and page.read_text(encoding="utf-8").startswith(HEADER)
+        ours = page.is_file() and page.read_text(encoding="utf-8").startswith(TABLE_HEADER)
     except (OSError, UnicodeDecodeError):
         ours = False
     for name in ("table.md", "table.csv", "quality.png", "report.html"):

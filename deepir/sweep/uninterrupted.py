@@ -5,7 +5,7 @@ import signal
 from distributed import Worker, WorkerPlugin
 
 
-class Uninterrupted(WorkerPlugin):
+class IgnoreInterrupts(WorkerPlugin):
     """Ctrl-C in a terminal reaches the workers too; without this each would end with a traceback of its own."""
 
     name = "deepir-uninterrupted"

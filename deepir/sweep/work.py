@@ -12,13 +12,13 @@ from deepir.registry import load_plugin
 from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
 
-#: torch's seed and the package's log belong to the process: it does one run at a time.
-ALONE = threading.Lock()
+#: One run at a time: torch's seed and the package's log belong to the process.
+PROCESS_LOCK = threading.Lock()
 
 
-def finish(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
+def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
     """Run a cell, or go on with it where a lost worker left it; what is wrong with it, in one line, or None."""
-    with ALONE:
+    with PROCESS_LOCK:
         try:
             for each in plugins:
                 load_plugin(each)

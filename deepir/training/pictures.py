@@ -10,12 +10,17 @@ from torch import Tensor
 
 from deepir.simulate.scenes.procedural import procedural
 
-#: Of scikit-image; all others are kept for tuning and judging.
+#: Pictures of scikit-image for training; all others are for tuning and benchmarks.
 PHOTOGRAPHS = ("brick", "cell", "chelsea", "coffee", "hubble_deep_field", "retina")
-JUDGES_OF_RIVALS = ("chelsea", "coffee")  # benchmarks/record.py judges by them: no rival learns from them
-FIRST, SCENES = 1000, 160  # seeds of the drawn scenes; those below are for tuning and judging
-HEIGHTS = (160, 520)  # px of a drawn scene: coarse and fine ones
-SHRUNK = (1, 2, 3)  # times; a photograph is sharper when it is small
+BENCHMARK_PHOTOGRAPHS = (
+    "chelsea",
+    "coffee",
+)  # test pictures of benchmarks/record.py: no rival learns from them
+FIRST_SCENE_SEED = 1000  # seed of the first drawn scene; smaller seeds are for tuning and benchmarks
+SCENE_COUNT = 160  # drawn scenes
+BATCH_SIZE = 8  # crops of an iteration
+SCENE_HEIGHTS = (160, 520)  # px of a drawn scene, from and below
+PHOTOGRAPH_REDUCTIONS = (1, 2, 3)  # factors; a reduced photograph is sharper
 
 
 class Pictures:
@@ -27,7 +32,7 @@ class Pictures:
     def __init__(self, rng: np.random.Generator, without: Sequence[str] = ()) -> None:
         self.rng = rng
         self.photographs = _photographs([name for name in PHOTOGRAPHS if name not in without])
-        self.heights = rng.integers(*HEIGHTS, SCENES)
+        self.heights = rng.integers(*SCENE_HEIGHTS, SCENE_COUNT)
         self.drawn: dict[int, np.ndarray] = {}
 
     def crops(self, count: int, side: int) -> Tensor:
@@ -46,10 +51,10 @@ class Pictures:
         return self.photographs[self.rng.choice(len(sides), p=sides / sides.sum())]
 
     def _scene(self) -> np.ndarray:
-        i = int(self.rng.integers(SCENES))
+        i = int(self.rng.integers(SCENE_COUNT))
         if i not in self.drawn:
             shape = (int(self.heights[i]), int(1.25 * self.heights[i]))
-            self.drawn[i] = procedural(FIRST + i, shape).astype(np.float32)
+            self.drawn[i] = procedural(FIRST_SCENE_SEED + i, shape).astype(np.float32)
         return self.drawn[i]
 
 
@@ -62,5 +67,8 @@ def _photographs(names: Sequence[str]) -> list[np.ndarray]:
     for name in names:
         whole = np.atleast_3d(getattr(skimage.data, name)()).astype(np.float32) / 255
         for colour in np.moveaxis(whole, -1, 0):
-            found += [downscale_local_mean(colour, (times, times)).astype(np.float32) for times in SHRUNK]
+            found += [
+                downscale_local_mean(colour, (times, times)).astype(np.float32)
+                for times in PHOTOGRAPH_REDUCTIONS
+            ]
     return found

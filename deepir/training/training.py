@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-CLIP = 1.0  # largest norm of a gradient
-WARM_UP = 200  # iterations in which the step grows to its full size
+MAX_GRADIENT_NORM = 1.0  # norm to which gradients are clipped
+WARM_UP_ITERATIONS = 200  # iterations in which the step size grows to its full value
 
 
 class Training:
@@ -35,7 +35,7 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Learning:
+class TrainingProgress:
     """Where a training is: handed to `report` after every iteration."""
 
     iteration: int
@@ -49,7 +49,7 @@ def train(
     *,
     seed: int = 0,
     iterations: int | None = None,
-    report: Callable[[Learning], Any] = lambda learning: None,
+    report: Callable[[TrainingProgress], Any] = lambda learning: None,
 ) -> nn.Module:
     """Train a network: the same seed gives the same weights, on the same machine and with as many threads.
 
@@ -67,15 +67,15 @@ def train(
             loss = training.loss(network)
         adam.zero_grad()
         loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), CLIP)
+        nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT_NORM)
         adam.step()
         steps.step()
         last = loss.item()
         average = last if i == 0 else average + max(0.01, 1 / (i + 1)) * (last - average)
-        report(Learning(i + 1, total, average, time.monotonic() - start))
+        report(TrainingProgress(i + 1, total, average, time.monotonic() - start))
     return network.eval()
 
 
 def _step(iteration: int, total: int) -> float:
     """The step as a share of its full size."""
-    return min(1.0, (iteration + 1) / WARM_UP) * (1 + math.cos(math.pi * iteration / total)) / 2
+    return min(1.0, (iteration + 1) / WARM_UP_ITERATIONS) * (1 + math.cos(math.pi * iteration / total)) / 2

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.baselines.registered.hardie_droege2007 import Model, rest, roughness
+from deepir.baselines.registered.hardie_droege2007 import Model, high_pass, high_pass_normal
 from deepir.errors import ConfigError
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
@@ -41,13 +41,13 @@ def cost(model, z, gain, bias):
     """The paper's L, with the gain."""
     noise, smooth, of_gain, of_bias = model.precisions
     left = model.usable * (model.data - gain * model.look(z) - bias)
-    terms = zip((noise, smooth, of_gain, of_bias), (left, rest(z), gain - 1, bias), strict=True)
+    terms = zip((noise, smooth, of_gain, of_bias), (left, high_pass(z), gain - 1, bias), strict=True)
     return sum(p * (each**2).sum() / 2 for p, each in terms)
 
 
 def test_the_gradient_of_the_papers_cost_is_zero_at_the_result(monkeypatch):
-    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.ROUNDS", 50)
-    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.TOLERANCE", 1e-12)
+    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.GAUSS_NEWTON_STEPS", 50)
+    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.CG_TOLERANCE", 1e-12)
     small, start = model()
     z, _ = small.solve(start)
     unknowns = [each.requires_grad_() for each in (z, *small.sensor(small.look(z)))]
@@ -67,9 +67,11 @@ def test_three_rounds_are_enough():
 
 def test_roughness_is_the_transpose_after_the_difference():
     a, b = torch.rand(2, 1, 1, 7, 8, dtype=torch.float64)
-    assert torch.allclose((rest(a) * rest(b)).sum(), (a * roughness(b)).sum())
+    assert torch.allclose((high_pass(a) * high_pass(b)).sum(), (a * high_pass_normal(b)).sum())
     y, x = torch.meshgrid(torch.arange(7.0), torch.arange(8.0), indexing="ij")
-    assert torch.allclose(rest((2 * x + 3 * y).double()[None, None]), torch.zeros(1).double(), atol=1e-12)
+    assert torch.allclose(
+        high_pass((2 * x + 3 * y).double()[None, None]), torch.zeros(1).double(), atol=1e-12
+    )
 
 
 def test_gain_and_bias_are_found():

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from deepir.storage.folder import FILES
+from deepir.storage.folder import RUN_FILES
 
 ENDED = {
     "config.yaml",
@@ -198,5 +198,5 @@ def test_a_full_disk_is_one_line_and_the_state_stays(nuc, folder, monkeypatch):
     status, _, err = nuc("data.path=burst.npz")
     assert status == 2
     assert "result.npz: cannot be written: No space left on device" in err
-    assert held(folder / "runs/nuc") <= set(FILES)
+    assert held(folder / "runs/nuc") <= set(RUN_FILES)
     assert "config.yaml" in held(folder / "runs/nuc")

@@ -6,7 +6,7 @@ import torch
 
 from deepir.build.problem import build
 from deepir.burst import Burst
-from deepir.config import SHIPPED, headline, load, priors, shipped_names
+from deepir.config import SHIPPED_CONFIGS, headline, load, priors, shipped_names
 from deepir.optim.solve import solve
 from deepir.pipeline.schedule import plan
 from deepir.registry import lookup
@@ -57,13 +57,15 @@ def test_the_2021_formulation_is_one_descent_that_draws_its_scene_once_an_iterat
     assert moved == {"scene", "gain", "motion"} | ({"offset"} if "offset" in problem.free() else set())
 
 
-@pytest.mark.parametrize("path", sorted(SHIPPED.rglob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(SHIPPED_CONFIGS.rglob("*.yaml")), ids=lambda path: path.stem)
 def test_a_shipped_file_says_in_its_first_line_what_it_is(path):
     assert 10 < len(headline(path)) <= 120
     assert headline(path).endswith(".")
 
 
-@pytest.mark.parametrize("path", sorted((SHIPPED / "prior").glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((SHIPPED_CONFIGS / "prior").glob("*.yaml")), ids=lambda path: path.stem
+)
 def test_a_preset_of_a_prior_holds_a_scene_and_nothing_else(path):
     from deepir.config.yaml import parse
 

@@ -9,7 +9,7 @@ import deepir
 from deepir.config import priors
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
 ONE = {"threads": 1}
@@ -25,7 +25,7 @@ def views(pictures=PICTURES, **more):
         "offset_column": 0.02, "offset_row": 0.02, "gain_pixel": 0.0, "gain_column": 0.0, "shading": 0.0,
         "dead_pixels": 0.0,
     }  # fmt: skip
-    return simulate(picture(pictures), Settings(**settings | more), seed=1)
+    return simulate(load_picture(pictures), Settings(**settings | more), seed=1)
 
 
 def likeness(first, second):

@@ -15,7 +15,7 @@ from deepir.registration import (
 )
 from deepir.registration.variance_stabilise import variance_stabilise
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import picture as scene
+from deepir.simulate.scenes.pictures import load_picture as scene
 from deepir.simulate.scenes.procedural import procedural, sky
 
 

@@ -8,7 +8,7 @@ from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 from deepir.registration import register, shift_likelihood
 from deepir.registration.variance_stabilise import filled, variance_stabilise
 from deepir.simulate import simulate
-from deepir.simulate.scenes.pictures import picture as scene
+from deepir.simulate.scenes.pictures import load_picture as scene
 from deepir.simulate.scenes.procedural import procedural, sky
 
 

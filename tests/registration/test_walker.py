@@ -13,7 +13,7 @@ from deepir.registration.motion_search import place
 from deepir.registration.moving_object_masks import blanked, filled, someone
 from deepir.registration.preprocess import preprocess
 from deepir.simulate import simulate
-from deepir.simulate.scenes.pictures import picture as scene
+from deepir.simulate.scenes.pictures import load_picture as scene
 from deepir.simulate.scenes.procedural import procedural, sky
 
 WALKER = {"walker": 0.5, "walker_contrast": 0.3}

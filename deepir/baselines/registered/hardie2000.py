@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from deepir.baselines.average import Array, corrected, find, indices, places, pulled_back, whole
+from deepir.baselines.average import (
+    Array,
+    correct_and_average,
+    fill_invalid,
+    register_burst,
+    registered_mean,
+    sampling_points,
+    to_indices,
+)
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -21,26 +29,29 @@ def hardie2000(burst: Burst, config: Config) -> Result:
     `y = gain z + bias` fitted to the pairs that a pixel has seen. Two unknowns a pixel and no prior: three frames
     leave one degree of freedom. The registration is deepir's.
     """
-    found = motion, used, _ = find(burst, config)
+    found = motion, used, _ = register_burst(burst, config)
     frames, valid = burst.frames[used], (burst.valid & ~burst.bad_pixels)[used]
     seen = frames.mean(0, keepdims=True).repeat(len(frames), 0)
     if motion is not None:
-        seen = along(frames, valid, motion[used].numpy())
-    return corrected(burst, config, *lines(seen, whole(frames, valid)), found)
+        seen = trajectory_means(frames, valid, motion[used].numpy())
+    return correct_and_average(burst, config, *fit_lines(seen, fill_invalid(frames, valid)), found)
 
 
-def along(frames: Array, valid: Array, motion: Array) -> Array:
+def trajectory_means(frames: Array, valid: Array, motion: Array) -> Array:
     """The scene at each sample (N, h, w): the mean of all frames along the trajectory through it."""
-    looks = np.stack([places(each, frames.shape[1:]) for each in motion])
+    looks = np.stack([sampling_points(each, frames.shape[1:]) for each in motion])
     beyond = np.abs(looks).max(axis=(0, 2, 3)) - (np.array(frames.shape[1:]) - 1) / 2
     margin = [(0, 0), *((rim, rim) for rim in np.ceil(beyond + 1e-6).astype(int))]
-    mean = pulled_back(np.pad(frames, margin), np.pad(valid, margin), motion).numpy()
+    mean = registered_mean(np.pad(frames, margin), np.pad(valid, margin), motion).numpy()
     return np.stack(
-        [ndimage.map_coordinates(mean, indices(each, mean.shape), order=3, mode="mirror") for each in looks]
+        [
+            ndimage.map_coordinates(mean, to_indices(each, mean.shape), order=3, mode="mirror")
+            for each in looks
+        ]
     )
 
 
-def lines(scene: Array, frames: Array) -> tuple[Array, Array]:
+def fit_lines(scene: Array, frames: Array) -> tuple[Array, Array]:
     """Gain and bias (h, w) of the lines `frames = gain * scene + bias` over N samples; gain one if all agree."""
     x, y = scene.astype(np.float64), frames.astype(np.float64)
     x_mean, y_mean = x.mean(0), y.mean(0)

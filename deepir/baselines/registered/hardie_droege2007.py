@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from deepir.arrays.noise_level import sample_noise
-from deepir.baselines.average import find
+from deepir.baselines.average import register_burst
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
@@ -23,10 +23,14 @@ from deepir.problems.initial_estimate import start_scene
 from deepir.registry import register
 from deepir.result import Result, neutral, to_gauge
 
-#: Of Gauss-Newton; of conjugate gradients in each, at most, and their end.
-ROUNDS, ITERATIONS, TOLERANCE = 3, 60, 1e-3
-WIDE = 2.0  # the prior of D z to its root mean square, which is that of edges and texture alike
-KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[None, None]
+GAUSS_NEWTON_STEPS = 3
+MAX_CG_ITERATIONS = 60  # iterations of conjugate gradients in each Gauss-Newton step
+CG_TOLERANCE = 1e-3  # norm of the preconditioned residual, relative to its start, at which they stop
+PRIOR_WIDTH_RATIO = 2.0  # prior deviation of D z over its root mean square, which edges and texture share
+#: D: a pixel less the mean of its four neighbours.
+HIGH_PASS_KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[
+    None, None
+]
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -51,7 +55,7 @@ def hardie_droege2007(
     Raises:
         ConfigError: The physics do not end in a sensor.
     """
-    motion, used, messages = find(burst, config)
+    motion, used, messages = register_burst(burst, config)
     kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
     problem, geometry = build(config, kept, None if motion is None else motion[used])
     *optics, (_, last) = problem.operator.named()
@@ -119,25 +123,25 @@ class Model:
         pattern = max(float(squares.mean()), 1e-6 * noise**2)
         of_gain = gain**2 if gain else max(float(parts[0]), 1e-4 * pattern / float((level**2).mean()))
         of_bias = bias**2 if bias else max(float(parts[1]), 1e-4 * pattern)  # neither is ruled out
-        of_scene = scene**2 if scene else WIDE**2 * float((rest(average) ** 2).mean())
+        of_scene = scene**2 if scene else PRIOR_WIDTH_RATIO**2 * float((high_pass(average) ** 2).mean())
         self.precisions = (1 / noise**2, 1 / of_scene, 1 / of_gain, 1 / of_bias)
 
     def solve(self, z: Tensor) -> tuple[Tensor, int]:
         """The most probable scene from a start, by Gauss-Newton steps in which gain and bias follow the scene."""
         noise, smooth, _, _ = self.precisions
         count = 0
-        for _ in range(ROUNDS):
+        for _ in range(GAUSS_NEWTON_STEPS):
             flux = self.look(z)
             gain, bias = self.sensor(flux)
             left = self.usable * (self.data - gain * flux - bias)
-            slope = noise * self.back(gain * left) - smooth * roughness(z)
+            slope = noise * self.back(gain * left) - smooth * high_pass_normal(z)
             weight = noise * self.back(gain**2 * self.usable) + 1.25 * smooth
 
             def curvature(step: Tensor, gain: Tensor = gain, flux: Tensor = flux) -> Tensor:
                 moved = self.usable * gain * self.look(step)
                 more, higher = self._ridge(flux, moved)
                 moved = self.usable * (moved - more * flux - higher)
-                return noise * self.back(gain * moved) + smooth * roughness(step)
+                return noise * self.back(gain * moved) + smooth * high_pass_normal(step)
 
             step, iterations = conjugate_gradients(curvature, slope, weight)
             z, count = z + step, count + iterations
@@ -159,14 +163,14 @@ class Model:
         return (a22 * b1 - a12 * b2) / determinant, (a11 * b2 - a12 * b1) / determinant
 
 
-def rest(z: Tensor) -> Tensor:
+def high_pass(z: Tensor) -> Tensor:
     """D z, what a pixel has beyond the mean of its four neighbours; pixels at the rim have none."""
-    return F.conv2d(z, KERNEL)
+    return F.conv2d(z, HIGH_PASS_KERNEL)
 
 
-def roughness(z: Tensor) -> Tensor:
+def high_pass_normal(z: Tensor) -> Tensor:
     """D' D z."""
-    return F.conv_transpose2d(rest(z), KERNEL)
+    return F.conv_transpose2d(high_pass(z), HIGH_PASS_KERNEL)
 
 
 def conjugate_gradients(
@@ -176,8 +180,8 @@ def conjugate_gradients(
     step, left = torch.zeros_like(slope), slope
     along = towards = left / weight
     size = start = float((left * towards).sum())
-    for iteration in range(ITERATIONS):
-        if size <= TOLERANCE**2 * start:
+    for iteration in range(MAX_CG_ITERATIONS):
+        if size <= CG_TOLERANCE**2 * start:
             return step, iteration
         bent = curvature(along)
         length = size / float((along * bent).sum())
@@ -185,4 +189,4 @@ def conjugate_gradients(
         towards = left / weight
         before, size = size, float((left * towards).sum())
         along = towards + size / before * along
-    return step, ITERATIONS
+    return step, MAX_CG_ITERATIONS

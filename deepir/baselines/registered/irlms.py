@@ -9,8 +9,15 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.baselines.average import Array, corrected, find, indices, places, whole
-from deepir.baselines.online import STABLE, played, scaled, sensor
+from deepir.baselines.average import (
+    Array,
+    correct_and_average,
+    fill_invalid,
+    register_burst,
+    sampling_points,
+    to_indices,
+)
+from deepir.baselines.online import INPUT_LIMITS, frame_sequence, gain_and_offset, normalise
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -32,27 +39,27 @@ def irlms(
     corrected one before it, moved to its place by bilinear interpolation. A burst is short and is played `passes`
     times, forth and back; the paper's video once. The registration is deepir's, rotations too.
     """
-    found = motion, used, _ = find(burst, config)
-    frames, low, span = scaled(whole(burst.frames, burst.valid & ~burst.bad_pixels)[used])
+    found = motion, used, _ = register_burst(burst, config)
+    frames, low, span = normalise(fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)[used])
     steps = np.eye(3)[None].repeat(len(frames), 0) if motion is None else motion[used].numpy()
-    weight, bias = learned(frames, steps, rate, passes)
-    return corrected(burst, config, *sensor(weight, bias, low, span), found)
+    weight, bias = learn_correction(frames, steps, rate, passes)
+    return correct_and_average(burst, config, *gain_and_offset(weight, bias, low, span), found)
 
 
-def learned(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple[Array, Array]:
+def learn_correction(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple[Array, Array]:
     """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one, moved by (N, 3, 3)."""
-    frames = frames.clip(*STABLE)
+    frames = frames.clip(*INPUT_LIMITS)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
-    for before, now in itertools.pairwise(played(len(frames), passes)):
+    for before, now in itertools.pairwise(frame_sequence(len(frames), passes)):
         step = np.linalg.inv(motion[before]) @ motion[now]
-        wanted = moved(weight * frames[before] + bias, step)
+        wanted = warp_bilinear(weight * frames[before] + bias, step)
         error = np.nan_to_num(wanted - (weight * frames[now] + bias))
         weight += rate * error * frames[now]
         bias += rate * error
     return weight, bias
 
 
-def moved(frame: Array, step: Array) -> Array:
+def warp_bilinear(frame: Array, step: Array) -> Array:
     """A frame (h, w) as it looks after a pull (3, 3), by bilinear interpolation; NaN where it did not see."""
-    at = indices(places(step, frame.shape), frame.shape)
+    at = to_indices(sampling_points(step, frame.shape), frame.shape)
     return ndimage.map_coordinates(frame, at, order=1, cval=np.nan)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from deepir.baselines.average import Array, averaged, find, indices, places
+from deepir.baselines.average import Array, average_frames, register_burst, sampling_points, to_indices
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -20,15 +20,15 @@ def shift_and_add(burst: Burst, config: Config) -> Result:
     space-invariant blur, IEEE Trans. Image Processing 10 (2001): the maximum-likelihood estimate of the blurred scene.
     Gain and offset stay as they are.
     """
-    found = motion, used, _ = find(burst, config)
-    result = averaged(burst, config, burst.frames, found)
+    found = motion, used, _ = register_burst(burst, config)
+    result = average_frames(burst, config, burst.frames, found)
     if motion is not None:
         good = (burst.valid & ~burst.bad_pixels)[used]
-        result.scene = added(burst.frames[used], good, motion[used].numpy(), result.scene.shape)
+        result.scene = accumulate(burst.frames[used], good, motion[used].numpy(), result.scene.shape)
     return result
 
 
-def added(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) -> Array:
+def accumulate(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) -> Array:
     """Means of the samples of frames (N, h, w) that are nearest to each point of a finer grid; holes are filled.
 
     A hole takes the mean of what is about it, weighted by a Gaussian as narrow as reaches anything.
@@ -36,7 +36,9 @@ def added(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) ->
     ratio = shape[0] / frames.shape[1]
     total, count = np.zeros((2, *shape))
     for frame, good, forth in zip(frames, valid, motion, strict=True):
-        row, column = np.rint(indices(places(forth, frame.shape), shape, ratio)).astype(int).reshape(2, -1)
+        row, column = (
+            np.rint(to_indices(sampling_points(forth, frame.shape), shape, ratio)).astype(int).reshape(2, -1)
+        )
         inside = good.ravel() & (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
         np.add.at(total, (row[inside], column[inside]), frame.ravel()[inside])
         np.add.at(count, (row[inside], column[inside]), 1)

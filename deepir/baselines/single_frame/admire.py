@@ -10,8 +10,8 @@ from pydantic import Field
 from scipy import ndimage
 
 from deepir.arrays.noise_level import flat_noise
-from deepir.baselines.average import Array, averaged, whole
-from deepir.baselines.single_frame.mire import WIDTHS, midway
+from deepir.baselines.average import Array, average_frames, fill_invalid
+from deepir.baselines.single_frame.mire import GAUSSIAN_WIDTHS, midway_equalise
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.denoisers.dct import dct
@@ -29,15 +29,17 @@ def admire(burst: Burst, config: Config, *, deviation: Annotated[float, Field(gt
     variation that chooses a pixel's width is a mean by a Gaussian of `deviation` px about it; the denoiser is
     deepir's `dct`, for the noise of the flattest parts of the equalised frame.
     """
-    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels)
-    return averaged(burst, config, np.stack([denoised(equalised(frame, deviation)) for frame in frames]))
+    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
+    return average_frames(
+        burst, config, np.stack([denoise(equalise_locally(frame, deviation)) for frame in frames])
+    )
 
 
-def equalised(frame: Array, deviation: float) -> Array:
+def equalise_locally(frame: Array, deviation: float) -> Array:
     """A frame (h, w) equalised over the width at which the total variation about each pixel is least."""
     best, least = frame, np.full(frame.shape, np.inf)
-    for width in WIDTHS:
-        candidate = midway(frame, width)
+    for width in GAUSSIAN_WIDTHS:
+        candidate = midway_equalise(frame, width)
         variation = local_variation(candidate, deviation)
         best = np.where(variation < least, candidate, best)
         least = np.minimum(variation, least)
@@ -52,7 +54,7 @@ def local_variation(frame: Array, deviation: float) -> Array:
     return np.asarray(ndimage.gaussian_filter(total, deviation))
 
 
-def denoised(frame: Array) -> Array:
+def denoise(frame: Array) -> Array:
     """A frame (h, w) less white noise, of the strength that its flattest parts show."""
     picture = torch.from_numpy(frame.astype(np.float32))[None]
     noise = flat_noise(picture, torch.ones_like(picture, dtype=torch.bool))

@@ -24,13 +24,13 @@ def bicubic(burst: Burst, config: Config) -> Result:
     _, geometry = build(config, first)
     frame, good = (torch.from_numpy(each)[None] for each in (first.frames, first.valid & ~burst.bad_pixels))
     whole = nearest_filled(frame, good)[0, 0].numpy()
-    result = neutral(enlarged(whole, geometry.ratio), len(burst.frames), burst.size, burst.bad_pixels)
+    result = neutral(enlarge(whole, geometry.ratio), len(burst.frames), burst.size, burst.bad_pixels)
     result.frames_used[1:] = False
     result.motion[1:] = float("nan")
     result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
     return result
 
 
-def enlarged(frame: Array, ratio: float) -> Array:
+def enlarge(frame: Array, ratio: float) -> Array:
     """A frame (h, w) on a grid `ratio` times as fine; a pixel is an area, and the corners stay where they are."""
     return np.asarray(ndimage.zoom(frame, ratio, order=3, mode="mirror", grid_mode=True))

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from deepir import weights
-from deepir.baselines.average import Array, averaged, whole
+from deepir.baselines.average import Array, average_frames, fill_invalid
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.denoisers.unet import UNet
@@ -25,11 +25,11 @@ def destripe_cnn(burst: Burst, config: Config) -> Result:
     the residual, and has learnt it from simulated columns. Theirs is another network, and has seen other pictures.
     `deepir train destripe_cnn` makes the weights.
     """
-    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels)
-    return averaged(burst, config, np.stack([destriped(frame) for frame in frames]))
+    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
+    return average_frames(burst, config, np.stack([destripe(frame) for frame in frames]))
 
 
-def destriped(frame: Array) -> Array:
+def destripe(frame: Array) -> Array:
     """A frame (h, w), in any unit, without its stripes; the level stays."""
     level = frame.mean(dtype=np.float64)
     picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.baselines.average import Array, averaged, whole
-from deepir.baselines.online import scaled
+from deepir.baselines.average import Array, average_frames, fill_invalid
+from deepir.baselines.online import normalise
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -32,18 +32,18 @@ def guided_1d(
     smoothed over `radius` px; what that takes is stripes where it is a linear function of the smooth frame within
     `height` of a column.
     """
-    frames, low, span = scaled(whole(burst.frames, burst.valid & ~burst.bad_pixels))
-    clean = np.stack([frame - stripes(frame, radius, edge, height) for frame in frames])
-    return averaged(burst, config, low + span * clean)
+    frames, low, span = normalise(fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels))
+    clean = np.stack([frame - estimate_stripes(frame, radius, edge, height) for frame in frames])
+    return average_frames(burst, config, low + span * clean)
 
 
-def stripes(frame: Array, radius: int, edge: float, height: float) -> Array:
+def estimate_stripes(frame: Array, radius: int, edge: float, height: float) -> Array:
     """The stripes of a frame (h, w) that reaches from about zero to about one."""
-    smooth = guided(frame, frame, 2 * radius + 1, edge**2, axis=1)
-    return guided(smooth, frame - smooth, max(3, round(height * len(frame))), edge**2, axis=0)
+    smooth = guided_filter(frame, frame, 2 * radius + 1, edge**2, axis=1)
+    return guided_filter(smooth, frame - smooth, max(3, round(height * len(frame))), edge**2, axis=0)
 
 
-def guided(guide: Array, image: Array, size: int, ridge: float, axis: int) -> Array:
+def guided_filter(guide: Array, image: Array, size: int, ridge: float, axis: int) -> Array:
     """What of an image is linear in the guide over windows of `size` px along an axis (He, Sun, Tang 2010)."""
 
     def mean(values: Array) -> Array:

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.polynomial import legendre
 from pydantic import Field
 
-from deepir.baselines.average import Array, average, whole
+from deepir.baselines.average import Array, average, fill_invalid
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
 from deepir.result import Result
 
-ITERATIONS = 50  # of reweighted least squares, at most
-CHANGE = 1e-4  # of the coefficients, relative to the largest, below which the iterations end
-ROUNDING = 0.1  # of the norm at zero, in medians of the absolute residual gradients
-BLOCKS = 8  # along the shorter side of a frame, at least
+MAX_IRLS_ITERATIONS = 50  # iterations of reweighted least squares
+IRLS_TOLERANCE = 1e-4  # change of the coefficients, relative to the largest, at which the iterations stop
+NORM_SMOOTHING = 0.1  # smoothing of the norm at zero, in medians of the absolute residual gradients
+MIN_BLOCKS = 8  # blocks along the shorter side of a frame
 
 
 @register("method", "low_order_bias")
@@ -40,8 +40,8 @@ def low_order_bias(
     intensity nonuniformity from sparseness of gradient distribution in medical images, MICCAI (2009); here
     on means of blocks of `block` px. No gain. A slope that all scenes share is taken for bias.
     """
-    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels)
-    offset = np.mean([bias(frame, degree, exponent, block) for frame in frames], axis=0)
+    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
+    offset = np.mean([estimate_bias(frame, degree, exponent, block) for frame in frames], axis=0)
     offset -= offset[~burst.bad_pixels].mean()
     corrected = (burst.frames - offset).astype(np.float32)
     result: Result = average(dataclasses.replace(burst, frames=corrected), config)
@@ -49,35 +49,35 @@ def low_order_bias(
     return result
 
 
-def bias(frame: Array, degree: int = 2, exponent: float = 1.0, block: int = 8) -> Array:
+def estimate_bias(frame: Array, degree: int = 2, exponent: float = 1.0, block: int = 8) -> Array:
     """The polynomial (h, w), mean zero, without which the gradients of a frame (h, w) are sparsest.
 
     The sum of their absolute values to `exponent` is least, between means of blocks: between pixels, noise
     and rounding hide slow gradients.
     """
-    terms = polynomials(frame.shape, degree)
-    side = max(1, min(block, min(frame.shape) // BLOCKS))
-    target, *slopes = gradients(blocks(np.concatenate([frame[None].astype(np.float64), terms]), side))
-    return np.asarray(np.tensordot(sparsest(target, np.stack(slopes), exponent), terms, 1))
+    terms = legendre_products(frame.shape, degree)
+    side = max(1, min(block, min(frame.shape) // MIN_BLOCKS))
+    target, *slopes = gradients(block_means(np.concatenate([frame[None].astype(np.float64), terms]), side))
+    return np.asarray(np.tensordot(reweighted_least_squares(target, np.stack(slopes), exponent), terms, 1))
 
 
-def sparsest(target: Array, slopes: Array, exponent: float) -> Array:
+def reweighted_least_squares(target: Array, slopes: Array, exponent: float) -> Array:
     """Coefficients (terms) of slopes (terms, all): the least `|target - coefficients slopes|^exponent`."""
     coefficients, weight = np.zeros(len(slopes)), np.ones_like(target)
     tiny = 1e-9 * float(np.abs(target).max()) or 1.0
-    for _ in range(ITERATIONS):
+    for _ in range(MAX_IRLS_ITERATIONS):
         before = coefficients
         weighted = slopes * weight
         coefficients = np.linalg.solve(weighted @ slopes.T, weighted @ target)
-        if np.abs(coefficients - before).max() <= CHANGE * np.abs(coefficients).max():
+        if np.abs(coefficients - before).max() <= IRLS_TOLERANCE * np.abs(coefficients).max():
             break
         residual = np.abs(target - coefficients @ slopes)
-        scale = ROUNDING * float(np.median(residual)) + tiny
+        scale = NORM_SMOOTHING * float(np.median(residual)) + tiny
         weight = np.hypot(residual / scale, 1) ** (exponent - 2)
     return coefficients
 
 
-def polynomials(shape: tuple[int, ...], degree: int) -> Array:
+def legendre_products(shape: tuple[int, ...], degree: int) -> Array:
     """Products (terms, h, w) of Legendre polynomials of y and x, up to a total degree from one, mean zero."""
     y, x = (legendre.legvander(np.linspace(-1, 1, side), degree) for side in shape)
     orders = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)][1:]
@@ -85,7 +85,7 @@ def polynomials(shape: tuple[int, ...], degree: int) -> Array:
     return np.asarray(terms - terms.mean((1, 2), keepdims=True))
 
 
-def blocks(pictures: Array, side: int) -> Array:
+def block_means(pictures: Array, side: int) -> Array:
     """Means over the whole blocks of `side` px of pictures (N, h, w)."""
     count, height, width = pictures.shape[0], *(length // side for length in pictures.shape[1:])
     kept = pictures[:, : height * side, : width * side]

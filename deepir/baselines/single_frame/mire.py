@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from deepir.baselines.average import Array, averaged, whole
+from deepir.baselines.average import Array, average_frames, fill_invalid
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
 from deepir.result import Result
 
-WIDTHS = np.arange(0.5, 8.5, 0.5)  # px, from which the one is chosen
+GAUSSIAN_WIDTHS = np.arange(0.5, 8.5, 0.5)  # px; the width with the least total variation is chosen
 
 
 @register("method", "mire")
@@ -21,16 +21,16 @@ def mire(burst: Burst, config: Config) -> Result:
     Y. Tendero, S. Landeau, J. Gilles: Non-uniformity correction of infrared images by midway equalization, Image
     Processing On Line 2 (2012). Single frame, columns only, blind to pixels; a column's response need not be linear.
     """
-    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels)
-    return averaged(burst, config, np.stack([equalised(frame) for frame in frames]))
+    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
+    return average_frames(burst, config, np.stack([equalise(frame) for frame in frames]))
 
 
-def equalised(frame: Array) -> Array:
+def equalise(frame: Array) -> Array:
     """A frame (h, w) with columns equalised over the width at which its total variation is least."""
-    return min((midway(frame, width) for width in WIDTHS), key=variation)
+    return min((midway_equalise(frame, width) for width in GAUSSIAN_WIDTHS), key=total_variation)
 
 
-def midway(frame: Array, width: float) -> Array:
+def midway_equalise(frame: Array, width: float) -> Array:
     """Replace each column's quantiles by their mean over the columns about it, weighted by a Gaussian of `width` px.
 
     Averages of inverse cumulative histograms are the midway histogram. Reflection at the sides keeps the mean.
@@ -43,6 +43,6 @@ def midway(frame: Array, width: float) -> Array:
     return result
 
 
-def variation(frame: Array) -> float:
+def total_variation(frame: Array) -> float:
     """Sum of absolute differences of neighbours."""
     return float(np.abs(np.diff(frame, axis=0)).sum() + np.abs(np.diff(frame, axis=1)).sum())

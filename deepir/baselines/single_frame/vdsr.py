@@ -11,8 +11,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from deepir import weights
-from deepir.baselines.average import Array, averaged, find, pulled_back, whole
-from deepir.baselines.single_frame.bicubic import enlarged
+from deepir.baselines.average import Array, average_frames, fill_invalid, register_burst, registered_mean
+from deepir.baselines.single_frame.bicubic import enlarge
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.operators.geometry import scaled
@@ -28,18 +28,20 @@ def vdsr(burst: Burst, config: Config) -> Result:
     networks, CVPR (2016): convolutions of 3 x 3 px find the residual, one network for all factors. Theirs is deeper and
     wider, and has learnt from other pictures. `deepir train vdsr` makes the weights. Gain and offset stay as they are.
     """
-    found = motion, used, _ = find(burst, config)
-    result = averaged(burst, config, burst.frames, found)
+    found = motion, used, _ = register_burst(burst, config)
+    result = average_frames(burst, config, burst.frames, found)
     if motion is not None:
         ratio = result.scene.shape[0] / burst.size[0]
         good = (burst.valid & ~burst.bad_pixels)[used]
-        fine = np.stack([sharpened(enlarged(frame, ratio)) for frame in whole(burst.frames[used], good)])
-        seen = np.stack([enlarged(each.astype(float), ratio) > 0.5 for each in good])
-        result.scene = pulled_back(fine, seen, scaled(motion[used], ratio).numpy()).numpy().astype(np.float32)
+        fine = np.stack([sharpen(enlarge(frame, ratio)) for frame in fill_invalid(burst.frames[used], good)])
+        seen = np.stack([enlarge(each.astype(float), ratio) > 0.5 for each in good])
+        result.scene = (
+            registered_mean(fine, seen, scaled(motion[used], ratio).numpy()).numpy().astype(np.float32)
+        )
     return result
 
 
-def sharpened(frame: Array) -> Array:
+def sharpen(frame: Array) -> Array:
     """An enlarged frame (h, w), in any unit, with what enlarging has lost."""
     level = frame.mean(dtype=np.float64)
     picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.baselines.average import Array, corrected, whole
+from deepir.baselines.average import Array, correct_and_average, fill_invalid
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -19,13 +19,13 @@ def constant_statistics(burst: Burst, config: Config) -> Result:
     constraint, IEEE Trans. Image Processing 8 (1999). It wants hundreds of frames that cross the whole scene: of a
     short burst it takes the scene for the pattern.
     """
-    frames = whole(burst.frames, burst.valid & ~burst.bad_pixels).astype(np.float64)
-    mean, deviation = statistics(frames)
+    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels).astype(np.float64)
+    mean, deviation = running_statistics(frames)
     gain = deviation / deviation.mean()
-    return corrected(burst, config, gain, mean - gain * mean.mean())
+    return correct_and_average(burst, config, gain, mean - gain * mean.mean())
 
 
-def statistics(frames: Array) -> tuple[Array, Array]:
+def running_statistics(frames: Array) -> tuple[Array, Array]:
     """Mean and mean absolute deviation of each pixel, (h, w), by the paper's recursion over frames (N, h, w)."""
     mean, deviation = frames[0].copy(), np.zeros(frames.shape[1:])
     for n, frame in enumerate(frames[1:], 2):

@@ -8,14 +8,15 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.baselines.average import Array, corrected, whole
-from deepir.baselines.online import STABLE, played, scaled, sensor
+from deepir.baselines.average import Array, correct_and_average, fill_invalid
+from deepir.baselines.online import INPUT_LIMITS, frame_sequence, gain_and_offset, normalise
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
 from deepir.result import Result
 
-EDGE = 10.0  # M below: steps are half of the rate where the local deviation is a tenth of the range
+#: M of the step size; the step is half the rate at a local deviation of a tenth of the range.
+EDGE_SENSITIVITY = 10.0
 
 
 @register("method", "galms")
@@ -35,23 +36,25 @@ def galms(
     px; the step is `rate / (1 + M^2 v)` with the local variance v (Vera and Torres 2005); a pixel learns only when its
     target has changed by `gate` of the range since it last did. A burst is played `passes` times, forth and back.
     """
-    frames, low, span = scaled(whole(burst.frames, burst.valid & ~burst.bad_pixels))
-    weight, bias = learned(frames, rate, radius, gate, passes)
-    return corrected(burst, config, *sensor(weight, bias, low, span))
+    frames, low, span = normalise(fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels))
+    weight, bias = learn_correction(frames, rate, radius, gate, passes)
+    return correct_and_average(burst, config, *gain_and_offset(weight, bias, low, span))
 
 
-def learned(frames: Array, rate: float, radius: float, gate: float, passes: int = 1) -> tuple[Array, Array]:
+def learn_correction(
+    frames: Array, rate: float, radius: float, gate: float, passes: int = 1
+) -> tuple[Array, Array]:
     """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one."""
-    frames = frames.clip(*STABLE)
+    frames = frames.clip(*INPUT_LIMITS)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     last = np.full(frames.shape[1:], np.inf)
-    for frame in (frames[k] for k in played(len(frames), passes)):
+    for frame in (frames[k] for k in frame_sequence(len(frames), passes)):
         now = weight * frame + bias
         wanted = ndimage.gaussian_filter(now, radius)
         variance = ndimage.gaussian_filter(frame**2, radius) - ndimage.gaussian_filter(frame, radius) ** 2
         learns = np.abs(wanted - last) > gate
         last = np.where(learns, wanted, last)
-        step = learns * rate / (1 + EDGE**2 * variance.clip(min=0))
+        step = learns * rate / (1 + EDGE_SENSITIVITY**2 * variance.clip(min=0))
         error = wanted - now
         weight += step * error * frame
         bias += step * error

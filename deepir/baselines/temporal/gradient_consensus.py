@@ -13,7 +13,7 @@ from deepir.multiview.pattern import poisson
 from deepir.registry import register
 from deepir.result import Result
 
-TRIM = 0.25  # share of the frames that is left out at either end
+TRIMMED_SHARE = 0.25  # share of the frames left out at either end of the sorted gradients
 
 
 @register("method", "gradient_consensus")
@@ -23,7 +23,7 @@ def gradient_consensus(burst: Burst, config: Config) -> Result:
     After Weiss (2001), "Deriving intrinsic images from image sequences". The mean of the middle half of the derivatives
     stands for their median: it is less noisy. No gain.
     """
-    offset = poisson([middle_mean(np.diff(burst.frames, axis=axis)) for axis in (-1, -2)])
+    offset = poisson([interquartile_mean(np.diff(burst.frames, axis=axis)) for axis in (-1, -2)])
     offset = offset - offset[~burst.bad_pixels].mean()
     frames = (burst.frames - offset).astype(np.float32)
     result: Result = average(dataclasses.replace(burst, frames=frames), config)
@@ -31,8 +31,8 @@ def gradient_consensus(burst: Burst, config: Config) -> Result:
     return result
 
 
-def middle_mean(values: np.ndarray) -> np.ndarray:
+def interquartile_mean(values: np.ndarray) -> np.ndarray:
     """The mean of the middle half along the first axis."""
     count = len(values)
-    cut = int(TRIM * count)
+    cut = int(TRIMMED_SHARE * count)
     return np.asarray(np.sort(values, 0)[cut : count - cut].mean(0, dtype=np.float64))

@@ -13,8 +13,8 @@ from deepir.multiview.pattern import poisson
 from deepir.registry import register
 from deepir.result import Result
 
-STEP = 1.0  # what the first frame may move a pixel, in typical gradients
-ROUNDING = 0.1  # of total variation, likewise
+STEP_LENGTH = 1.0  # largest change of a pixel by the first frame, in typical gradients
+TV_SMOOTHING = 0.1  # smoothing of the total variation at zero, in typical gradients
 
 
 @register("method", "multiview_tv")
@@ -50,8 +50,8 @@ def recursive_offset(frames: np.ndarray) -> np.ndarray:
         slope = np.zeros_like(offset)
         for axis in (-1, -2):
             gradient = np.diff(frame - offset, axis=axis)
-            slope += _adjoint(gradient / np.hypot(gradient, ROUNDING * typical), axis)
-        offset += STEP * typical / np.sqrt(k + 1) * slope / 4
+            slope += _adjoint(gradient / np.hypot(gradient, TV_SMOOTHING * typical), axis)
+        offset += STEP_LENGTH * typical / np.sqrt(k + 1) * slope / 4
     return offset - offset.mean()
 
 

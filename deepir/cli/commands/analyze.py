@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Settings, recording
+from deepir.cli.arguments import Overwrite, Settings, recording_config
 
 if TYPE_CHECKING:
     from deepir.analysis import Statistics, Verdict
@@ -31,7 +31,7 @@ def analyze(
     A burst is solved first (settings are those of `deepir run nuc`), and it is said whether it suffices; of a uniform
     source, settings say how the file is read.
     """
-    from deepir.analysis.verdict import words
+    from deepir.analysis.verdict import report_lines
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
     from deepir.report.analysis import write_analysis
@@ -52,7 +52,7 @@ def analyze(
         statistics, verdict, doubt = _of_run(path)
     else:
         statistics, verdict, doubt = _of_burst(path, settings or [])
-    for line in words(statistics, verdict, doubt):
+    for line in report_lines(statistics, verdict, doubt):
         typer.echo(line)
     picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
     picture.parent.mkdir(parents=True, exist_ok=True)
@@ -61,11 +61,11 @@ def analyze(
 
 
 def _of_flat(path: Path, settings: list[str]) -> Statistics:
-    from deepir.analysis import of_flat
+    from deepir.analysis import flat_statistics
     from deepir.burst import load
 
-    flat = load(recording(str(path), settings, ("data",)).data, needs=2)
-    return of_flat(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
+    flat = load(recording_config(str(path), settings, ("data",)).data, needs=2)
+    return flat_statistics(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
 
 
 def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | None, Array | None]:
@@ -95,13 +95,13 @@ def _judged(
     """Of a result: the pattern that it would print on a scene as warm as the mean, and what motion makes of it."""
     import numpy as np
 
-    from deepir.analysis import judge, of_map
+    from deepir.analysis import assess, map_statistics
 
     pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
-    statistics = of_map(pattern, ~bad)
+    statistics = map_statistics(pattern, ~bad)
     finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
     coarser = np.diag([1 / finer, 1 / finer, 1])
     seen = motion[np.isfinite(motion).all((1, 2))]
     if len(seen) < 2 or scene.ndim > 2:  # one frame, or a scene for each: nothing moves before the pattern
         return statistics, None
-    return statistics, judge(statistics, coarser @ seen @ np.linalg.inv(coarser))
+    return statistics, assess(statistics, coarser @ seen @ np.linalg.inv(coarser))

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Settings, recording
+from deepir.cli.arguments import Overwrite, Settings, recording_config
 
 if TYPE_CHECKING:
-    from deepir.calibration import Maps
+    from deepir.calibration import CorrectionMaps
     from deepir.config import Config, Data
     from deepir.io.radiometry import Radiometry
 
-ROUGHER = 1.3  # times as rough, from which maps are not the recording's
-SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")
+MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
+ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")  # keys
 
 
 def apply(
@@ -38,11 +38,11 @@ def apply(
 
     It need not fit into memory. Settings: data.key, data.raw, data.radiometry, output.palette, output.tones.
     """
-    from deepir.calibration import read
-    from deepir.cli.signals import Interrupted, Interruptible, stopped
+    from deepir.calibration import read_maps
+    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
     from deepir.errors import DataError
 
-    config = recording(file, settings or (), SETTINGS)
+    config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     if target.exists() and Path(str(config.data.path)).exists() and target.samefile(str(config.data.path)):
         raise DataError(f"{target} is the recording itself: give another --output")
@@ -50,26 +50,26 @@ def apply(
         raise DataError(f"{target} exists; replace it with --overwrite, or give another --output")
     try:
         with Interruptible():
-            typer.echo(_apply(read(maps), config, target, rounded=not float32))
+            typer.echo(_apply(read_maps(maps), config, target, rounded=not float32))
     except Interrupted as error:
-        return stopped(error)
+        return report_aborted(error)
     return 0
 
 
-def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
+def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool) -> str:
     """Write all frames; what was done, in a line."""
     import itertools
     from concurrent.futures import Future, ThreadPoolExecutor
 
     from deepir.io import stream_frames
-    from deepir.io.output.recording import output_type, writer
-    from deepir.io.radiometry import unit
+    from deepir.io.output.recording import open_writer, output_type
+    from deepir.io.radiometry import unit_metadata
 
     data, shown = config.data, config.output
     frames = stream_frames(str(data.path), key=data.key, raw=data.raw)
     first = next(frames)
     maps.check(first, str(data.path))
-    if (rougher := maps.roughens(first)) > ROUGHER:
+    if (rougher := maps.roughens(first)) > MAX_ROUGHNESS_RATIO:
         typer.echo(
             f"{data.path}: its first frame is {rougher:.1f} times as rough without these maps' pattern as with it. "
             "Are they of another camera, in other units (counts, kelvin, 8 bits), or out of date?",
@@ -79,7 +79,7 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
     begun, count = time.perf_counter(), 0
     written: Future[None] | None = None
     with (
-        writer(target, dtype, unit(_radiometry(data)), shown.palette, shown.tones) as write,
+        open_writer(target, dtype, unit_metadata(_radiometry(data)), shown.palette, shown.tones) as write,
         ThreadPoolExecutor(1) as behind,  # a frame is written while the next is corrected
     ):
         for frame in itertools.chain([first], frames):
@@ -96,8 +96,8 @@ def _apply(maps: Maps, config: Config, target: Path, *, rounded: bool) -> str:
 
 def _radiometry(data: Data) -> Radiometry | None:
     from deepir.io import readers
-    from deepir.io.radiometry import chosen
+    from deepir.io.radiometry import resolve_radiometry
     from deepir.paths import expanded
 
     found = readers.radiometry(expanded(str(data.path))) if data.raw is None else None
-    return chosen(found, data.radiometry)
+    return resolve_radiometry(found, data.radiometry)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, parted, recording
+from deepir.cli.arguments import Overwrite, recording_config, split_arguments
 
 if TYPE_CHECKING:
-    from deepir.calibration import Maps
+    from deepir.calibration import CorrectionMaps
 
-LOOKED_AT = 8  # frames of a flat recording in which it is looked for motion
+MOTION_CHECK_FRAMES = 8  # first frames of a flat recording that are checked for motion
 
 
 def calibrate(
@@ -37,7 +37,7 @@ def calibrate(
     """
     from deepir.errors import DataError
 
-    files, settings = parted(what)
+    files, settings = split_arguments(what)
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
     if out.exists() and not overwrite:
@@ -57,7 +57,7 @@ def calibrate(
     return 0
 
 
-def _from_flats(files: Sequence[str], settings: Sequence[str]) -> Maps:
+def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps:
     import itertools
 
     import numpy as np
@@ -68,30 +68,30 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> Maps:
 
     means = []
     for file in files:
-        data = recording(file, settings, ("data.key", "data.raw")).data
+        data = recording_config(file, settings, ("data.key", "data.raw")).data
         frames = stream_frames(file, key=data.key, raw=data.raw)
-        first = list(itertools.islice(frames, LOOKED_AT))
-        means.append(calibration.mean(itertools.chain(first, frames), file))
+        first = list(itertools.islice(frames, MOTION_CHECK_FRAMES))
+        means.append(calibration.mean_frame(itertools.chain(first, frames), file))
         if visible_motion(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
             typer.echo(
                 f"{file}: its frames change as where a camera moves, and a flat recording shows something uniform. Is "
                 "it a burst of a moving camera? Then give --burst",
                 err=True,
             )
-    return calibration.from_flats(means, files)
+    return calibration.maps_from_flats(means, files)
 
 
-def _from_burst(file: str, settings: Sequence[str]) -> Maps | int:
-    from deepir.calibration import Maps
-    from deepir.cli.signals import Interrupted, Interruptible, stopped
+def _from_burst(file: str, settings: Sequence[str]) -> CorrectionMaps | int:
+    from deepir.calibration import CorrectionMaps
+    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
     from deepir.config import load
-    from deepir.report.progress import on_stderr
+    from deepir.report.progress import show_progress
     from deepir.runner import execute, prepare
 
     config = load("nuc", [f"data.path={file}", *settings])
     try:
-        with Interruptible() as interruptible, on_stderr() as progress:
+        with Interruptible() as interruptible, show_progress() as progress:
             result = execute(config, prepare(config), callbacks=(interruptible, progress))
     except Interrupted as error:
-        return stopped(error)
-    return Maps(result.gain, result.offset, result.bad_pixels)
+        return report_aborted(error)
+    return CorrectionMaps(result.gain, result.offset, result.bad_pixels)

@@ -31,8 +31,8 @@ def capture(
 ) -> int:
     """Take a burst from a live camera, and say how to move it: deepir capture burst.npz device=/dev/video2."""
     load_plugins(plugin)
-    from deepir.cameras.capture import FROZEN
-    from deepir.cli.signals import Interrupted, Interruptible, stopped
+    from deepir.cameras.capture import FREEZE_TIME
+    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
     from deepir.errors import DataError
     from deepir.io import write_npz
 
@@ -44,9 +44,9 @@ def capture(
         with Interruptible():
             burst = _taken(camera, settings or (), frames, every)
     except Interrupted as error:
-        return stopped(error)
+        return report_aborted(error)
     write_npz(out, {"frames": burst.frames, "time": burst.times})
-    if burst.stood > FROZEN:
+    if burst.stood > FREEZE_TIME:
         _say(
             f"the picture stood still for {burst.stood:.1f} s in the midst of the burst, as when the shutter closes: "
             "the pattern may have changed then. Switch the automatic correction off, or take the burst again"
@@ -62,15 +62,15 @@ def capture(
 
 def _taken(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
     from deepir.cameras.camera import Array
-    from deepir.cameras.capture import advice, capture, reach
+    from deepir.cameras.capture import advice, capture, motion_span
     from deepir.config.components import make, options_schema
-    from deepir.config.overrides import split
+    from deepir.config.overrides import parse_settings
     from deepir.registry import lookup
 
-    options: dict[str, Any] = dict(split(settings, options_schema(lookup("camera", name, "camera"))))
+    options: dict[str, Any] = dict(parse_settings(settings, options_schema(lookup("camera", name, "camera"))))
 
     def tell(frames: Sequence[Array]) -> None:
-        next_move = advice(reach(frames)) if len(frames) > 1 else "move the camera, in a small circle"
+        next_move = advice(motion_span(frames)) if len(frames) > 1 else "move the camera, in a small circle"
         _say(f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}")
 
     with make("camera", name, options, "camera") as camera:

@@ -14,7 +14,7 @@ from deepir.cli.arguments import Plugins, Settings, load_plugins
 if TYPE_CHECKING:
     from deepir.config import Config, Data
 
-REFUSED = "a run refuses it"
+REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
 
 
 def check(
@@ -44,7 +44,7 @@ def check(
                 f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
                 f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
             )
-        elif not lines[-1].startswith(REFUSED):
+        elif not lines[-1].startswith(REFUSAL):
             command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
             still = any(line.startswith("  motion: none") for line in lines)
             typer.echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
@@ -57,17 +57,17 @@ def _burst(data: Data) -> list[str]:
 
     from deepir.errors import DataError
     from deepir.io import describe, read_frames, validate
-    from deepir.io.inspection.checks import lost
-    from deepir.io.radiometry import chosen
+    from deepir.io.inspection.checks import unusable_frames
+    from deepir.io.radiometry import resolve_radiometry
 
     frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
-    kelvin = chosen(frames.radiometry, data.radiometry)
+    kelvin = resolve_radiometry(frames.radiometry, data.radiometry)
     lines = describe(replace(frames, radiometry=kelvin))
     lines = [f"data: {frames.source}", *(f"  {line}" for line in lines)]
     try:
-        validate(np.delete(frames.frames, [*lost(frames.frames)], axis=0), frames.source)
+        validate(np.delete(frames.frames, [*unusable_frames(frames.frames)], axis=0), frames.source)
     except DataError as error:
-        lines.append(f"{REFUSED}: {error}")
+        lines.append(f"{REFUSAL}: {error}")
     return lines
 
 
@@ -75,10 +75,10 @@ def _configuration(name: str, settings: list[str]) -> None:
     from deepir.cli.commands.run import output_folder
     from deepir.config import load
     from deepir.pipeline.method import chosen
-    from deepir.storage.folder import Folder
+    from deepir.storage.folder import RunFolder
 
     config = load(name, settings)
-    folder = Folder(output_folder(config, name))
+    folder = RunFolder(output_folder(config, name))
     state = folder.state()
     data = _data(config)
     typer.echo(f"configuration: {name} is in order; problem {config.problem}, method {chosen(config)[0]}")

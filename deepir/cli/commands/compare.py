@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, load_plugins, parted
+from deepir.cli.arguments import Overwrite, Plugins, load_plugins, split_arguments
 
 if TYPE_CHECKING:
     from deepir.sweep.cells import Cell
@@ -47,21 +47,21 @@ def compare(
     quality.png. The same command again goes on where it was interrupted.
     """
     plugins = load_plugins(plugin)
-    from deepir.sweep.axes import listed
+    from deepir.sweep.axes import parse_axes
     from deepir.sweep.sweep import prepare
 
-    fixed, axes = listed(settings or ())
+    fixed, axes = parse_axes(settings or ())
     remote = scheduler is not None
     checked = prepare(
         config,
         fixed,
         axes,
-        folder=folder(config, "compare"),
+        folder=output_folder(config, "compare"),
         workers=workers,
         remote=remote,
         overwrite=overwrite,
     )
-    return finish(checked, ["compare", config, *(settings or ())], scheduler, plugins)
+    return run_and_report(checked, ["compare", config, *(settings or ())], scheduler, plugins)
 
 
 def batch(
@@ -88,33 +88,35 @@ def batch(
     """
     plugins = load_plugins(plugin)
     from deepir.errors import ConfigError, DataError
-    from deepir.sweep.axes import bursts, listed
+    from deepir.sweep.axes import burst_axis, parse_axes
     from deepir.sweep.sweep import prepare
 
-    patterns, settings = parted(what)
+    patterns, settings = split_arguments(what)
     if not patterns:
         raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")
     if any(each.partition("=")[0].strip() == "data.path" for each in settings):
         raise ConfigError("data.path: bursts are given without it, for example deepir batch nuc burst.npz")
-    fixed, axes = listed(settings)
+    fixed, axes = parse_axes(settings)
     checked = prepare(
         config,
         fixed,
-        [bursts(patterns), *axes],
-        folder=folder(config, "batch"),
+        [burst_axis(patterns), *axes],
+        folder=output_folder(config, "batch"),
         workers=workers,
         remote=scheduler is not None,
         overwrite=overwrite,
     )
-    return finish(checked, ["batch", config, *what], scheduler, plugins)
+    return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
 
 
-def folder(config: str, kind: str) -> Path:
+def output_folder(config: str, kind: str) -> Path:
     """Where results go: runs/NAME-KIND of the configuration's name."""
     return Path("runs") / f"{Path(config).stem if Path(config).is_file() else config}-{kind}"
 
 
-def finish(checked: Sweep, command: Sequence[str], scheduler: str | None, plugins: Sequence[str]) -> int:
+def run_and_report(
+    checked: Sweep, command: Sequence[str], scheduler: str | None, plugins: Sequence[str]
+) -> int:
     """Run what is missing, write and print the table; the exit status."""
     from deepir.cli.signals import Interrupted, Interruptible
 
@@ -141,10 +143,10 @@ class _Progress:
             )
 
     def __call__(self, cell: Cell, error: str | None) -> None:
-        from deepir.sweep.table import figures
+        from deepir.sweep.table import metrics_line
 
         self.done += 1
-        end = f"failed: {error}" if error else figures(cell)
+        end = f"failed: {error}" if error else metrics_line(cell)
         print(f"deepir: {self.done}/{self.total} {cell.name}: {end}", file=sys.stderr, flush=True)
 
 
@@ -155,9 +157,9 @@ def _report(rows: Sequence[Row], where: Path) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from deepir.sweep.table import lines
+    from deepir.sweep.table import table_lines
 
-    heads, body = lines(rows)
+    heads, body = table_lines(rows)
     shown = Table(*map(escape, heads), box=box.SIMPLE)
     for line in body:
         shown.add_row(*map(escape, line))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import typer
 
-FOLDER = Path("runs/demo")
-SIZE = (256, 320)
+DEMO_FOLDER = Path("runs/demo")  # where the demo writes
+DEMO_SHAPE = (256, 320)  # height and width of its frames, px
 
 
 def demo() -> int:
@@ -16,19 +16,19 @@ def demo() -> int:
     from deepir.config import load
     from deepir.errors import DataError
     from deepir.simulate import Settings, simulate
-    from deepir.storage.folder import Folder
+    from deepir.storage.folder import RunFolder
 
-    folder = Folder(FOLDER)
+    folder = RunFolder(DEMO_FOLDER)
     folder.check_free(overwrite=True)
-    burst = simulate(None, Settings(n_frames=5, shape=SIZE, counts=True, max_rotation=1.0), seed=0)
+    burst = simulate(None, Settings(n_frames=5, shape=DEMO_SHAPE, counts=True, max_rotation=1.0), seed=0)
     try:
-        FOLDER.mkdir(parents=True, exist_ok=True)
-        path, truth = burst.save(FOLDER / "burst.npz")
+        DEMO_FOLDER.mkdir(parents=True, exist_ok=True)
+        path, truth = burst.save(DEMO_FOLDER / "burst.npz")
     except OSError as error:
-        raise DataError(f"{FOLDER}: cannot be written: {error.strerror}") from None
+        raise DataError(f"{DEMO_FOLDER}: cannot be written: {error.strerror}") from None
     typer.echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
     config = load("nuc", [f"data.path={path}", f"data.truth={truth}"])
-    status = run_stored(config, FOLDER, overwrite=True, plugins=[])
+    status = run_stored(config, DEMO_FOLDER, overwrite=True, plugins=[])
     if status == 0:
         _compare()
     return status
@@ -42,12 +42,12 @@ def _compare() -> None:
     from deepir.metrics import scores
     from deepir.runner import execute, prepare
 
-    config = read(FOLDER / "config.yaml").model_copy(update={"method": "average"})
+    config = read(DEMO_FOLDER / "config.yaml").model_copy(update={"method": "average"})
     data = prepare(config)
     rows = {
         "one frame": scores(data.frames[0], data.truth["scene"]),
         "registered average": execute(config, data).metrics,
-        "deepir": json.loads((FOLDER / "metrics.json").read_text()),
+        "deepir": json.loads((DEMO_FOLDER / "metrics.json").read_text()),
     }
     typer.echo("PSNR after the best gain and level:")
     for name, found in rows.items():

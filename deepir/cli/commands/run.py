@@ -39,19 +39,19 @@ def resume(
 ) -> int:
     """Finish a run that was interrupted, from its last checkpoint."""
     plugins = load_plugins(plugin)
-    from deepir.cli.signals import Interrupted, Interruptible, farewell
-    from deepir.report.progress import on_stderr
+    from deepir.cli.signals import Interrupted, Interruptible, report_interrupted
+    from deepir.report.progress import show_progress
     from deepir.storage import stored
 
     try:
-        with Interruptible() as interruptible, on_stderr() as progress:
+        with Interruptible() as interruptible, show_progress() as progress:
             result = stored.resume(folder, plugins=plugins, callbacks=[interruptible, progress])
     except Interrupted as error:
-        return farewell(error, folder)
+        return report_interrupted(error, folder)
     if result is None:
         typer.echo(f"{folder}: already finished")
     else:
-        report(result, folder)
+        report_result(result, folder)
     return 0
 
 
@@ -66,21 +66,21 @@ def output_folder(config: Config, name: str) -> Path:
 
 def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[str]) -> int:
     """Run into a folder with progress on stderr; the exit status."""
-    from deepir.cli.signals import Interrupted, Interruptible, farewell
-    from deepir.report.progress import on_stderr
+    from deepir.cli.signals import Interrupted, Interruptible, report_interrupted
+    from deepir.report.progress import show_progress
     from deepir.storage.stored import run_into
 
     try:
-        with Interruptible() as interruptible, on_stderr() as progress:
+        with Interruptible() as interruptible, show_progress() as progress:
             both = (interruptible, progress)
             result = run_into(config, folder, overwrite=overwrite, plugins=plugins, callbacks=both)
     except Interrupted as error:
-        return farewell(error, folder)
-    report(result, folder)
+        return report_interrupted(error, folder)
+    report_result(result, folder)
     return 0
 
 
-def report(result: Result, folder: Path) -> None:
+def report_result(result: Result, folder: Path) -> None:
     """Say what came out, and where it is."""
     import numpy as np
 

@@ -42,20 +42,20 @@ def simulate(
     With a kind, a whole recording: deepir simulate drive.npz kind=drive n_frames=300 (walk, pan, tripod, drone).
     """
     from deepir import simulate as camera
-    from deepir.config.overrides import split
+    from deepir.config.overrides import parse_settings
     from deepir.errors import DataError
-    from deepir.simulate.scenes.pictures import picture
-    from deepir.simulate.settings import checked, parse, schema
+    from deepir.simulate.scenes.pictures import load_picture
+    from deepir.simulate.settings import checked_values, parse, schema
 
     made: Simulation | Recording
     given = settings or []
     if whole := any(each.partition("=")[0].strip() == "kind" for each in given):
         from deepir.simulate.recording import RecordingSettings, simulate_recording
 
-        pairs = dict(split(given, schema(of=RecordingSettings)))
-        asked = RecordingSettings(**checked(pairs, RecordingSettings, "recording"))
+        pairs = dict(parse_settings(given, schema(of=RecordingSettings)))
+        asked = RecordingSettings(**checked_values(pairs, RecordingSettings, "recording"))
     else:
-        burst = parse(dict(split(given, schema())))
+        burst = parse(dict(parse_settings(given, schema())))
     truth = out.with_name(f"{out.stem}_truth.npz")
     for path in (out, truth):
         if path.exists() and not overwrite:
@@ -67,7 +67,7 @@ def simulate(
     if whole:
         made = simulate_recording(asked, seed=seed)
     else:
-        made = camera.simulate(None if scene is None else picture(scene), burst, seed=seed)
+        made = camera.simulate(None if scene is None else load_picture(scene), burst, seed=seed)
     made.save(out)
     count, height, width = made.frames.shape
     typer.echo(f"{out}: {count} frames of {height} x {width} px; truth: {truth}")

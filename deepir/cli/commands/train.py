@@ -11,9 +11,9 @@ import typer
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
 
 if TYPE_CHECKING:
-    from deepir.training.training import Learning
+    from deepir.training.training import TrainingProgress
 
-EVERY = 250  # iterations between two lines
+REPORT_INTERVAL = 250  # iterations between two lines of progress
 
 
 def train(
@@ -51,8 +51,8 @@ def train(
     typer.echo(f"weights: {path}")
 
 
-def _say(now: Learning) -> None:
-    if now.iteration % EVERY == 0 or now.iteration == now.iterations:
+def _say(now: TrainingProgress) -> None:
+    if now.iteration % REPORT_INTERVAL == 0 or now.iteration == now.iterations:
         left = now.seconds / now.iteration * (now.iterations - now.iteration)
         print(
             f"{now.iteration}/{now.iterations}: loss {now.loss:.4f}, about {left:.0f} s to go",

@@ -17,17 +17,20 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.io.containers import jpeg
 from deepir.io.guards import check_size
-from deepir.io.radiometry import Planck, air
+from deepir.io.radiometry import Planck, air_transmission
 from deepir.io.readers import Array
 from deepir.io.readers.pictures import png
 
-MAGIC = b"FFF\0"
-RAW, CAMERA = 1, 32  # kinds of records
-HEADER, ENTRY, BEFORE_PIXELS = 64, 32, 32  # bytes
-CONSTANTS = 0x310
-MANY = 1000
-#: Where the camera's record holds what its user set.
-SETTINGS = {
+FFF_MAGIC = b"FFF\0"  # first bytes of a file
+RAW_RECORD = 1  # kind of the record with the raw plane
+CAMERA_RECORD = 32  # kind of the record with calibration and settings
+HEADER_BYTES = 64  # length of the file header
+ENTRY_BYTES = 32  # length of an entry of the directory
+PIXELS_OFFSET = 32  # bytes before the pixels of a raw plane
+CAMERA_RECORD_BYTES = 0x310  # least length of a camera record
+MAX_RECORDS = 1000  # records of a directory; more mean damage
+#: Byte offsets of the user's settings in the camera record.
+SETTING_OFFSETS = {
     "emissivity": 0x20,
     "reflected": 0x28,
     "atmosphere": 0x2C,
@@ -38,7 +41,7 @@ SETTINGS = {
 Records = dict[int, bytes]
 
 
-def records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[Records, int]:
+def read_records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[Records, int]:
     """The records of the FFF that begins at `start`, by their kind, and the first byte after it.
 
     Raises `DataError` where the directory or a record lies outside.
@@ -46,36 +49,38 @@ def records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[Record
     order = ">" if data[start + 20 : start + 22] == b"\0\0" else "<"
     directory, count = struct.unpack_from(f"{order}II", data, start + 24)
     directory += start
-    end = max(start + HEADER, directory + ENTRY * count)
-    if count > MANY or end > len(data):
+    end = max(start + HEADER_BYTES, directory + ENTRY_BYTES * count)
+    if count > MAX_RECORDS or end > len(data):
         raise DataError(f"{path}: truncated: FLIR's directory of {count} records lies outside the file")
     found: Records = {}
     for k in range(count):
-        kind, _, _, _, offset, length = struct.unpack_from(f"{order}HHIIII", data, directory + ENTRY * k)
+        kind, _, _, _, offset, length = struct.unpack_from(
+            f"{order}HHIIII", data, directory + ENTRY_BYTES * k
+        )
         first, after = start + offset, start + offset + length
         if kind and after > len(data):
             raise DataError(f"{path}: truncated: a record of FLIR's ends beyond the end of the file")
-        if kind in (RAW, CAMERA):
+        if kind in (RAW_RECORD, CAMERA_RECORD):
             found.setdefault(kind, data[first:after])
         if kind:
             end = max(end, after)
     return found, end
 
 
-def raw_plane(found: Records, path: Path) -> Array:
+def read_raw_plane(found: Records, path: Path) -> Array:
     """The raw counts `(h, w)`, uint16: plain, or packed as PNG or JPEG-LS.
 
     Raises `DataError` where there are none, or they are not of the size that the record says.
     """
-    if RAW not in found:
+    if RAW_RECORD not in found:
         raise DataError(f"{path}: FLIR's records hold no raw plane; export a radiometric file")
-    record = found[RAW]
+    record = found[RAW_RECORD]
     order = byte_order(record)
     width, height = struct.unpack_from(f"{order}HH", record, 2)
-    packed = record[BEFORE_PIXELS:]
+    packed = record[PIXELS_OFFSET:]
     if packed.startswith(b"\x89PNG"):
         plane = png.decode(packed, path).byteswap()  # FLIR's PNGs are little-endian, against the standard
-    elif packed.startswith(jpeg.SIGNATURE):
+    elif packed.startswith(jpeg.JPEG_SIGNATURE):
         plane = _jpeg_ls(packed, path)
     else:
         check_size(path, 2 * width * height, len(packed))
@@ -85,10 +90,10 @@ def raw_plane(found: Records, path: Path) -> Array:
     return plane
 
 
-def radiometry(found: Records) -> Planck | None:
+def read_radiometry(found: Records) -> Planck | None:
     """The camera's calibration and what its user set; None if the file does not hold them, or what cannot be."""
-    record = found.get(CAMERA, b"")
-    if len(record) < CONSTANTS:
+    record = found.get(CAMERA_RECORD, b"")
+    if len(record) < CAMERA_RECORD_BYTES:
         return None
     order = byte_order(record)
 
@@ -97,9 +102,9 @@ def radiometry(found: Records) -> Planck | None:
         return round(value, 9) if math.isfinite(value) else 0.0
 
     r1, b, r2, humidity = number(0x58), number(0x5C), number(0x30C), number(0x3C)
-    setting = {name: number(at) for name, at in SETTINGS.items()}
+    setting = {name: number(at) for name, at in SETTING_OFFSETS.items()}
     try:
-        through = air(
+        through = air_transmission(
             number(0x24),
             humidity / 100 if humidity > 2 else humidity,
             setting["atmosphere"],
@@ -121,6 +126,6 @@ def byte_order(record: bytes) -> str:
 
 
 def _jpeg_ls(packed: bytes, path: Path) -> Array:
-    height, width = jpeg.size(io.BytesIO(packed)) or (0, 0)
+    height, width = jpeg.picture_size(io.BytesIO(packed)) or (0, 0)
     check_size(path, 2 * height * width, len(packed), compressed=True)
     return np.asarray(imagecodecs.jpegls_decode(packed))

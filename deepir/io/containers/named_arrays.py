@@ -7,17 +7,17 @@ from pathlib import Path
 
 from deepir.errors import DataError, nearest
 
-FIRST = ("frames", "raw")
+PREFERRED_NAMES = ("frames", "raw")  # names of the array that holds the frames, in order of preference
 
 
-def choose(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | None) -> str:
+def choose_array(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | None) -> str:
     """`key`, else `frames`, else `raw`, else the only array with two or three dimensions.
 
     Raises `DataError`, with the arrays there are, where that is none or several.
     """
     if key is not None and key not in shapes:
         raise DataError(f"{path}: no array '{key}'; {nearest(key, shapes)}")
-    for name in (key, *FIRST):
+    for name in (key, *PREFERRED_NAMES):
         if name in shapes:
             return str(name)
     # MATLAB's numbers and vectors are matrices too, of one row or one column.

@@ -10,17 +10,12 @@ from scipy.ndimage import label
 
 from deepir.errors import DataError
 
-SMALLEST = 16
-"""Pixels on a side: below this there is nothing to register or to estimate a scene from."""
-
-LARGEST = 1e15
-"""Of a frame's values: squares of what is larger, or of one over it, are beyond float32."""
-
-BLUNT = 0.05
-"""Share of the line beside a bar that may hold its value: else it is no bar, but a scene at the range's end."""
-
-REGION, CORE = 20, 0.3
-"""Pixels of a region that shows something too cold, inside and at the rim, and share of the inside in the rim's."""
+MIN_FRAME_SIDE = 16  # px; smaller frames can be neither registered nor reconstructed
+MAX_VALUE = 1e15  # largest value of a frame, and inverse of its smallest range: squares stay within float32
+#: Share of the line beside a bar that may hold its value; above, it is a scene at the end of the range.
+MAX_BAR_CONTINUATION = 0.05
+MIN_COLD_PIXELS = 20  # pixels inside, and at the rim, of a region that is too cold to be recorded
+MIN_COLD_CORE = 0.3  # pixels inside such a region over pixels at its rim
 
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
@@ -34,19 +29,19 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
     count, height, width = frames.shape
     if count < needs:
         raise DataError(f"{source}: {count} frame(s), but this needs at least {needs}")
-    if width < SMALLEST <= min(count, height):
+    if width < MIN_FRAME_SIDE <= min(count, height):
         raise DataError(
-            f"{source}: {count} frames of {height} x {width} px are too small, at least {SMALLEST} px on a side; or "
+            f"{source}: {count} frames of {height} x {width} px are too small, at least {MIN_FRAME_SIDE} px on a side; or "
             f"are they {width} frames, counted along the last axis? Save them as (frames, height, width)"
         )
     _check_side(height, width, source)
-    for k, why in lost(frames).items():
+    for k, why in unusable_frames(frames).items():
         raise DataError(f"{source}: frame {k} is {why}. Leave it out (data.frames)")
     valid = np.isfinite(frames)
     for k in range(count):
         values = frames[k][valid[k]]
         low, high = float(values.min()), float(values.max())
-        if max(-low, high) > LARGEST or high - low < 1 / LARGEST:
+        if max(-low, high) > MAX_VALUE or high - low < 1 / MAX_VALUE:
             raise DataError(
                 f"{source}: frame {k} is {low:g} to {high:g}, which is out of bounds (1e-15 to 1e15): damaged, or in "
                 "unusual units? Give counts, kelvin or [0, 1]"
@@ -54,7 +49,7 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
     return valid
 
 
-def lost(frames: np.ndarray[Any, Any]) -> dict[int, str]:
+def unusable_frames(frames: np.ndarray[Any, Any]) -> dict[int, str]:
     """Those of the frames `(N, h, w)` that show nothing, by number, and why: all one value, or mostly not finite."""
     found = {}
     for k, frame in enumerate(frames):
@@ -67,7 +62,7 @@ def lost(frames: np.ndarray[Any, Any]) -> dict[int, str]:
     return found
 
 
-def empty(frames: np.ndarray[Any, Any]) -> Mask:
+def unrecorded_samples(frames: np.ndarray[Any, Any]) -> Mask:
     """Samples of frames `(N, h, w)` in which nothing was recorded.
 
     Bars: whole rows and columns, from the edge on, that hold one value in all frames of a burst. And lost samples, rows
@@ -95,7 +90,7 @@ def _bars(frames: np.ndarray[Any, Any]) -> Mask:
     for (axis, way), width in zip(ways, widths, strict=True):
         lines, known = np.moveaxis(frames, axis + 1, 0)[way], ~np.moveaxis(found, axis, 0)[way]
         beside = lines[width][:, known[width]] if 0 < width < len(lines) else np.zeros((1, 0))
-        if beside.size and (beside == lines[0, 0, 0]).mean() < BLUNT:
+        if beside.size and (beside == lines[0, 0, 0]).mean() < MAX_BAR_CONTINUATION:
             np.moveaxis(bars, axis, 0)[way][:width] = True
     return bars
 
@@ -104,7 +99,7 @@ def _cold(zero: Mask) -> Mask:
     """Pixels (h, w) of regions that are zero in all frames inside and in some at the rim, as the camera moves."""
     always, region = zero.all(0), label(zero.any(0))[0]
     inside, rim = (np.bincount(region.flat, each.flat) for each in (always, zero.any(0) & ~always))
-    cold = (np.minimum(inside, rim) >= REGION) & (inside > CORE * rim)
+    cold = (np.minimum(inside, rim) >= MIN_COLD_PIXELS) & (inside > MIN_COLD_CORE * rim)
     return np.asarray(cold[region])
 
 
@@ -127,5 +122,7 @@ def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, An
 
 
 def _check_side(height: int, width: int, source: str) -> None:
-    if min(height, width) < SMALLEST:
-        raise DataError(f"{source}: {height} x {width} px is too small; at least {SMALLEST} px on a side")
+    if min(height, width) < MIN_FRAME_SIDE:
+        raise DataError(
+            f"{source}: {height} x {width} px is too small; at least {MIN_FRAME_SIDE} px on a side"
+        )

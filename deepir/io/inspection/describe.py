@@ -8,22 +8,17 @@ from typing import Any
 import numpy as np
 
 from deepir.io.frames import Frames
-from deepir.io.inspection.checks import lost
-from deepir.io.inspection.telemetry import telemetry, telemetry_message
+from deepir.io.inspection.checks import unusable_frames
+from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
 from deepir.io.radiometry import ZERO_CELSIUS
 
 Array = np.ndarray[Any, np.dtype[np.float32]]
 
-FULL_SCALE = [2**bits - 1 for bits in (8, 10, 12, 14, 16)]
-TLINEAR = (23315, 42315)
-"""Kelvin x 100 from -40 to 150 °C."""
-
-BLOCK = 8
-STILL = 0.1
-"""Pixels between frames below which a camera counts as still."""
-
-SURE = 10.0
-"""F statistic above which a shift is more than noise on a scene without structure."""
+FULL_SCALE_COUNTS = [2**bits - 1 for bits in (8, 10, 12, 14, 16)]  # largest counts of common converters
+TLINEAR_COUNTS = (23315, 42315)  # counts of TLinear (K x 100) from -40 to 150 °C
+BLOCK_SIDE = 8  # px; side of the blocks whose means show motion
+MIN_VISIBLE_MOTION = 0.1  # px between frames below which a camera counts as still
+MIN_F_STATISTIC = 10.0  # F statistic above which a shift is significant
 
 
 def describe(burst: Frames) -> list[str]:
@@ -37,10 +32,10 @@ def describe(burst: Frames) -> list[str]:
     lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
     lines += _temperatures(burst, finite)
     lines += _unusable(burst, finite)
-    nothing = lost(frames)
+    nothing = unusable_frames(frames)
     lines += [f"frame {k} shows nothing: it is {why}" for k, why in nothing.items()]
     frames = np.delete(frames, [*nothing], axis=0)
-    if len(frames) and (rows := telemetry(frames)):
+    if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
         frames = np.delete(frames, rows, axis=1)
     return lines + _noise_and_motion(frames)
@@ -51,7 +46,7 @@ def _temperatures(burst: Frames, finite: Array) -> list[str]:
     if burst.radiometry is not None:
         low, high = burst.radiometry.kelvin(ends) - ZERO_CELSIUS
         return [f"radiometric: {low:.2f} to {high:.2f} °C by {burst.radiometry}"]
-    if burst.dtype == "uint16" and np.all((ends > TLINEAR[0]) & (ends < TLINEAR[1])):
+    if burst.dtype == "uint16" and np.all((ends > TLINEAR_COUNTS[0]) & (ends < TLINEAR_COUNTS[1])):
         low, high = ends / 100 - ZERO_CELSIUS
         return [f"{low:.2f} to {high:.2f} °C if these are K x 100 (TLinear): data.radiometry.scale=0.01"]
     return []
@@ -66,7 +61,7 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
     if stuck := int((frames == 0).all(axis=0).sum()):
         lines.append(f"{stuck} pixel(s) are zero in every frame")
     top = finite.max()
-    if burst.dtype.startswith("uint") and top in FULL_SCALE:
+    if burst.dtype.startswith("uint") and top in FULL_SCALE_COUNTS:
         lines.append(f"{int((finite == top).sum())} sample(s) are at full scale ({top:g}): saturated")
     return lines
 
@@ -91,12 +86,12 @@ def visible_motion(frames: Array) -> float:
     if _is_little(frames) or not np.isfinite(frames).any():
         return 0.0
     shift, evidence = apparent_motion(frames)
-    return shift if shift > STILL and evidence > SURE else 0.0
+    return shift if shift > MIN_VISIBLE_MOTION and evidence > MIN_F_STATISTIC else 0.0
 
 
 def _is_little(frames: Array) -> bool:
     """Whether frames `(N, h, w)` are too few or too small to see noise and motion."""
-    return len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK
+    return len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK_SIDE
 
 
 def temporal_noise(frames: Array) -> float:
@@ -129,12 +124,14 @@ def apparent_motion(frames: Array) -> tuple[float, float]:
         solution = np.linalg.lstsq(model, change, rcond=None)[0]
         explained = np.var(model @ solution)
         rest = np.var(change - model @ solution)
-        shifts.append(BLOCK * np.hypot(*solution[:2]))
+        shifts.append(BLOCK_SIDE * np.hypot(*solution[:2]))
         evidence.append(explained / max(rest, np.finfo(np.float64).tiny) * (a.size - 3) / 2)
     return float(np.median(shifts)), float(np.median(evidence))
 
 
 def _block_means(frames: Array) -> np.ndarray[Any, np.dtype[np.float64]]:
-    count, rows, columns = len(frames), frames.shape[1] // BLOCK, frames.shape[2] // BLOCK
-    blocks = frames[:, : rows * BLOCK, : columns * BLOCK].reshape(count, rows, BLOCK, columns, BLOCK)
+    count, rows, columns = len(frames), frames.shape[1] // BLOCK_SIDE, frames.shape[2] // BLOCK_SIDE
+    blocks = frames[:, : rows * BLOCK_SIDE, : columns * BLOCK_SIDE].reshape(
+        count, rows, BLOCK_SIDE, columns, BLOCK_SIDE
+    )
     return blocks.mean(axis=(2, 4), dtype=np.float64)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 Array = np.ndarray[Any, Any]
-MOST = 0.5  # share of a frame at the ends of the range from which these are left as they are
+MAX_CLIPPED_SHARE = 0.5  # share of a frame at the ends of the range from which its samples are kept
 
 
-def is_stretched(frames: Array) -> bool:
+def is_contrast_stretched(frames: Array) -> bool:
     """Whether frames (N, h, w), NaN where unknown, may have contrasts of their own: 8 bits, or all of one range.
 
     An automatic gain makes such pictures, and so does who scales each frame to [0, 1]. Pixels at an end in all frames
@@ -23,7 +23,7 @@ def is_stretched(frames: Array) -> bool:
     return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
 
 
-def cut_off(frames: Array) -> Array:
+def clipped_samples(frames: Array) -> Array:
     """Samples of frames (N, h, w), bool, at an end of the range: cut off. Not of frames that mostly are."""
     cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
-    return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MOST))
+    return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MAX_CLIPPED_SHARE))

@@ -8,17 +8,10 @@ import numpy as np
 
 Array = np.ndarray[Any, Any]
 
-
-ADC_LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # of integers: more cannot be stored
-
-
+ADC_LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # largest integers of common converters
 CHANCE_COUNT = 20  # samples that may share an end of the range by chance
-
-
-PILE_UP_RATIO = 4.0  # times as many share it as share a value next to it
-
-
-NEIGHBOUR_VALUES = 5  # such values
+PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
+NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
 
 
 def saturated_samples(frames: Array) -> Array | None:

@@ -6,21 +6,22 @@ from typing import Any
 
 import numpy as np
 
-MOST = 4  # rows at an edge
-BESIDE = 4  # rows next to them that they are compared with
-#: A row is as rough as nine tenths of its pixels differ from the next at most; numbers are so many times as rough.
-SHARE, ROUGHER = 0.9, 8.0
-FRAMES, STEP = 8, 8  # so many frames, and every so manieth row of the middle, are looked at
+MAX_TELEMETRY_ROWS = 4  # telemetry rows at one edge
+COMPARED_ROWS = 4  # picture rows next to them, with which they are compared
+ROUGHNESS_QUANTILE = 0.9  # quantile of a row's absolute differences that is its roughness
+MIN_ROUGHNESS_RATIO = 8.0  # roughness of a telemetry row over that of a picture row
+SAMPLED_FRAMES = 8  # frames that are inspected
+ROW_STRIDE = 8  # every n-th row of the middle of a frame is inspected
 
 
-def telemetry(frames: np.ndarray[Any, Any]) -> list[int]:
+def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
     """The numbers of such rows of frames `(N, h, w)`: a picture goes on from row to row, numbers do not."""
     count, height, _ = frames.shape
-    edge = MOST + BESIDE
+    edge = MAX_TELEMETRY_ROWS + COMPARED_ROWS
     if height < 2 * edge:
         return []
-    some = frames[:: max(1, count // FRAMES)]
-    inside = some[:, edge:-edge:STEP] if height >= 4 * edge else some
+    some = frames[:: max(1, count // SAMPLED_FRAMES)]
+    inside = some[:, edge:-edge:ROW_STRIDE] if height >= 4 * edge else some
     usual = float(np.median(_rough(inside)))
     above, below = (_at_start(_rough(rows), usual) for rows in (some[:, :edge], some[:, : -edge - 1 : -1]))
     return [*range(above), *range(height - below, height)]
@@ -30,15 +31,15 @@ def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Of rows `(N, K, w)` how much pixels differ from the next, `(K,)`: nearly the most, in a usual frame."""
     known = np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
     steps = np.nan_to_num(np.abs(np.diff(known, axis=-1)))
-    found: np.ndarray[Any, Any] = np.median(np.quantile(steps, SHARE, axis=-1), axis=0)
+    found: np.ndarray[Any, Any] = np.median(np.quantile(steps, ROUGHNESS_QUANTILE, axis=-1), axis=0)
     return found
 
 
 def _at_start(rough: np.ndarray[Any, Any], usual: float) -> int:
     """How many of the first rows are numbers, by how rough these and the next ones are, from the edge on."""
-    for count in range(MOST, 0, -1):
-        beside = max(usual, float(rough[count : count + BESIDE].max()))
-        if rough[:count].min() > ROUGHER * beside > 0:
+    for count in range(MAX_TELEMETRY_ROWS, 0, -1):
+        beside = max(usual, float(rough[count : count + COMPARED_ROWS].max()))
+        if rough[:count].min() > MIN_ROUGHNESS_RATIO * beside > 0:
             return count
     return 0
 

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.extras import needed
-from deepir.io.output.tone_mapping import PERCENTILE, TONES, ends, stretched, table
-from deepir.io.output.write import replace
+from deepir.io.extras import import_optional
+from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, colour_table, display_limits, stretch
+from deepir.io.output.write import atomic_file
 
 Array = np.ndarray[Any, Any]
 Write = Callable[[Array], None]
-RATE = 30
-"""Frames a second of a film."""
+FILM_FRAME_RATE = 30  # frames a second of a film
 
 
 @contextmanager
@@ -30,7 +29,7 @@ def tiff(path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any]) -> Itera
     import tifffile
 
     description = json.dumps(dict(metadata))
-    with replace(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True) as file:
+    with atomic_file(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True) as file:
 
         def write(frame: Array) -> None:
             file.write(
@@ -68,9 +67,9 @@ def mp4(path: Path, palette: str, mapping: str) -> Iterator[Write]:
     `percentile` takes the range of the first frame for all, so that the film does not flicker. An odd last row or
     column is left out, as the codec wants it. Raises `DataError` without the extra `video`.
     """
-    av = needed("av", "video", str(path))
-    colours = table(palette)
-    with replace(path) as temporary, av.open(temporary, "w") as container:
+    av = import_optional("av", "video", str(path))
+    colours = colour_table(palette)
+    with atomic_file(path) as temporary, av.open(temporary, "w") as container:
         track: Any = None
         low = high = 0.0
 
@@ -78,8 +77,8 @@ def mp4(path: Path, palette: str, mapping: str) -> Iterator[Write]:
             nonlocal track, low, high
             if track is None:
                 track = _track(av, container, frame.shape)
-                low, high = ends(frame)
-            shades = stretched(frame, low, high) if mapping == PERCENTILE else TONES[mapping](frame)
+                low, high = display_limits(frame)
+            shades = stretch(frame, low, high) if mapping == PERCENTILE else TONE_MAPPINGS[mapping](frame)
             picture = colours[np.round(255 * shades[: track.height, : track.width]).astype(np.uint8)]
             container.mux(track.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
 
@@ -90,13 +89,15 @@ def mp4(path: Path, palette: str, mapping: str) -> Iterator[Write]:
 
 def _track(av: Any, container: Any, shape: tuple[int, ...]) -> Any:
     codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-    track = container.add_stream(codec, rate=RATE)
+    track = container.add_stream(codec, rate=FILM_FRAME_RATE)
     track.height, track.width = (side // 2 * 2 for side in shape)
     track.pix_fmt = "yuv420p"
     return track
 
 
-def writer(path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any], palette: str, mapping: str) -> Any:
+def open_writer(
+    path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any], palette: str, mapping: str
+) -> Any:
     """`tiff` or `mp4`, as the name of `path` says; `DataError` for another name."""
     if path.suffix.lower() in (".tif", ".tiff"):
         return tiff(path, dtype, metadata)

@@ -8,26 +8,28 @@ from typing import Any
 import numpy as np
 
 Array = np.ndarray[Any, Any]
-WHITE_HOT, PERCENTILE = "white-hot", "percentile"
-#: Colours of iron as it heats up, from cold to hot; matplotlib has the others.
-IRON = ["#000014", "#20008c", "#8b0094", "#cc4a1f", "#f29100", "#ffd93b", "#ffffe6"]
+WHITE_HOT = "white-hot"  # the default palette
+PERCENTILE = "percentile"  # the default tone mapping
+#: Colours of heated iron, from cold to hot.
+IRONBOW_COLOURS = ["#000014", "#20008c", "#8b0094", "#cc4a1f", "#f29100", "#ffd93b", "#ffffe6"]
+#: Palettes by name: colours, or the name of a colour map of matplotlib.
 PALETTES = {
     WHITE_HOT: "gray",
     "black-hot": "gray_r",
-    "ironbow": IRON,
+    "ironbow": IRONBOW_COLOURS,
     "inferno": "inferno",
     "magma": "magma",
     "turbo": "turbo",
 }
 
 
-def coloured(shades: Array, palette: str) -> Array:
+def apply_palette(shades: Array, palette: str) -> Array:
     """Shades (..., h, w) from 0 to 1 as uint8: (..., h, w) for `white-hot`, else (..., h, w, 3)."""
     levels = np.round(255 * shades).astype(np.uint8)
-    return levels if palette == WHITE_HOT else table(palette)[levels]
+    return levels if palette == WHITE_HOT else colour_table(palette)[levels]
 
 
-def table(palette: str) -> Array:
+def colour_table(palette: str) -> Array:
     """256 colours (256, 3), uint8, from cold to hot: of one of `PALETTES`, or of matplotlib's."""
     from matplotlib import colormaps
     from matplotlib.colors import LinearSegmentedColormap
@@ -41,7 +43,7 @@ def table(palette: str) -> Array:
 
 def percentile(image: Array) -> Array:
     """Shades of an image (h, w): 0 to 1 between its percentiles 0.5 and 99.5; 0 where it is not finite."""
-    return stretched(image, *ends(image))
+    return stretch(image, *display_limits(image))
 
 
 def clahe(image: Array) -> Array:
@@ -55,17 +57,18 @@ def clahe(image: Array) -> Array:
     return shades if shades.min() == shades.max() else equalize_adapthist(shades, clip_limit=0.02)
 
 
-def ends(image: Array) -> tuple[float, float]:
+def display_limits(image: Array) -> tuple[float, float]:
     """The percentiles 0.5 and 99.5 of what is finite; zeros where nothing is."""
     finite = image[np.isfinite(image)]
     low, high = np.percentile(finite, [0.5, 99.5]) if finite.size else (0.0, 0.0)
     return float(low), float(high)
 
 
-def stretched(image: Array, low: float, high: float) -> Array:
+def stretch(image: Array, low: float, high: float) -> Array:
     """0 to 1 between `low` and `high`; 0 where the image is not finite, or there is nothing between."""
     scale = 1 / (high - low) if high > low else 0.0
     return np.clip((np.where(np.isfinite(image), image, low) - low) * scale, 0, 1)
 
 
-TONES: dict[str, Callable[[Array], Array]] = {PERCENTILE: percentile, "clahe": clahe}
+#: Tone mappings by name.
+TONE_MAPPINGS: dict[str, Callable[[Array], Array]] = {PERCENTILE: percentile, "clahe": clahe}

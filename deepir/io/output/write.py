@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.output.tone_mapping import PERCENTILE, TONES, WHITE_HOT, coloured
+from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, WHITE_HOT, apply_palette
 
 PathLike = str | os.PathLike[str]
 
 
 @contextmanager
-def replace(path: PathLike) -> Iterator[Path]:
+def atomic_file(path: PathLike) -> Iterator[Path]:
     """Give a temporary file's name beside `path`; when the block ends without an error, it becomes `path`.
 
     Whoever reads `path` meanwhile, or after a crash, sees the old file or the new one, never a part.
@@ -46,14 +46,14 @@ def write_npz(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Non
     for name, array in arrays.items():
         if np.asarray(array).dtype.hasobject:
             raise DataError(f"{path}: '{name}' holds Python objects; only plain arrays are written")
-    with replace(path) as temporary, temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def write_json(path: PathLike, content: Any) -> None:
     """Write JSON. Numpy's numbers and arrays become plain; NaN and infinity, not in JSON, become null."""
-    text = json.dumps(plain(content), indent=2, allow_nan=False, ensure_ascii=False)
-    with replace(path) as temporary:
+    text = json.dumps(to_json_types(content), indent=2, allow_nan=False, ensure_ascii=False)
+    with atomic_file(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
@@ -63,8 +63,8 @@ def write_tiff(
     """Write `(h, w)` or `(N, h, w)` as float32 TIFF; ImageDescription holds `metadata` as JSON."""
     import tifffile
 
-    description = json.dumps(plain(metadata or {}), allow_nan=False)
-    with replace(path) as temporary:
+    description = json.dumps(to_json_types(metadata or {}), allow_nan=False)
+    with atomic_file(path) as temporary:
         tifffile.imwrite(
             temporary,
             np.asarray(frames, np.float32),
@@ -80,27 +80,27 @@ def write_preview(
     """Write `(h, w)` as an 8-bit PNG to look at, in a palette and by a tone mapping, see `tone_mapping`."""
     from PIL import Image
 
-    shades = TONES[mapping](image)
-    with replace(path) as temporary:
-        Image.fromarray(coloured(shades, palette)).save(temporary, format="PNG")
+    shades = TONE_MAPPINGS[mapping](image)
+    with atomic_file(path) as temporary:
+        Image.fromarray(apply_palette(shades, palette)).save(temporary, format="PNG")
 
 
 def write_mat(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
     """Write named arrays for MATLAB (version 5), axes as they are."""
     import scipy.io
 
-    with replace(path) as temporary, temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         scipy.io.savemat(file, dict(arrays), do_compression=True)
 
 
-def plain(value: Any) -> Any:
+def to_json_types(value: Any) -> Any:
     """`value` in JSON's own types; NaN and infinity, not in JSON, become null."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_types(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_types(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_json_types(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, os.PathLike) else value

@@ -9,13 +9,21 @@ import numpy as np
 
 from deepir.simulate.settings import Settings
 
-#: Relative standard deviations from pixel to pixel; of the bias current, from column to column.
-ABSORPTION, COEFFICIENT, RESISTANCE, CONDUCTANCE, CAPACITY, CURRENT = 0.01, 0.005, 0.01, 0.02, 0.01, 0.01
-OWN = 0.5  # flux that a pixel emits itself, above that of scene value 0, in ranges
-LENS, CORNER = 0.2, 20.0  # share of a pixel's view that is lens, at f/1; angle of the frame's corner, degrees
+# Relative standard deviations from pixel to pixel.
+ABSORPTION_SIGMA = 0.01  # of the absorption
+COEFFICIENT_SIGMA = 0.005  # of the temperature coefficient of the resistance
+RESISTANCE_SIGMA = 0.01  # of the resistance
+CONDUCTANCE_SIGMA = 0.02  # of the thermal conductance
+CAPACITY_SIGMA = 0.01  # of the heat capacity
+CURRENT_SIGMA = 0.01  # of the bias current, from column to column
+PIXEL_EMISSION = 0.5  # flux that a pixel emits itself, above that of scene value 0, in ranges
+LENS_SHARE = 0.2  # share of a pixel's view that is lens, at f/1
+CORNER_ANGLE = 20.0  # degrees from the axis to the frame's corner
 
 
-def pixels(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bolometer_pixels(
+    settings: Settings, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain, offset (data units), and the time constants in their mean, all (H, W).
 
     `g = I α β R / G`, `o = -g Φ_fpa`, `τ = C / G`; of the offset, the readout takes the mean pixel's share off.
@@ -24,23 +32,23 @@ def pixels(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np
     def drawn(sigma: float) -> np.ndarray:
         return np.maximum(1 + sigma * rng.standard_normal(settings.shape), 0.05)
 
-    alpha, beta, resistance = drawn(ABSORPTION), drawn(COEFFICIENT), drawn(RESISTANCE)
-    conductance, capacity = drawn(CONDUCTANCE), drawn(CAPACITY)
-    current = 1 + CURRENT * rng.standard_normal((1, settings.shape[1]))
+    alpha, beta, resistance = drawn(ABSORPTION_SIGMA), drawn(COEFFICIENT_SIGMA), drawn(RESISTANCE_SIGMA)
+    conductance, capacity = drawn(CONDUCTANCE_SIGMA), drawn(CAPACITY_SIGMA)
+    current = 1 + CURRENT_SIGMA * rng.standard_normal((1, settings.shape[1]))
     gain = current * alpha * beta * resistance / conductance
     gain, slowness = gain / gain.mean(), capacity / conductance
-    own = OWN * settings.range + (settings.pedestal if settings.counts else 0.0)
+    own = PIXEL_EMISSION * settings.range + (settings.pedestal if settings.counts else 0.0)
     return gain, (1 - gain) * own, slowness / slowness.mean()
 
 
-def housing(settings: Settings) -> np.ndarray:
+def housing_flux(settings: Settings) -> np.ndarray:
     """Flux that a housing which warms up adds to each frame, (N, H, W), data units; none to the first.
 
     A pixel sees the housing wherever it does not see the lens, whose share falls as the fourth power of the cosine.
     """
     y, x = (np.linspace(-1, 1, side) for side in settings.shape)
     off_axis = np.hypot(x, y[:, None]) / np.sqrt(2)
-    cosine = np.cos(np.arctan(off_axis * np.tan(np.deg2rad(CORNER))))
-    seen = (1 - LENS * cosine**4) / (1 - LENS)
+    cosine = np.cos(np.arctan(off_axis * np.tan(np.deg2rad(CORNER_ANGLE))))
+    seen = (1 - LENS_SHARE * cosine**4) / (1 - LENS_SHARE)
     time = np.arange(settings.n_frames) / settings.fps
     return settings.range * settings.housing_drift * time[:, None, None] * seen

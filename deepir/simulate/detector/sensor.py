@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 import numpy as np
 
 from deepir.simulate.settings import Settings
 
-ADC_MAX = 16383  # 14 bits
-LOW, HIGH, FLICKERING, STUCK, NOISY = range(1, 6)  # defects; 0 is none
-EXCESS = 99.0  # variance that a noisy pixel has on top, in variances of its noise
+ADC_MAX = 16383  # largest count of the 14-bit converter
+NOISY_PIXEL_EXCESS = 99.0  # additional variance of a noisy pixel, in variances of its noise
 
 
-def pattern(
+class Defect(IntEnum):
+    """Kinds of bad pixels; 0 is a good one."""
+
+    LOW = 1  # stuck at zero
+    HIGH = 2  # stuck at full scale
+    FLICKERING = 3
+    STUCK = 4  # stuck at a value within the scene's range
+    NOISY = 5
+
+
+def fixed_pattern(
     settings: Settings, rng: np.random.Generator, shading_rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain, offset (data units) and the defects that `dead_pixels` asks for; all (H, W)."""
@@ -30,7 +41,7 @@ def pattern(
 
     bad = np.zeros((height, width), np.uint8)
     defects = rng.permutation(bad.size)[: round(settings.dead_pixels * bad.size)]
-    bad.flat[defects] = np.arange(defects.size) % 3 + LOW
+    bad.flat[defects] = np.arange(defects.size) % 3 + Defect.LOW
     return gain, offset, bad
 
 
@@ -41,13 +52,13 @@ def shading(peak_to_peak: float, shape: tuple[int, int], rng: np.random.Generato
     return peak_to_peak * smooth / np.ptp(smooth)
 
 
-def more_defects(bad: np.ndarray, settings: Settings, rng: np.random.Generator) -> np.ndarray:
+def add_defects(bad: np.ndarray, settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """The defects, with those of `stuck_pixels` and `noisy_pixels` among what was good."""
     places = rng.permutation(np.flatnonzero(bad == 0))
     stuck = round(settings.stuck_pixels * bad.size)
     noisy = round(settings.noisy_pixels * bad.size)
     bad = bad.copy()
-    bad.flat[places[:stuck]], bad.flat[places[stuck : stuck + noisy]] = STUCK, NOISY
+    bad.flat[places[:stuck]], bad.flat[places[stuck : stuck + noisy]] = Defect.STUCK, Defect.NOISY
     return bad
 
 
@@ -66,14 +77,16 @@ def expose(
     clean = gain * flux
     frames = rng.poisson(np.maximum(clean, 0) * photons) / photons if photons else clean
     frames = frames + offset + level[:, None, None] + read * rng.standard_normal(flux.shape)
-    frames += 0.3 * settings.range * (bad == FLICKERING) * rng.choice([-1, 0, 1], size=flux.shape)
-    frames[:, bad == LOW] = 0
-    frames[:, bad == HIGH] = ADC_MAX if settings.counts else 2.0
-    if (stuck := bad == STUCK).any():
+    frames += 0.3 * settings.range * (bad == Defect.FLICKERING) * rng.choice([-1, 0, 1], size=flux.shape)
+    frames[:, bad == Defect.LOW] = 0
+    frames[:, bad == Defect.HIGH] = ADC_MAX if settings.counts else 2.0
+    if (stuck := bad == Defect.STUCK).any():
         frames[:, stuck] = defects_rng.uniform(flux[0].min(), flux[0].max(), int(stuck.sum()))
-    if (noisy := bad == NOISY).any():
+    if (noisy := bad == Defect.NOISY).any():
         variance = read**2 + (np.maximum(clean[:, noisy], 0) / photons if photons else 0.0)
-        frames[:, noisy] += np.sqrt(EXCESS * variance) * defects_rng.standard_normal((len(flux), noisy.sum()))
+        frames[:, noisy] += np.sqrt(NOISY_PIXEL_EXCESS * variance) * defects_rng.standard_normal(
+            (len(flux), noisy.sum())
+        )
     if settings.counts:
         return np.clip(np.rint(frames), 0, ADC_MAX).astype(np.uint16)
     return frames.astype(np.float32)

@@ -11,49 +11,49 @@ from deepir.simulate.settings import Settings
 
 Values = TypeVar("Values", float, np.ndarray)
 
-WAVES = 4  # that make up the path of each of the motion's parameters
+TREMOR_WAVES = 4  # sinusoids in the path of each motion parameter
 
 
-def path(settings: Settings, rng: np.random.Generator) -> np.ndarray:
+def smooth_path(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """A smooth path of the motion's nine parameters, (instants, 9) in [-1, 1], zero at first.
 
     There are `substeps` instants for each frame after the first.
     """
     time = np.arange((settings.n_frames - 1) * settings.substeps + 1) / (settings.substeps * settings.fps)
-    rate = 2 * np.pi * settings.tremor * rng.uniform(0.1, 1, (WAVES, 9))
-    phase, size = rng.uniform(0, 2 * np.pi, (WAVES, 9)), rng.uniform(0.2, 1, (WAVES, 9))
+    rate = 2 * np.pi * settings.tremor * rng.uniform(0.1, 1, (TREMOR_WAVES, 9))
+    phase, size = rng.uniform(0, 2 * np.pi, (TREMOR_WAVES, 9)), rng.uniform(0.2, 1, (TREMOR_WAVES, 9))
     found = (size * np.sin(rate * time[:, None, None] + phase)).sum(1)
     found -= found[0]
     return found / np.abs(found).max(0).clip(min=1e-12)
 
 
-def constants(settings: Settings, rng: np.random.Generator) -> np.ndarray:
+def time_constants(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """The time constant of each pixel (H, W), ms."""
     spread = 1 + settings.tau_pixel * rng.standard_normal(settings.shape)
     return settings.tau * spread.clip(min=0.2)
 
 
-def lagged(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarray:
+def apply_lag(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarray:
     """What the pixels show of a flux (instants, H, W) as they are read, (N, H, W).
 
     A pixel follows the flux by `tau dy/dt = x - y`, which is solved exactly for a flux that is linear between two
     instants. Before the first it had settled.
     """
-    kept, old, new = response(1000 / (settings.fps * settings.substeps) / tau)
+    kept, old, new = lag_coefficients(1000 / (settings.fps * settings.substeps) / tau)
     shown = [flux[0]]
     for before, now in itertools.pairwise(flux):
         shown.append(kept * shown[-1] + old * before + new * now)
-    return read(np.stack(shown), settings)
+    return rolling_readout(np.stack(shown), settings)
 
 
-def response(step: Values) -> tuple[Values, Values, Values]:
+def lag_coefficients(step: Values) -> tuple[Values, Values, Values]:
     """Shares of what was shown, of the flux before and of the flux now, after a `step` in time constants."""
     kept = np.exp(-step)
     new = 1 - (1 - kept) / step
     return kept, 1 - kept - new, new
 
 
-def read(shown: np.ndarray, settings: Settings) -> np.ndarray:
+def rolling_readout(shown: np.ndarray, settings: Settings) -> np.ndarray:
     """Frames of rows that are read one after the other, the last one as its frame ends."""
     height = settings.shape[0]
     early = settings.substeps * settings.readout * (1 - np.arange(1, height + 1) / height)

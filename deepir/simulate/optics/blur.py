@@ -9,12 +9,12 @@ from scipy import ndimage, signal, special
 
 from deepir.simulate.settings import Settings
 
-FINE = 5  # of the truth's: grid points per detector px
-RINGS = 4  # first dark radii of an Airy pattern that are kept: 95 % of its energy
-POINTS = 9  # along a grid point's side, at which a kernel is taken
+PSF_SAMPLES_PER_PIXEL = 5  # grid points of the truth's psf per detector px
+AIRY_RINGS = 4  # first dark radii at which an Airy pattern is cut off: 95 % of its energy
+KERNEL_SUBSAMPLES = 9  # samples of a kernel along the side of a grid point
 
 
-def blurred(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
+def blur_picture(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
     """The picture (height, width), `scale` px per detector px, behind all but the Gaussian blur."""
     for each in _kernels(settings, scale):
         padded = np.pad(picture, [(side // 2,) * 2 for side in each.shape], mode="symmetric")
@@ -23,21 +23,23 @@ def blurred(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray
 
 
 def psf(settings: Settings) -> np.ndarray:
-    """All of the optics, (K, K) with K odd, `FINE` points per detector px, sum one."""
-    side = 2 * int(np.ceil(FINE * (reach(settings) + 1))) + 1
+    """All of the optics, (K, K) with K odd, `PSF_SAMPLES_PER_PIXEL` points per detector px, sum one."""
+    side = 2 * int(np.ceil(PSF_SAMPLES_PER_PIXEL * (blur_radius(settings) + 1))) + 1
     point = np.zeros((side, side))
     point[side // 2, side // 2] = 1
-    for each in _kernels(settings, FINE):
+    for each in _kernels(settings, PSF_SAMPLES_PER_PIXEL):
         point = signal.fftconvolve(point, each, mode="same")
-    found: np.ndarray = ndimage.gaussian_filter(point, settings.psf_sigma * FINE, mode="constant")
+    found: np.ndarray = ndimage.gaussian_filter(
+        point, settings.psf_sigma * PSF_SAMPLES_PER_PIXEL, mode="constant"
+    )
     return found.clip(min=0) / found.clip(min=0).sum()
 
 
-def reach(settings: Settings) -> float:
+def blur_radius(settings: Settings) -> float:
     """Radius of the optics' blur, detector px."""
     return (
         3 * settings.psf_sigma
-        + RINGS * settings.airy_radius
+        + AIRY_RINGS * settings.airy_radius
         + settings.defocus_radius
         + settings.motion_blur / 2
     )
@@ -47,7 +49,7 @@ def _kernels(settings: Settings, scale: float) -> list[np.ndarray]:
     """Those that there are, on a grid of `scale` points per detector px, each of sum one."""
     found = []
     if first := settings.airy_radius * scale:
-        found.append(_drawn(lambda x, y: airy(np.hypot(x, y), first), RINGS * first))
+        found.append(_drawn(lambda x, y: airy(np.hypot(x, y), first), AIRY_RINGS * first))
     if disc := settings.defocus_radius * scale:
         found.append(_drawn(lambda x, y: (np.hypot(x, y) <= disc).astype(float), disc))
     if settings.motion_blur:
@@ -64,9 +66,9 @@ def airy(r: np.ndarray, first: float) -> np.ndarray:
 def _drawn(profile: Callable[[np.ndarray, np.ndarray], np.ndarray], radius: float) -> np.ndarray:
     """A profile, integrated over the area of each grid point."""
     side = 2 * int(np.ceil(radius)) + 3
-    at = (np.arange(side * POINTS) + 0.5) / POINTS - side / 2
+    at = (np.arange(side * KERNEL_SUBSAMPLES) + 0.5) / KERNEL_SUBSAMPLES - side / 2
     fine = profile(at[None, :], at[:, None])
-    kernel = fine.reshape(side, POINTS, side, POINTS).mean((1, 3))
+    kernel = fine.reshape(side, KERNEL_SUBSAMPLES, side, KERNEL_SUBSAMPLES).mean((1, 3))
     return np.asarray(kernel / kernel.sum())
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from deepir.errors import ConfigError
 from deepir.simulate.settings import Settings
 
-HILLS = 8  # that the scene is made of
-WIDTH = (0.08, 0.2)  # of a hill (sigma), fractions of the frame's shorter side
-MOST = 0.05  # of the frame's shorter side: a parallax for which no hill hides another
-PASSES = 60  # of the fixed point at most
+HILL_COUNT = 8  # hills of the relief
+HILL_WIDTHS = (0.08, 0.2)  # least and largest sigma of a hill, in shorter sides of the frame
+MAX_PARALLAX = 0.05  # in shorter sides of the frame; above, hills hide each other
+MAX_FIXED_POINT_ITERATIONS = 60
 
 
 def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
@@ -21,17 +21,19 @@ def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """
     height, width = settings.shape
     side = min(height, width)
-    if settings.parallax > MOST * side:
+    if settings.parallax > MAX_PARALLAX * side:
         raise ConfigError(
-            f"simulate.parallax = {settings.parallax:g}: hills would hide each other; at most {MOST * side:g} px for "
+            f"simulate.parallax = {settings.parallax:g}: hills would hide each other; at most {MAX_PARALLAX * side:g} px for "
             f"frames of {height} x {width} px"
         )
     if not settings.max_shift:
         raise ConfigError(
             "simulate.parallax: a camera that does not shift sees none; raise simulate.max_shift, or take 0"
         )
-    places = rng.uniform(-0.5, 0.5, (HILLS, 2)) * (width, height)
-    hills = np.column_stack((places, side * rng.uniform(*WIDTH, HILLS), rng.uniform(0.5, 1, HILLS)))
+    places = rng.uniform(-0.5, 0.5, (HILL_COUNT, 2)) * (width, height)
+    hills = np.column_stack(
+        (places, side * rng.uniform(*HILL_WIDTHS, HILL_COUNT), rng.uniform(0.5, 1, HILL_COUNT))
+    )
     y, x = (np.arange(n) - (n - 1) / 2 for n in settings.shape)
     hills[:, 3] /= nearness(hills, x, y[:, None]).max()
     return hills
@@ -53,10 +55,10 @@ def parallax(motion: np.ndarray, hills: np.ndarray, settings: Settings) -> np.nd
     """
     found = np.zeros((len(motion), 2, *settings.shape))
     for k, T in enumerate(motion):
-        at_x, at_y = seen_at(T, settings.shape)
+        at_x, at_y = sampling_points(T, settings.shape)
         toward = settings.parallax * T[:2, 2] / settings.max_shift
         near = np.zeros(settings.shape)
-        for _ in range(PASSES):
+        for _ in range(MAX_FIXED_POINT_ITERATIONS):
             before, near = near, nearness(hills, at_x + toward[0] * near, at_y + toward[1] * near)
             if np.abs(near - before).max() < 1e-6:
                 break
@@ -64,17 +66,17 @@ def parallax(motion: np.ndarray, hills: np.ndarray, settings: Settings) -> np.nd
     return found
 
 
-def seen_at(T: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def sampling_points(T: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Where the pixels of a frame look, x and y from its centre, by the homography alone."""
     y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
     at_x, at_y, w = (row[0] * x + row[1] * y[:, None] + row[2] for row in T)
     return at_x / w, at_y / w
 
 
-def flow_of(motion: np.ndarray, shape: tuple[int, int], beside: np.ndarray | None) -> np.ndarray:
+def dense_flow(motion: np.ndarray, shape: tuple[int, int], beside: np.ndarray | None) -> np.ndarray:
     """From each pixel to where it looks, (N, 2, H, W)."""
     y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
     looks = np.array(
-        [np.stack(seen_at(T, shape)) - np.stack(np.broadcast_arrays(x, y[:, None])) for T in motion]
+        [np.stack(sampling_points(T, shape)) - np.stack(np.broadcast_arrays(x, y[:, None])) for T in motion]
     )
     return looks if beside is None else looks + beside

@@ -8,12 +8,12 @@ import numpy as np
 from scipy import ndimage
 
 from deepir.errors import DataError
-from deepir.simulate.optics.blur import blurred
-from deepir.simulate.optics.blur import reach as radius_of
+from deepir.simulate.optics.blur import blur_picture
+from deepir.simulate.optics.blur import blur_radius as radius_of
 from deepir.simulate.scenes.pictures import Scene
 from deepir.simulate.settings import Settings
 
-WARP = 0.01  # largest stretch, shear and keystone (change of scale at the frame's edge)
+MAX_DEFORMATION = 0.01  # largest stretch, shear and keystone (change of scale at the frame's edge)
 
 
 def render(
@@ -60,7 +60,7 @@ def render(
     return frames
 
 
-def drawn(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
+def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
     """A scene as a picture (height, width), for frames that see so far; `DataError` if it is none."""
     if callable(scene):
         height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
@@ -77,15 +77,15 @@ def drawn(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings)
     return picture
 
 
-def at_rest(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
+def render_reference(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
     """What a detector `factor` times as fine sees of frame 0, behind the same optics or (`sharp`) none, (Q H, Q W)."""
     fine, (height, width) = settings.factor, settings.shape
     blur = 0.0 if settings.sharp else settings.psf_sigma * fine  # in px of the finer detector
-    picture = picture if settings.sharp else blurred(picture, scale, settings)
+    picture = picture if settings.sharp else blur_picture(picture, scale, settings)
     return render(picture, np.eye(3)[None], (fine * height, fine * width), scale / fine, blur)[0]
 
 
-def move(settings: Settings, rng: np.random.Generator) -> np.ndarray:
+def random_motion(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """Homographies (N, 3, 3), each frame's drawn alone; the first is the identity."""
     draws = rng.uniform(-1, 1, (settings.n_frames, 9))
     draws[0] = 0
@@ -97,9 +97,9 @@ def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
     motion = np.tile(np.eye(3), (len(draws), 1, 1))
     height, width = settings.shape
     if settings.motion == "homography":
-        motion[:, 2, :2] = 2 * WARP * draws[:, 7:9] / (width, height)
+        motion[:, 2, :2] = 2 * MAX_DEFORMATION * draws[:, 7:9] / (width, height)
     if settings.motion in ("affine", "homography"):
-        motion[:, :2, :2] += WARP * draws[:, 3:7].reshape(-1, 2, 2)
+        motion[:, :2, :2] += MAX_DEFORMATION * draws[:, 3:7].reshape(-1, 2, 2)
     angle = np.deg2rad(settings.max_rotation) * draws[:, 2]
     move = np.tile(np.eye(3), (len(draws), 1, 1))
     move[:, 0, 0] = move[:, 1, 1] = np.cos(angle)
@@ -109,7 +109,7 @@ def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
     return motion / motion[:, 2:, 2:]
 
 
-def reach_of(motion: np.ndarray, settings: Settings) -> np.ndarray:
+def visible_reach(motion: np.ndarray, settings: Settings) -> np.ndarray:
     """How far (y, x) from the centre the frames see, detector px: their corners, the blur and the parallax."""
     height, width = settings.shape
     corners = np.array([(i * width / 2, j * height / 2, 1) for i in (-1, 1) for j in (-1, 1)])
@@ -118,7 +118,7 @@ def reach_of(motion: np.ndarray, settings: Settings) -> np.ndarray:
     return reach + radius_of(settings) + settings.parallax
 
 
-def scale_of(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:
+def picture_scale(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:
     """The setting, or the largest that fits; two picture px at each side are left to the spline."""
     largest = float(np.min((np.array(shape) - 5) / (2 * reach)))
     scale, least = settings.scale or largest, settings.least_scale

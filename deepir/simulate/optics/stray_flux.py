@@ -12,7 +12,7 @@ def stray_flux(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """Of each pixel, in units of the range, (H, W): from zero to `settings.stray`."""
     height, width = settings.shape
     y, x = (np.arange(side) - (side - 1) / 2 for side in settings.shape)
-    shape = SHAPES[settings.stray_shape](y[:, None] / height, x / height, width / height, rng)
+    shape = STRAY_SHAPES[settings.stray_shape](y[:, None] / height, x / height, width / height, rng)
     shape = shape - shape.min()
     return settings.stray * shape / shape.max()
 
@@ -54,4 +54,4 @@ def edge(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) ->
     return ndtr((x * np.cos(angle) + y * np.sin(angle) - place) / blur)
 
 
-SHAPES = {"smooth": smooth, "radial": radial, "ring": ring, "edge": edge}
+STRAY_SHAPES = {"smooth": smooth, "radial": radial, "ring": ring, "edge": edge}

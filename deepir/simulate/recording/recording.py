@@ -10,14 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.simulate.detector.sensor import expose, pattern
-from deepir.simulate.recording.camera import closures, compressed, lagging, offsets, stretched
+from deepir.simulate.detector.sensor import expose, fixed_pattern
+from deepir.simulate.recording.camera import (
+    automatic_gain,
+    compress,
+    drifting_offsets,
+    lagged_frames,
+    shutter_closures,
+)
 from deepir.simulate.recording.paths import CameraPath, camera_path
 from deepir.simulate.recording.settings import RecordingSettings
-from deepir.simulate.recording.surfaces import World, view
+from deepir.simulate.recording.surfaces import World, render_view
 from deepir.simulate.recording.worlds import world
 
-DEFAULT = RecordingSettings()
+DEFAULT_RECORDING = RecordingSettings()
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class Recording:
         return path, beside
 
 
-def simulate_recording(settings: RecordingSettings = DEFAULT, *, seed: int = 0) -> Recording:
+def simulate_recording(settings: RecordingSettings = DEFAULT_RECORDING, *, seed: int = 0) -> Recording:
     """Record a world through which a camera moves.
 
     Path, world, pattern, drift and noise have random streams of their own: with another noise the path stays.
@@ -82,16 +88,16 @@ def simulate_recording(settings: RecordingSettings = DEFAULT, *, seed: int = 0) 
     """
     path_rng, world_rng, pattern_rng, shading_rng, drift_rng, noise_rng = np.random.default_rng(seed).spawn(6)
     path = camera_path(settings, path_rng)
-    closed = closures(settings)
+    closed = shutter_closures(settings)
     moving = np.zeros((settings.n_frames, *settings.shape), bool)
     flux = _flux(world(settings, seed, world_rng), path, closed, moving, settings)
-    scene = np.stack(list(lagging(flux, settings)))
+    scene = np.stack(list(lagged_frames(flux, settings)))
 
     sensor = settings.sensor()
-    gain, offset, defects = pattern(sensor, pattern_rng, shading_rng)
+    gain, offset, defects = fixed_pattern(sensor, pattern_rng, shading_rng)
     good = defects == 0
     gain, offset = gain / gain[good].mean(), offset - offset[good].mean()
-    offset = offsets(settings, gain, offset, closed, drift_rng)
+    offset = drifting_offsets(settings, gain, offset, closed, drift_rng)
     offset -= offset[:, good].mean(1)[:, None, None]
     frames = np.concatenate([
         expose(scene[k : k + 1], gain, offset[k], np.zeros(1), defects, sensor, noise_rng, noise_rng)
@@ -99,9 +105,9 @@ def simulate_recording(settings: RecordingSettings = DEFAULT, *, seed: int = 0) 
     ])  # fmt: skip
     agc_gain, agc_offset = np.ones(settings.n_frames), np.zeros(settings.n_frames)
     if settings.agc:
-        frames, agc_gain, agc_offset = stretched(frames, closed, good, settings)
+        frames, agc_gain, agc_offset = automatic_gain(frames, closed, good, settings)
     if settings.compression != "none":
-        frames = compressed(frames, settings)
+        frames = compress(frames, settings)
     each = slice(None, None, settings.substeps)
     truth = RecordingTruth(
         scene=scene,
@@ -130,7 +136,7 @@ def _flux(
         if closed[frame + (first > 0)]:
             yield np.full(settings.shape, settings.flat, np.float32)
             continue
-        values, moves = view(
+        values, moves = render_view(
             seen, path.position[k], path.rotation[k], settings.focal, settings.shape, settings.psf_sigma, time
         )
         if first == 0:

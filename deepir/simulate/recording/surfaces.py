@@ -9,11 +9,12 @@ import numpy as np
 from scipy import ndimage
 
 from deepir.simulate.recording import raster
+from deepir.simulate.recording.raster import SAMPLES_PER_PIXEL
 from deepir.simulate.scenes.drawing import Canvas
 
-FINE = raster.FINE
-NEAREST = 1 / raster.NEAREST  # depth of the nearest that is seen, m
-SEEN = 0.02  # share of a sample that a moving object covers, from which on it counts as moving
+RIGHT, DOWN, AHEAD = np.eye(3)  # unit vectors of the world, see `deepir.simulate.recording.paths`
+MIN_DEPTH = 1 / raster.MAX_INVERSE_DEPTH  # least depth that is rendered, m
+MIN_MOVING_COVER = 0.02  # covered share of a sample from which it counts as moving
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def homography(
     return np.asarray(np.linalg.inv(frame) @ rotation)
 
 
-def view(
+def render_view(
     world: World,
     position: np.ndarray,
     rotation: np.ndarray,
@@ -115,7 +116,7 @@ def view(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a camera sees of a world.
 
-    Rays through `FINE` x `FINE` points of each pixel meet the surfaces exactly; the texture is averaged over what lies
+    Rays through `SAMPLES_PER_PIXEL` x `SAMPLES_PER_PIXEL` points of each pixel meet the surfaces exactly; the texture is averaged over what lies
     between the points, then blurred by the optics and averaged over the pixel.
 
     Args:
@@ -130,9 +131,9 @@ def view(
     Returns:
         Scene values (H, W), float32, and where things that move are seen, (H, W) bool.
     """
-    margin = FINE * int(np.ceil(3 * psf_sigma))
-    height, width = (FINE * n + 2 * margin for n in shape)
-    step = 1 / (FINE * focal)
+    margin = SAMPLES_PER_PIXEL * int(np.ceil(3 * psf_sigma))
+    height, width = (SAMPLES_PER_PIXEL * n + 2 * margin for n in shape)
+    step = 1 / (SAMPLES_PER_PIXEL * focal)
     first = (-(width - 1) / 2 * step, -(height - 1) / 2 * step)
     near, seen, moving, behind, behind_moving = np.zeros((5, height, width), np.float32)
     through = np.ones((height, width), np.float32)
@@ -147,20 +148,20 @@ def view(
     for _, surface, H, box in sorted(met, key=lambda each: each[0]):
         shown = surface.textures[int(time * surface.rate) % len(surface.textures)]
         into = (seen, moving) if surface.cut else (behind, behind_moving)
-        raster.paint(
+        raster.paint_surface(
             shown.values, shown.cover, shown.levels, shown.texel, surface.size, H, first, step, box,
             surface.moving, near, *into, through,
         )  # fmt: skip
     back = world.backdrop
     start = (world.azimuth, world.elevation)
-    raster.surround(back.values, back.levels, back.texel, start, rotation, first, step, behind, near)
+    raster.paint_backdrop(back.values, back.levels, back.texel, start, rotation, first, step, behind, near)
     seen += through * behind
     moving += through * behind_moving
     if psf_sigma:
-        seen = ndimage.gaussian_filter(seen, FINE * psf_sigma, truncate=3.0)
+        seen = ndimage.gaussian_filter(seen, SAMPLES_PER_PIXEL * psf_sigma, truncate=3.0)
     inner = (slice(margin, height - margin), slice(margin, width - margin))
-    blocks = (shape[0], FINE, shape[1], FINE)
-    mask = moving[inner].reshape(blocks).mean((1, 3)) > SEEN
+    blocks = (shape[0], SAMPLES_PER_PIXEL, shape[1], SAMPLES_PER_PIXEL)
+    mask = moving[inner].reshape(blocks).mean((1, 3)) > MIN_MOVING_COVER
     if psf_sigma:
         mask = ndimage.maximum_filter(mask, 3)
     return seen[inner].reshape(blocks).mean((1, 3)), mask
@@ -179,9 +180,9 @@ def _box(
     start = surface.corner + surface.velocity * time - position
     sides = surface.along * surface.size[0], surface.down * surface.size[1]
     corners = np.array([start + i * sides[0] + j * sides[1] for i in (0, 1) for j in (0, 1)]) @ rotation
-    if (corners[:, 2] < NEAREST).all():
+    if (corners[:, 2] < MIN_DEPTH).all():
         return None
-    if (corners[:, 2] < NEAREST).any():
+    if (corners[:, 2] < MIN_DEPTH).any():
         return 0, shape[0], 0, shape[1]
     at = (corners[:, :2] / corners[:, 2:] - first) / step
     x0, y0 = np.floor(at.min(0)).clip(0, shape[::-1]).astype(int)

@@ -13,17 +13,17 @@ from deepir.errors import DataError, nearest
 from deepir.paths import expanded
 from deepir.simulate.scenes.procedural import procedural, sky
 
-#: Draw a scene of any size from a seed: `procedural:3`.
-DRAWN = {"procedural": procedural, "sky": sky}
-#: Pictures that scikit-image brings along.
-SHIPPED = ("astronaut", "brick", "camera", "cell", "chelsea", "clock", "coffee", "coins", "grass", "gravel",
+#: Functions that draw a scene of a given seed and shape: `procedural:3`.
+DRAWN_SCENES = {"procedural": procedural, "sky": sky}
+#: Pictures that scikit-image ships.
+SKIMAGE_PICTURES = ("astronaut", "brick", "camera", "cell", "chelsea", "clock", "coffee", "coins", "grass", "gravel",
     "hubble_deep_field", "immunohistochemistry", "moon", "page", "retina", "rocket", "stereo_motorcycle", "text",
 )  # fmt: skip
 
 Scene = np.ndarray[Any, Any] | Callable[[tuple[int, int]], np.ndarray[Any, Any]]
 
 
-def picture(name: str) -> Scene | list[Scene]:
+def load_picture(name: str) -> Scene | list[Scene]:
     """A grey picture (height, width), its range stretched to [0, 1], or a function that draws one of a given size.
 
     Args:
@@ -34,15 +34,15 @@ def picture(name: str) -> Scene | list[Scene]:
         DataError: There is none of that name, or it is no picture.
     """
     if "," in name and not Path(name).exists():
-        return [each for part in name.split(",") if not isinstance(each := picture(part.strip()), list)]
+        return [each for part in name.split(",") if not isinstance(each := load_picture(part.strip()), list)]
     kind, _, seed = name.partition(":")
-    if kind in DRAWN and seed.isdecimal():
-        return partial(DRAWN[kind], int(seed))
-    if name in SHIPPED and not Path(name).exists():
+    if kind in DRAWN_SCENES and seed.isdecimal():
+        return partial(DRAWN_SCENES[kind], int(seed))
+    if name in SKIMAGE_PICTURES and not Path(name).exists():
         return _stretched(_shipped(name), name)
     if not (Path(name).suffix or expanded(name).exists()):
         raise DataError(
-            f"scene: no picture is called '{name}'; {nearest(name, SHIPPED)}, procedural:SEED, sky:SEED or a file"
+            f"scene: no picture is called '{name}'; {nearest(name, SKIMAGE_PICTURES)}, procedural:SEED, sky:SEED or a file"
         )
     from deepir.io import read_frames
 

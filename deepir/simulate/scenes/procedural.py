@@ -23,7 +23,7 @@ def procedural(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray
         Radiant flux (height, width), float64: 0 is the coldest point of the picture and 1 the hottest.
     """
     canvas = Canvas(seed, shape)
-    KINDS[seed % len(KINDS)](canvas)
+    SCENE_PAINTERS[seed % len(SCENE_PAINTERS)](canvas)
     return _stretched(canvas.image + 0.005 * canvas.rough)
 
 
@@ -185,4 +185,4 @@ def _landscape(c: Canvas) -> None:
     person(c, 0.86 * c.aspect, 0.92, 0.26, 0.1)
 
 
-KINDS = (_street, _front, _machinery, _landscape)
+SCENE_PAINTERS = (_street, _front, _machinery, _landscape)

@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.containers.named_arrays import choose
-from deepir.io.extras import needed
+from deepir.io.containers.named_arrays import choose_array
+from deepir.io.extras import import_optional
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
 SUFFIXES = (".h5", ".hdf5", ".mat")
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-MATLAB = b"MATLAB 7.3 MAT-file"
-DEEP = 8
-MANY = 10_000
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of an HDF5 file
+MATLAB_SIGNATURE = b"MATLAB 7.3 MAT-file"  # first bytes of MATLAB's user block before it
+MAX_GROUP_DEPTH = 8  # levels of groups that are searched
+MAX_ARRAYS = 10_000  # arrays and groups that are listed
 
 
 def sniff(head: bytes, path: Path) -> bool:
     """HDF5's signature, or MATLAB's text where it stands before that."""
-    return head.startswith((SIGNATURE, MATLAB))
+    return head.startswith((HDF5_SIGNATURE, MATLAB_SIGNATURE))
 
 
 def read(path: Path, key: str | None) -> Array:
@@ -49,13 +49,13 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
 @contextmanager
 def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
     """The array that is meant, unread, and whether it is MATLAB's."""
-    library = needed("h5py", "hdf5", str(path))
+    library = import_optional("h5py", "hdf5", str(path))
     with path.open("rb") as stream:
-        matlab = stream.read(len(MATLAB)) == MATLAB
+        matlab = stream.read(len(MATLAB_SIGNATURE)) == MATLAB_SIGNATURE
         with library.File(stream, "r") as file:
             found: dict[str, Any] = {}
             _collect(library, file, "", found)
-            name = choose({each: data.shape for each, data in found.items()}, path, key)
+            name = choose_array({each: data.shape for each, data in found.items()}, path, key)
             data = found[name]
             if data.is_virtual or data.external:
                 raise DataError(f"{path}: {name} keeps its values in other files, which are never opened")
@@ -71,7 +71,7 @@ def _turned(array: Array, matlab: bool) -> Array:
 def _collect(library: Any, group: Any, prefix: str, found: dict[str, Any]) -> None:
     """The arrays of numbers below `group` by path; only hard links are followed, and not for ever."""
     for name in group:
-        if len(found) > MANY or prefix.count("/") > DEEP:
+        if len(found) > MAX_ARRAYS or prefix.count("/") > MAX_GROUP_DEPTH:
             raise DataError(f"{group.file.filename}: more arrays or folders than a recording has")
         if not isinstance(group.get(name, getlink=True), library.HardLink):
             continue

@@ -9,13 +9,15 @@ import numpy as np
 import scipy.io
 
 from deepir.errors import DataError
-from deepir.io.containers.named_arrays import choose
+from deepir.io.containers.named_arrays import choose_array
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
 SUFFIXES = (".mat",)
-#: MATLAB's numeric classes; cells, structures and function handles are no frames.
-BYTES = {"single": 4, "double": 8} | {f"{sign}int{n}": n // 8 for sign in ("", "u") for n in (8, 16, 32, 64)}
+#: Bytes per value of MATLAB's numeric classes; cells, structures and function handles are not frames.
+BYTES_PER_VALUE = {"single": 4, "double": 8} | {
+    f"{sign}int{n}": n // 8 for sign in ("", "u") for n in (8, 16, 32, 64)
+}
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -30,9 +32,11 @@ def read(path: Path, key: str | None) -> Array:
     """
     with path.open("rb") as file:
         known = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(file)}
-        name = choose({each: shape for each, (shape, kind) in known.items() if kind in BYTES}, path, key)
+        name = choose_array(
+            {each: shape for each, (shape, kind) in known.items() if kind in BYTES_PER_VALUE}, path, key
+        )
         shape, kind = known[name]
-        check_size(path, math.prod(shape) * BYTES[kind], path.stat().st_size, compressed=True)
+        check_size(path, math.prod(shape) * BYTES_PER_VALUE[kind], path.stat().st_size, compressed=True)
         file.seek(0)
         array: Array = scipy.io.loadmat(file, variable_names=[name])[name]
     if array.shape != tuple(shape):

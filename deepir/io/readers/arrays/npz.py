@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deepir.errors import DataError
-from deepir.io.containers.named_arrays import choose
+from deepir.io.containers.named_arrays import choose_array
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 from deepir.io.readers.arrays import npy
@@ -45,7 +45,7 @@ def _chosen(
 ) -> zipfile.ZipInfo:
     members = _members(archive, path, at_once=at_once)
     shapes = {name: _shape(archive, info, path) for name, info in members.items()}
-    return members[choose(shapes, path, key)]
+    return members[choose_array(shapes, path, key)]
 
 
 def _members(archive: zipfile.ZipFile, path: Path, *, at_once: bool = True) -> dict[str, zipfile.ZipInfo]:

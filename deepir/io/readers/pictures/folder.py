@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.guards import GIB, MOST_BYTES
+from deepir.io.guards import GIB, MAX_ARRAY_BYTES
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 
@@ -29,29 +29,31 @@ def read(path: Path, key: str | None) -> Array:
     Raises `DataError` where there are none, or they differ in size or type.
     """
     stacks: list[Array] = []
-    files, total = members(path), 0
+    files, total = burst_files(path), 0
     for file in files:
         frames = readers.read(file, key)
         stacks.append(frames if frames.ndim == 3 else frames[None])
         _check_alike(files[0], stacks[0], file, stacks[-1])
         total += frames.nbytes
-        if total > MOST_BYTES:
-            raise DataError(f"{path}: more than {MOST_BYTES // GIB} GiB of pictures; name fewer with a glob")
+        if total > MAX_ARRAY_BYTES:
+            raise DataError(
+                f"{path}: more than {MAX_ARRAY_BYTES // GIB} GiB of pictures; name fewer with a glob"
+            )
     return np.ma.concatenate(stacks) if any(map(np.ma.isMaskedArray, stacks)) else np.concatenate(stacks)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """File after file."""
-    for file in members(path):
+    for file in burst_files(path):
         yield from readers.stream(file, key)
 
 
 def radiometry(path: Path) -> Radiometry | None:
     """As the first picture says."""
-    return readers.radiometry(members(path)[0])
+    return readers.radiometry(burst_files(path)[0])
 
 
-def members(path: Path) -> list[Path]:
+def burst_files(path: Path) -> list[Path]:
     """The files that `path` stands for, in natural order: frame2 before frame10. Hidden files are left out.
 
     Of a folder these are the pictures: recognised by their contents, or called like one (so that a damaged
@@ -64,10 +66,10 @@ def members(path: Path) -> list[Path]:
     if not entries:
         what = "no pictures in this folder" if path.is_dir() else "no file matches"
         raise DataError(f"{path}: {what} ({', '.join(readers.suffixes())} are read)")
-    return sorted(entries, key=natural)
+    return sorted(entries, key=natural_key)
 
 
-def natural(path: Path) -> list[Any]:
+def natural_key(path: Path) -> list[Any]:
     """A sorting key that compares digits as numbers."""
     parts = re.split("([0-9]+)", str(path))
     return [int(part) if i % 2 else part.casefold() for i, part in enumerate(parts)]

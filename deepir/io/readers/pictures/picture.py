@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from deepir.io.guards import check_size, grey
+from deepir.io.guards import check_size, to_grey
 from deepir.io.readers import Array
 
 GENERIC = True
 SUFFIXES = (".jpg", ".jpeg", ".bmp")
-FORMATS = ("JPEG", "BMP")
+PILLOW_FORMATS = ("JPEG", "BMP")  # decoders that Pillow may use
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -22,6 +22,6 @@ def sniff(head: bytes, path: Path) -> bool:
 
 def read(path: Path, key: str | None) -> Array:
     """The picture `(h, w)`, uint8. Raises `DataError` for a picture in colour."""
-    with Image.open(path, formats=FORMATS) as image:
+    with Image.open(path, formats=PILLOW_FORMATS) as image:
         check_size(path, 3 * image.width * image.height, path.stat().st_size, compressed=True)
-        return grey(np.asarray(image.convert("RGB")), path)
+        return to_grey(np.asarray(image.convert("RGB")), path)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import imagecodecs
 
-from deepir.io.guards import check_size, grey
+from deepir.io.guards import check_size, to_grey
 from deepir.io.readers import Array
 
 SUFFIXES = (".png",)
-CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by PNG's colour type
+CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # samples per pixel by PNG's colour type
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -22,7 +22,7 @@ def sniff(head: bytes, path: Path) -> bool:
 def read(path: Path, key: str | None) -> Array:
     """The picture `(h, w)`, uint8 or uint16. Raises `DataError` for a picture in colour."""
     pixels = decode(path.read_bytes(), path)
-    return pixels if pixels.ndim == 2 else grey(pixels, path)
+    return pixels if pixels.ndim == 2 else to_grey(pixels, path)
 
 
 def decode(data: bytes, path: Path) -> Array:

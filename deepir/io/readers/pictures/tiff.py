@@ -15,12 +15,12 @@ import tifffile
 
 from deepir.config import schema
 from deepir.errors import ConfigError, DataError
-from deepir.io.guards import check_size, grey
-from deepir.io.radiometry import KELVIN, Radiometry, chosen
+from deepir.io.guards import check_size, to_grey
+from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = (".tif", ".tiff")
-PALETTE = 3  # PhotometricInterpretation
+PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture
 
 # Python prints messages of a library's logger that nobody handles; ours become errors instead.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
@@ -58,13 +58,13 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
 
 
 def radiometry(path: Path) -> Radiometry | None:
-    """As deepir wrote it into the description, see `deepir.io.radiometry.unit`."""
+    """As deepir wrote it into the description, see `deepir.io.radiometry.unit_metadata`."""
     with _open(path) as tiff:
         try:
             said = json.loads(tiff.pages.first.description)
             if said.get("unit") == "K":
                 return KELVIN
-            return chosen(None, schema.Radiometry(**said["radiometry"]))
+            return resolve_radiometry(None, schema.Radiometry(**said["radiometry"]))
         except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
             return None
 
@@ -87,7 +87,7 @@ def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:
 def _check(part: Any, path: Path) -> None:
     """Refuse what tifffile would fill up with zeros: data outside the file, and missing pages."""
     page, size = part.keyframe, path.stat().st_size
-    if page.photometric == PALETTE:
+    if page.photometric == PALETTE_PHOTOMETRIC:
         raise DataError(f"{path}: a palette picture carries no radiometry. Export raw 16-bit data instead.")
     compressed = page.compression != tifffile.COMPRESSION.NONE
     check_size(path, part.nbytes, size, compressed=compressed, at_once=False)
@@ -118,5 +118,5 @@ def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
 def _stack(pixels: Array, axes: str, path: Path) -> Array:
     # Samples in planes of their own are frames: so tifffile saves a burst of three or four unless told.
     if axes.endswith("S"):
-        pixels = grey(pixels, path)
+        pixels = to_grey(pixels, path)
     return pixels.reshape(-1, *pixels.shape[-2:])

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.extras import needed
-from deepir.io.guards import check_size, collect, grey
+from deepir.io.extras import import_optional
+from deepir.io.guards import check_size, stack_frames, to_grey
 from deepir.io.readers import Array
 
 GENERIC = True
-#: Difference of the channels, as a share of the range, up to which a lossy codec may have tinted a grey film.
-NEUTRAL = 0.02
+#: Difference of the channels, as a share of the range, that a lossy codec may give a grey film.
+GREY_TOLERANCE = 0.02
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
 
 
@@ -27,12 +27,12 @@ def sniff(head: bytes, path: Path) -> bool:
 
 def read(path: Path, key: str | None) -> Array:
     """All frames `(N, h, w)`, uint8 or uint16. Raises `DataError` for a film in colour."""
-    return collect(stream(path, key), path)
+    return stack_frames(stream(path, key), path)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame `(h, w)`."""
-    av = needed("av", "video", str(path))
+    av = import_optional("av", "video", str(path))
     with path.open("rb") as file, av.open(file) as container:
         if not container.streams.video:
             raise DataError(f"{path}: a film without pictures")
@@ -44,7 +44,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
                 yield frame.to_ndarray(format="gray16le" if deep else "gray")
             else:
                 pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-                if np.ptp(pixels, axis=2).max() <= NEUTRAL * np.iinfo(pixels.dtype).max:
+                if np.ptp(pixels, axis=2).max() <= GREY_TOLERANCE * np.iinfo(pixels.dtype).max:
                     yield frame.to_ndarray(format="gray16le" if deep else "gray")
                 else:
-                    yield grey(pixels, path)
+                    yield to_grey(pixels, path)

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.guards import check_size, collect
+from deepir.io.guards import check_size, stack_frames
 from deepir.io.readers import Array
 
 SUFFIXES = (".cptv",)
-MAGIC = b"CPTV"
-WIDEST = 24  # bits of a difference
+CPTV_MAGIC = b"CPTV"  # first bytes of the unpacked stream
+MAX_DIFFERENCE_BITS = 24  # bits of a difference
 
 Fields = dict[bytes, bytes]
 
@@ -29,20 +29,20 @@ def sniff(head: bytes, path: Path) -> bool:
         return False
     try:
         with gzip.open(path) as file:
-            return file.read(4) == MAGIC
+            return file.read(4) == CPTV_MAGIC
     except (OSError, EOFError):
         return False
 
 
 def read(path: Path, key: str | None) -> Array:
     """All frames `(N, h, w)`, uint16 counts."""
-    return collect(stream(path, key), path)
+    return stack_frames(stream(path, key), path)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame `(h, w)`; the camera's own picture of the background is left out."""
     with gzip.open(path) as file:
-        if file.read(4) != MAGIC or file.read(1) not in (b"\1", b"\2"):
+        if file.read(4) != CPTV_MAGIC or file.read(1) not in (b"\1", b"\2"):
             raise DataError(f"{path}: not a CPTV of version 1 or 2")
         header = _fields(file, b"H", path)
         width, height = _number(header[b"X"]), _number(header[b"Y"])
@@ -81,7 +81,7 @@ def _number(value: bytes) -> int:
 
 def _differences(packed: bytes, bits: int, count: int, path: Path) -> Array:
     """The first value, then `count` - 1 signed differences of so many bits each, most significant bit first."""
-    if not 0 < bits <= WIDEST or len(packed) < 4 + ((count - 1) * bits + 7) // 8:
+    if not 0 < bits <= MAX_DIFFERENCE_BITS or len(packed) < 4 + ((count - 1) * bits + 7) // 8:
         raise DataError(f"{path}: damaged: {len(packed)} bytes for {count} pixels of {bits} bits")
     digits = np.unpackbits(np.frombuffer(packed, np.uint8, offset=4), count=(count - 1) * bits)
     weights = 1 << np.arange(bits - 1, -1, -1, dtype=np.int64)

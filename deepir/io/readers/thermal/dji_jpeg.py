@@ -11,23 +11,22 @@ from deepir.io.containers import jpeg
 from deepir.io.readers import Array
 
 SUFFIXES = (".jpg", ".jpeg")
-APP3 = 0xE3
-LEAST = 160 * 120 * 2
-#: Detectors that DJI flies, (h, w), for files whose visible picture is of another size.
-SIZES = ((512, 640), (1024, 1280), (256, 320), (120, 160))
+APP3 = 0xE3  # marker of the segments with the raw plane
+MIN_PLANE_BYTES = 160 * 120 * 2  # length of the smallest raw plane
+DETECTOR_SHAPES = ((512, 640), (1024, 1280), (256, 320), (120, 160))  # (h, w) of DJI's detectors, px
 
 
 def sniff(head: bytes, path: Path) -> bool:
     """A JPEG with APP3 segments as large as a picture."""
-    return head.startswith(jpeg.SIGNATURE) and len(_plane(path)) >= LEAST
+    return head.startswith(jpeg.JPEG_SIGNATURE) and len(_plane(path)) >= MIN_PLANE_BYTES
 
 
 def read(path: Path, key: str | None) -> Array:
     """The raw plane `(h, w)`, uint16 counts. Raises `DataError` where its size fits no detector."""
     data = _plane(path)
     with path.open("rb") as file:
-        shown = jpeg.size(file) or SIZES[0]
-    for height, width in (shown, *SIZES):
+        shown = jpeg.picture_size(file) or DETECTOR_SHAPES[0]
+    for height, width in (shown, *DETECTOR_SHAPES):
         if len(data) == 2 * height * width:
             return np.frombuffer(data, "<u2").reshape(height, width)
     raise DataError(

@@ -10,23 +10,23 @@ from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = (".jpg", ".jpeg")
-APP1 = 0xE1
-MARK = b"FLIR\0"
+APP1 = 0xE1  # marker of the segments with FLIR's records
+FLIR_MARK = b"FLIR\0"  # first bytes of such a segment
 
 
 def sniff(head: bytes, path: Path) -> bool:
     """A JPEG with a segment of FLIR's."""
-    return head.startswith(jpeg.SIGNATURE) and bool(_parts(path))
+    return head.startswith(jpeg.JPEG_SIGNATURE) and bool(_parts(path))
 
 
 def read(path: Path, key: str | None) -> Array:
     """The raw plane `(h, w)`, uint16 counts."""
-    return fff.raw_plane(_records(path), path)
+    return fff.read_raw_plane(_records(path), path)
 
 
 def radiometry(path: Path) -> Radiometry | None:
     """Planck's law with the camera's constants, and what its user set: emissivity, distance ..."""
-    return fff.radiometry(_records(path))
+    return fff.read_radiometry(_records(path))
 
 
 def _records(path: Path) -> fff.Records:
@@ -37,10 +37,10 @@ def _records(path: Path) -> fff.Records:
         raise DataError(
             f"{path}: damaged or truncated: of FLIR's {parts[0][7] + 1} segments it has {len(parts)}"
         )
-    return fff.records(b"".join(part[8:] for part in parts), path)[0]
+    return fff.read_records(b"".join(part[8:] for part in parts), path)[0]
 
 
 def _parts(path: Path) -> list[bytes]:
     with path.open("rb") as file:
         found = [content for marker, content in jpeg.segments(file) if marker == APP1]
-    return [content for content in found if content.startswith(MARK) and len(content) >= 8]
+    return [content for content in found if content.startswith(FLIR_MARK) and len(content) >= 8]

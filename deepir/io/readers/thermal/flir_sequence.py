@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deepir.io.containers import fff
-from deepir.io.guards import collect
+from deepir.io.guards import stack_frames
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 
@@ -16,18 +16,18 @@ SUFFIXES = (".seq", ".csq", ".fff")
 
 def sniff(head: bytes, path: Path) -> bool:
     """FLIR's mark for such a file."""
-    return head.startswith(fff.MAGIC)
+    return head.startswith(fff.FFF_MAGIC)
 
 
 def read(path: Path, key: str | None) -> Array:
     """All frames `(N, h, w)`, uint16 counts. Raises `DataError` where they differ in size."""
-    return collect(stream(path, key), path)
+    return stack_frames(stream(path, key), path)
 
 
 def radiometry(path: Path) -> Radiometry | None:
     """As the first frame says."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return fff.radiometry(fff.records(data, path)[0])
+        return fff.read_radiometry(fff.read_records(data, path)[0])
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
@@ -35,6 +35,6 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         start = 0
         while start != -1:
-            found, end = fff.records(data, path, start)
-            yield fff.raw_plane(found, path)
-            start = data.find(fff.MAGIC, end)
+            found, end = fff.read_records(data, path, start)
+            yield fff.read_raw_plane(found, path)
+            start = data.find(fff.FFF_MAGIC, end)
