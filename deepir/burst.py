@@ -27,13 +27,20 @@ PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for ea
 
 @dataclass(frozen=True)
 class Burst:
-    """Frames (N, h, w) float32, what may be used of them, and where they are from.
+    """Frames, their usable samples, and their origin.
 
-    `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
-    masked ones among them. `truth` holds what is known of the scene (h, w), or (N, h, w) if each frame has its own, of
-    gain, offset, motion ... by name, and `radiometry` makes kelvin of counts. `clipped` (N, h, w) is 1 or -1 for
-    samples that are cut off at an end of the range, else 0; None if none is. `beside` are pairs of frames (2 M, h, w)
-    of the same recording that are not in the burst, to judge its correction by. `messages` say what was left out.
+    Attributes:
+        frames: (N, h, w), float32, in the data's units.
+        valid: (N, h, w) bool, finite samples.
+        bad_pixels: (h, w) bool, pixels without use, masked ones included.
+        source: File or origin, for messages.
+        sha256: Digest of the file.
+        truth: Known arrays by name: scene (h, w) or (N, h, w), gain, offset, motion ...
+        radiometry: Conversion to kelvin.
+        stretched: True if each frame may have a contrast of its own (automatic gain control).
+        clipped: (N, h, w), 1 or -1 for samples cut off at the top or bottom of the range, else 0; None: no such sample.
+        beside: (2 M, h, w), pairs of frames of the same recording outside the burst, by which its correction is scored.
+        messages: Warnings on what was left out.
     """
 
     frames: Array
@@ -50,19 +57,26 @@ class Burst:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(h, w)."""
+        """Height and width of a frame."""
         return self.frames.shape[1], self.frames.shape[2]
 
 
 def load(
     data: Data, *, frames: Array | None = None, needs: int = 1, seed: int = 0, ordered: bool = False
 ) -> Burst:
-    """Read or simulate and check what `data` names; `frames`, (N, h, w), stands in for its file.
+    """Read or simulate the data, and check them.
 
-    Frames that show nothing are left out where enough others do, unless all are wanted, in their order.
+    Frames without content are left out where enough others remain, unless `ordered`.
+
+    Args:
+        data: The section `data` of a configuration.
+        frames: (N, h, w), in place of the file.
+        needs: Least number of frames.
+        seed: Of a simulated burst.
+        ordered: True: all frames are needed, in their order.
 
     Raises:
-        DataError: Whatever is wrong with the files or the frames, and where.
+        DataError: The files or the frames are wrong; the message says where.
         ConfigError: There are two sources, or `data.simulate` or `data.radiometry` is wrong.
     """
     truth: dict[str, Array] = {}

@@ -1,7 +1,9 @@
-"""Over how many px, and for how many frames, a non-uniformity is like itself.
+"""Correlation lengths and stability of a fixed pattern.
 
-After Saragadam et al. 2021, "How much should we jitter the camera?": the autocorrelation of the pattern says how far
-the camera must move, and its temporal autocorrelation how many frames share one pattern.
+The autocorrelation of the pattern gives the motion that a burst needs, its temporal autocorrelation the number of
+frames that share one pattern.
+
+Source: Saragadam et al. 2021, "How much should we jitter the camera?".
 """
 
 from __future__ import annotations
@@ -24,12 +26,17 @@ MIN_REPORTED_SHARE = 0.05  # share of the pattern's variance from which a compon
 
 @dataclass(frozen=True)
 class Statistics:
-    """What is known of a pattern.
+    """Statistics of a fixed pattern.
 
-    `pattern` (h, w) in the data's units, mean zero; `correlation` (2 L + 1, 2 L + 1), its autocorrelation less its
-    shading, no lag in the middle; `lengths` (x, y), how far a motion must go, px; `columns`, `rows` and `shading`,
-    their shares of the variance; `in_time` (K,), the autocorrelation from frame to frame, and `holds`, for how many
-    frames the pattern is the same: None where it was seen once, infinite where it never changes.
+    Attributes:
+        pattern: (h, w), in the data's units, mean zero.
+        correlation: (2 L + 1, 2 L + 1), autocorrelation of the pattern without its shading; lag zero in the middle.
+        lengths: Correlation lengths along x and y, px.
+        columns: Share of the variance that is constant along columns.
+        rows: Share of the variance that is constant along rows.
+        shading: Share of the variance that is a quadratic polynomial.
+        temporal: (K,), autocorrelation from frame to frame; None if the pattern was seen once.
+        stable_frames: Frames for which the pattern is unchanged, infinite if it never changes; None as above.
     """
 
     pattern: Array
@@ -38,26 +45,29 @@ class Statistics:
     columns: float
     rows: float
     shading: float
-    in_time: Array | None = None
-    holds: float | None = None
+    temporal: Array | None = None
+    stable_frames: float | None = None
 
     def at(self, shifts: Array) -> Array:
-        """The autocorrelation at shifts (..., 2), (x, y) in px, by the nearest lag."""
+        """Autocorrelation at shifts (..., 2), x and y in px, by the nearest lag."""
         farthest = len(self.correlation) // 2
         x, y = np.moveaxis(np.rint(shifts).astype(int).clip(-farthest, farthest), -1, 0)
         return np.asarray(self.correlation[farthest + y, farthest + x])
 
 
 def map_statistics(pattern: Array, good: Array | None = None, twin: Array | None = None) -> Statistics:
-    """Statistics of a pattern (h, w) that is known once; `good` (h, w) bool: where.
+    """Statistics of a pattern that was seen once.
 
-    `twin` is the same pattern with other noise: products of the two are free of it.
+    Args:
+        pattern: (h, w), in the data's units.
+        good: (h, w) bool, usable pixels; None: all.
+        twin: (h, w), the same pattern with independent noise; products with it are free of noise.
     """
     good = np.ones(pattern.shape, bool) if good is None else good
     twin = pattern if twin is None else twin
     rough, other = (np.where(good, each - quadratic_fit(each, good), 0.0) for each in (pattern, twin))
     level = pattern[good].mean()
-    total, left = (
+    total, without_shading = (
         (a * b)[good].mean() for a, b in ((pattern - level, twin - twin[good].mean()), (rough, other))
     )
     correlation = autocorrelation(rough, other, good)
@@ -68,34 +78,39 @@ def map_statistics(pattern: Array, good: Array | None = None, twin: Array | None
         correlation_length((along_x - rows) / (1 - rows)),
         correlation_length((along_y - columns) / (1 - columns)),
     )
-    share = max(0.0, 1 - left / total) if total > 0 else 0.0
+    shading = max(0.0, 1 - without_shading / total) if total > 0 else 0.0
     return Statistics(
         np.where(good, pattern - level, 0),
         correlation,
         lengths,
-        columns * (1 - share),
-        rows * (1 - share),
-        share,
+        columns * (1 - shading),
+        rows * (1 - shading),
+        shading,
     )
 
 
 def flat_statistics(frames: Array, good: Array | None = None) -> Statistics:
-    """Statistics of frames (N, h, w), N > 1, of a uniform source, one after the other."""
+    """Statistics of successive frames of a uniform source.
+
+    Args:
+        frames: (N, h, w), N > 1, in the data's units.
+        good: (h, w) bool, usable pixels; None: all.
+    """
     frames = frames.astype(np.float64)
     good = np.ones(frames.shape[1:], bool) if good is None else good
     once = map_statistics(frames[::2].mean(0), good, frames[1::2].mean(0))
     mean = frames.mean(0)
-    in_time = temporal_autocorrelation(frames, good)
+    temporal = temporal_autocorrelation(frames, good)
     return replace(
         once,
         pattern=np.where(good, mean - mean[good].mean(), 0),
-        in_time=in_time,
-        holds=correlation_length(in_time, STABILITY_LEVEL),
+        temporal=temporal,
+        stable_frames=correlation_length(temporal, STABILITY_LEVEL),
     )
 
 
 def quadratic_fit(pattern: Array, good: Array) -> Array:
-    """The shading: the quadratic polynomial that is nearest to a map (h, w) where it is good."""
+    """Quadratic polynomial (h, w) fitted to a map (h, w) by least squares where `good` (h, w)."""
     y, x = (np.linspace(-1, 1, side) for side in pattern.shape)
     y, x = np.broadcast_arrays(y[:, None], x)
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
@@ -104,23 +119,38 @@ def quadratic_fit(pattern: Array, good: Array) -> Array:
 
 
 def plateau(along: Array) -> float:
-    """Where an autocorrelation ends up over far lags: the share of lines, which are like themselves all along."""
+    """Autocorrelation (L + 1,) at large lags: the share of lines, which are fully correlated along themselves."""
     return float(np.clip(np.median(along[len(along) // 2 :]), 0, 0.99))
 
 
-def correlation_length(along: Array, least: float = CORRELATION_LENGTH_LEVEL) -> float:
-    """The lag at which an autocorrelation first falls below `least`, on a line between lags; infinite if none."""
-    below = np.flatnonzero(along < least)
+def correlation_length(along: Array, level: float = CORRELATION_LENGTH_LEVEL) -> float:
+    """Lag at which an autocorrelation first falls below a level, by linear interpolation.
+
+    Args:
+        along: (L + 1,), from lag zero on.
+        level: The level.
+
+    Returns:
+        The lag; infinite if the autocorrelation stays above.
+    """
+    below = np.flatnonzero(along < level)
     if not below.size:
         return float("inf")
     k = int(below[0])
-    return float(k) if k == 0 else k - 1 + float((along[k - 1] - least) / (along[k - 1] - along[k]))
+    return float(k) if k == 0 else k - 1 + float((along[k - 1] - level) / (along[k - 1] - along[k]))
 
 
 def temporal_autocorrelation(frames: Array, good: Array) -> Array:
-    """Autocorrelation of the pattern of frames (N, h, w) from frame to frame, noise left out, up to half of the frames.
+    """Autocorrelation of the pattern from frame to frame, free of noise.
 
-    Noise is in the products of a frame with itself only: lag zero is where the line through lags one and two leads.
+    Noise is in the products of a frame with itself only: lag zero is extrapolated from lags one and two.
+
+    Args:
+        frames: (N, h, w), of a uniform source.
+        good: (h, w) bool, usable pixels.
+
+    Returns:
+        (K,), from lag zero to half the number of frames.
     """
     flat = np.stack([frame[good] - quadratic_fit(frame, good)[good] for frame in frames])
     products = flat @ flat.T / flat.shape[1]

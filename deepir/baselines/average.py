@@ -1,4 +1,4 @@
-"""Register and average: what everyone does first, and what the rivals do last."""
+"""Register and average: the simplest method, and the last step of the other baselines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 
 Array = np.ndarray[Any, Any]
-#: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.pipeline.register.registered`.
+#: Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
 Registration = tuple[torch.Tensor | None, Array, list[str]]
 
 MIN_GAIN = 0.2  # gain of a usable pixel, in medians of all gains
@@ -27,9 +27,16 @@ MAX_GAIN = 5.0  # the same, at most
 
 
 def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
-    """The mean of frames (N, h, w) on a grid `ratio` times as fine as frame 0's, by cubic spline interpolation.
+    """Mean of registered frames on frame 0's grid or a finer one, by cubic spline interpolation.
 
-    What no frame shows is filled in.
+    Args:
+        frames: (N, h, w), in the data's units.
+        valid: (N, h, w) bool.
+        motion: (N, 3, 3), pull homographies in px about the frame's centre.
+        ratio: Grid points per px along an axis.
+
+    Returns:
+        (ratio h, ratio w), float64; points that no frame shows take the nearest value.
     """
     height, width = (round(ratio * side) for side in frames.shape[1:])
     total, count = np.zeros((2, height, width))
@@ -43,20 +50,46 @@ def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1
 
 
 def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
-    """Where the pixels of a grid (h, w), `ratio` times as fine as a frame, look: (y, x) from the centre, (2, h, w)."""
+    """Points of frame 0 at which the pixels of a frame look.
+
+    Args:
+        motion: (3, 3), pull homography in px about the centre.
+        size: Height and width of the grid, grid points.
+        ratio: Grid points per px along an axis.
+
+    Returns:
+        (2, h, w): y and x, px from the centre.
+    """
     y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
     at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
     return np.asarray((at[1::-1] / at[2]).reshape(2, *size))
 
 
 def to_indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
-    """Indices into an array (h, w), `ratio` times as fine as a frame, of places (2, ...) from the centre."""
+    """Array indices of points.
+
+    Args:
+        places: (2, ...), y and x in px from the centre.
+        shape: Height and width of the array.
+        ratio: Grid points of the array per px.
+
+    Returns:
+        (2, ...): row and column.
+    """
     middle = (np.array(shape) - 1) / 2
     return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
 
 
 def fill_invalid(frames: Array, valid: Array) -> Array:
-    """Frames (N, h, w) in which samples that are not valid are like their nearest neighbour that is."""
+    """Frames whose invalid samples take the value of the nearest valid one.
+
+    Args:
+        frames: (N, h, w).
+        valid: (N, h, w) bool.
+
+    Returns:
+        (N, h, w).
+    """
     pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
     return np.stack(
         [nearest_filled(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs]
@@ -70,16 +103,29 @@ def average(burst: Burst, config: Config) -> Result:
 
 
 def register_burst(burst: Burst, config: Config) -> Registration:
-    """Register the burst: the fixed pattern is no obstacle to it."""
+    """Register a burst; its fixed pattern does not disturb the registration.
+
+    Returns:
+        Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
+    """
     return register_frames(burst, config, lookup("problem", config.problem, "problem")())
 
 
-def average_frames(burst: Burst, config: Config, frames: Array, found: Registration | None = None) -> Result:
-    """Register the burst and average `frames`, (N, h, w), which are its frames corrected; gain one, offset zero.
+def average_frames(
+    burst: Burst, config: Config, frames: Array, registration: Registration | None = None
+) -> Result:
+    """Register a burst and average its corrected frames.
 
-    `found` is the registration, where it is known.
+    Args:
+        burst: The burst as recorded, which is registered.
+        config: Its configuration.
+        frames: (N, h, w), its frames after correction.
+        registration: The result of `register_burst`, if it is known.
+
+    Returns:
+        The average as the scene; gain one, offset zero.
     """
-    motion, used, messages = found or register_burst(burst, config)
+    motion, used, messages = registration or register_burst(burst, config)
     kept = dataclasses.replace(burst, frames=frames[used].astype(np.float32), valid=burst.valid[used])
     problem, geometry = build(config, kept, None if motion is None else motion[used])
     if motion is not None:
@@ -99,18 +145,26 @@ def average_frames(burst: Burst, config: Config, frames: Array, found: Registrat
 
 
 def correct_and_average(
-    burst: Burst, config: Config, gain: Array, offset: Array, found: Registration | None = None
+    burst: Burst, config: Config, gain: Array, offset: Array, registration: Registration | None = None
 ) -> Result:
-    """Correct the frames for a sensor's gain and offset, (h, w) in any gauge, then register and average them.
+    """Correct the frames for gain and offset, then register and average them.
 
-    Pixels that hardly answer to flux, or far too much, become bad ones.
+    Args:
+        burst: The burst as recorded.
+        config: Its configuration.
+        gain: (h, w), in any gauge.
+        offset: (h, w), in the data's units.
+        registration: The result of `register_burst`, if it is known.
+
+    Returns:
+        The average, gain and offset; pixels with a gain outside `MIN_GAIN` to `MAX_GAIN` medians are bad.
     """
-    found = found or register_burst(burst, config)
+    registration = registration or register_burst(burst, config)
     gain = gain / np.median(gain[~burst.bad_pixels])
     good = ~burst.bad_pixels & (gain > MIN_GAIN) & (gain < MAX_GAIN)
     gain = np.where(good, gain, 1.0)
     burst = dataclasses.replace(burst, bad_pixels=~good)
-    result = average_frames(burst, config, (burst.frames - offset) / gain, found)
+    result = average_frames(burst, config, (burst.frames - offset) / gain, registration)
     result.gain, result.offset = gain, offset
     to_gauge(result)
     return result

@@ -1,4 +1,4 @@
-"""Any camera that Linux knows as /dev/videoN and that gives 16-bit grey (Y16): PureThermal, Boson, and others."""
+"""Video4Linux cameras with 16-bit grey frames (Y16): PureThermal, Boson and others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ OPEN_TIMEOUT = 10.0  # s until the first frame must have arrived
 class V4L2(Camera):
     """Any camera that Linux knows as /dev/videoN and that gives 16-bit grey (Y16), by PyAV.
 
-    device: its file. mode: width and height in px, where the camera has several.
+    Args:
+        device: Its file.
+        mode: Width and height in px, where the camera has several.
     """
 
     correction = (
@@ -49,7 +51,7 @@ class V4L2(Camera):
             )
 
     def read(self) -> Array | None:
-        """The newest frame, those before it are dropped."""
+        """The newest frame (h, w); earlier ones are dropped."""
         newest: Array | None = None
         while True:
             try:

@@ -29,8 +29,8 @@ def write_analysis(
     )
     _around(grid[0, 1], statistics, verdict)
     _along(grid[1, 0], statistics)
-    if statistics.in_time is not None:
-        _over_time(grid[1, 1], statistics.in_time)
+    if statistics.temporal is not None:
+        _over_time(grid[1, 1], statistics.temporal)
     elif doubt is not None:
         draw_map(grid[1, 1], doubt, "standard deviation of the scene", DEVIATION_PALETTE)
     else:
@@ -54,12 +54,12 @@ def _around(axes: Any, statistics: Statistics, verdict: Verdict | None) -> None:
     )
     view, title = min(edge, 3 * max(statistics.lengths) + 8), "autocorrelation"
     if verdict is not None:
-        for k, place in enumerate(verdict.moves):
-            centre = k == len(verdict.moves) // 2
+        for k, place in enumerate(verdict.displacements):
+            centre = k == len(verdict.displacements) // 2
             axes.plot(
                 *place.T, "o", color="deepskyblue" if centre else "steelblue", markersize=5 if centre else 2
             )
-        view = min(edge, max(view, float(np.abs(verdict.moves).max()) + 2))
+        view = min(edge, max(view, float(np.abs(verdict.displacements).max()) + 2))
         title += ", and where the frames look"
     axes.set(xlim=(-view, view), ylim=(view, -view), xlabel="x (px)", ylabel="y (px)")
     axes.set_title(title, fontsize=10)

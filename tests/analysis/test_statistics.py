@@ -76,12 +76,12 @@ def test_for_how_long_a_drifting_pattern_holds_is_found(decay):
     for _ in range(60):
         frames.append(decay * frames[-1] + np.sqrt(1 - decay**2) * rng.standard_normal((60, 80)))
     noisy = np.array(frames) + 0.5 * rng.standard_normal((61, 60, 80))
-    assert flat_statistics(noisy).holds == pytest.approx(np.log(0.8) / np.log(decay), rel=0.15)
+    assert flat_statistics(noisy).stable_frames == pytest.approx(np.log(0.8) / np.log(decay), rel=0.15)
 
 
 def test_a_pattern_that_stays_holds_for_ever():
     frames = blurred(1.0) + 0.3 * np.random.default_rng(7).standard_normal((20, *SIZE))
-    assert flat_statistics(frames).holds == np.inf
+    assert flat_statistics(frames).stable_frames == np.inf
 
 
 def test_the_simulators_camera_has_lines_and_pixels():

@@ -50,7 +50,7 @@ def test_what_the_average_keeps_is_what_an_average_of_shifted_patterns_keeps(pat
     # Equation for the variance of the estimate, against the thing itself.
     shifts = np.array([(0, 0), (2, 1), (-3, 4), (5, 5), (1, -2)])
     averaged = np.mean([np.roll(pattern.pattern, shift[::-1], (0, 1)) for shift in shifts], axis=0)
-    left = assess(pattern, motion(shifts)).left
+    left = assess(pattern, motion(shifts)).residual_share
     assert left == pytest.approx(averaged.std() / pattern.pattern.std(), rel=0.05)
 
 
@@ -58,7 +58,7 @@ def test_a_rotation_moves_what_is_off_the_centre(pattern):
     turned = np.tile(np.eye(3), (3, 1, 1))
     for k, angle in enumerate((0.0, 0.1, -0.1)):
         turned[k, :2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    moves = assess(pattern, turned).moves
+    moves = assess(pattern, turned).displacements
     assert np.abs(moves[4]).max() == 0
     assert np.abs(moves[0]).max() > 3
 

@@ -29,8 +29,8 @@ def model(seed=0, size=5, n=4):
         + 0.1 * normal(n, 1, size, size)
     )
     return Model(
-        look=look,
-        back=lambda y: (matrix.T @ y.reshape(-1)).reshape(1, 1, size, size),
+        forward=look,
+        adjoint=lambda y: (matrix.T @ y.reshape(-1)).reshape(1, 1, size, size),
         data=data,
         usable=(torch.rand(n, 1, size, size, generator=g) > 0.1).double(),
         precisions=(100.0, 10.0, 100.0, 10.0),
@@ -40,7 +40,7 @@ def model(seed=0, size=5, n=4):
 def cost(model, z, gain, bias):
     """The paper's L, with the gain."""
     noise, smooth, of_gain, of_bias = model.precisions
-    left = model.usable * (model.data - gain * model.look(z) - bias)
+    left = model.usable * (model.data - gain * model.forward(z) - bias)
     terms = zip((noise, smooth, of_gain, of_bias), (left, high_pass(z), gain - 1, bias), strict=True)
     return sum(p * (each**2).sum() / 2 for p, each in terms)
 
@@ -50,7 +50,7 @@ def test_the_gradient_of_the_papers_cost_is_zero_at_the_result(monkeypatch):
     monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.CG_TOLERANCE", 1e-12)
     small, start = model()
     z, _ = small.solve(start)
-    unknowns = [each.requires_grad_() for each in (z, *small.sensor(small.look(z)))]
+    unknowns = [each.requires_grad_() for each in (z, *small.sensor(small.forward(z)))]
     gradients = torch.autograd.grad(cost(small, *unknowns), unknowns)
     assert max(float(each.abs().max()) for each in gradients) < 1e-5
 
@@ -61,7 +61,7 @@ def test_three_rounds_are_enough():
     best = z
     for _ in range(5):
         best, _ = small.solve(best)
-    found, least = (float(cost(small, each, *small.sensor(small.look(each)))) for each in (z, best))
+    found, least = (float(cost(small, each, *small.sensor(small.forward(each)))) for each in (z, best))
     assert found == pytest.approx(least, rel=1e-3)
 
 

@@ -1,4 +1,4 @@
-"""A line through what a pixel says and what the others say that it should."""
+"""Gain and bias by regression on the registered average."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from deepir.result import Result
 def hardie2000(burst: Burst, config: Config) -> Result:
     """Fit each pixel's gain and bias to the registered average of the frames, by least squares.
 
-    R. C. Hardie, M. M. Hayat, E. Armstrong, B. Yasuda: Scene-based nonuniformity correction with video sequences and
-    registration, Applied Optics 39 (2000): the scene is averaged along the trajectories of the motion, and a line
-    `y = gain z + bias` fitted to the pairs that a pixel has seen. Two unknowns a pixel and no prior: three frames
-    leave one degree of freedom. The registration is deepir's.
+    The scene is averaged along the trajectories of the motion; a line `y = gain z + bias` is fitted to the samples of
+    each pixel. There is no prior: three frames leave one degree of freedom. The registration is deepir's.
+
+    Source: R. C. Hardie, M. M. Hayat, E. Armstrong, B. Yasuda: Scene-based nonuniformity correction with video
+    sequences and registration, Applied Optics 39 (2000).
     """
     found = motion, used, _ = register_burst(burst, config)
     frames, valid = burst.frames[used], (burst.valid & ~burst.bad_pixels)[used]
@@ -38,24 +39,41 @@ def hardie2000(burst: Burst, config: Config) -> Result:
 
 
 def trajectory_means(frames: Array, valid: Array, motion: Array) -> Array:
-    """The scene at each sample (N, h, w): the mean of all frames along the trajectory through it."""
-    looks = np.stack([sampling_points(each, frames.shape[1:]) for each in motion])
-    beyond = np.abs(looks).max(axis=(0, 2, 3)) - (np.array(frames.shape[1:]) - 1) / 2
-    margin = [(0, 0), *((rim, rim) for rim in np.ceil(beyond + 1e-6).astype(int))]
+    """The scene at each sample: the mean of all frames along the trajectory through it.
+
+    Args:
+        frames: (N, h, w).
+        valid: (N, h, w) bool.
+        motion: (N, 3, 3), pull homographies in px about the centre.
+
+    Returns:
+        (N, h, w).
+    """
+    points = np.stack([sampling_points(each, frames.shape[1:]) for each in motion])
+    outside = np.abs(points).max(axis=(0, 2, 3)) - (np.array(frames.shape[1:]) - 1) / 2
+    margin = [(0, 0), *((rim, rim) for rim in np.ceil(outside + 1e-6).astype(int))]
     mean = registered_mean(np.pad(frames, margin), np.pad(valid, margin), motion).numpy()
     return np.stack(
         [
             ndimage.map_coordinates(mean, to_indices(each, mean.shape), order=3, mode="mirror")
-            for each in looks
+            for each in points
         ]
     )
 
 
 def fit_lines(scene: Array, frames: Array) -> tuple[Array, Array]:
-    """Gain and bias (h, w) of the lines `frames = gain * scene + bias` over N samples; gain one if all agree."""
+    """Fit `frames = gain * scene + bias` to the samples of each pixel.
+
+    Args:
+        scene: (N, h, w).
+        frames: (N, h, w).
+
+    Returns:
+        Gain and bias, (h, w); gain one where all scene values agree.
+    """
     x, y = scene.astype(np.float64), frames.astype(np.float64)
     x_mean, y_mean = x.mean(0), y.mean(0)
-    spread = ((x - x_mean) ** 2).sum(0)
-    both = ((x - x_mean) * (y - y_mean)).sum(0)
-    gain = np.divide(both, spread, out=np.ones_like(spread), where=spread > 0)
+    variance = ((x - x_mean) ** 2).sum(0)
+    covariance = ((x - x_mean) * (y - y_mean)).sum(0)
+    gain = np.divide(covariance, variance, out=np.ones_like(variance), where=variance > 0)
     return gain, y_mean - gain * x_mean

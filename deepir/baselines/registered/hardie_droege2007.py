@@ -1,4 +1,4 @@
-"""Scene and sensor together, under Gaussian priors: the strongest of the classical methods."""
+"""Joint MAP estimate of scene and sensor under Gaussian priors."""
 
 from __future__ import annotations
 
@@ -46,14 +46,22 @@ def hardie_droege2007(
 ) -> Result:
     """The most probable scene, gain and bias under Gaussian priors, with or without super-resolution.
 
-    R. C. Hardie, D. R. Droege: A MAP estimator for simultaneous superresolution and detector nonuniformity correction,
-    EURASIP J. Advances in Signal Processing (2007): the minimum of
-    `|y - g W z - b|^2 / 2 sigma_n^2 + |D z|^2 / 2 sigma_z^2 + |b|^2 / 2 sigma_b^2`, where D takes the mean of the four
-    neighbours away, by conjugate gradients; and here with the gain, `|g - 1|^2 / 2 sigma_g^2`. The deviations `scene`
-    (of D z), `gain` and `offset` are found from the burst unless they are given; the registration is deepir's.
+    The minimum of `|y - g W z - b|^2 / 2 sigma_n^2 + |D z|^2 / 2 sigma_z^2 + |b|^2 / 2 sigma_b^2`, where D subtracts
+    the mean of the four neighbours, by conjugate gradients. Here a gain is estimated too: `|g - 1|^2 / 2 sigma_g^2`.
+    Deviations that are not given are estimated from the burst. The registration is deepir's.
+
+    Args:
+        burst: The burst to correct.
+        config: Its configuration.
+        scene: Standard deviation sigma_z of D z, in the data's units.
+        gain: Standard deviation sigma_g of the gain.
+        offset: Standard deviation sigma_b of the bias, in the data's units.
 
     Raises:
         ConfigError: The physics do not end in a sensor.
+
+    Source: R. C. Hardie, D. R. Droege: A MAP estimator for simultaneous superresolution and detector nonuniformity
+    correction, EURASIP J. Advances in Signal Processing (2007).
     """
     motion, used, messages = register_burst(burst, config)
     kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used])
@@ -72,14 +80,14 @@ def hardie_droege2007(
             if slot.partition(".")[0] in dict(optics)
         }
         model = Model(
-            look=lambda z: chain(z, **slots),
-            back=lambda y: chain.adjoint(y, tuple(z.shape), **slots),
+            forward=lambda z: chain(z, **slots),
+            adjoint=lambda y: chain.adjoint(y, tuple(z.shape), **slots),
             data=problem.data,
             usable=(problem.precision > 0).double(),
         )
-        model.find_strengths(z, scene, gain, offset)
+        model.estimate_precisions(z, scene, gain, offset)
         z, iterations = model.solve(z)
-        found, bias = model.sensor(model.look(z))
+        found, bias = model.sensor(model.forward(z))
         y0, y1, x0, x1 = geometry.window
         image = problem.operator.image(z)[0, 0, y0:y1, x0:x1]
     result = neutral(image.numpy(), len(used), burst.size, burst.bad_pixels)
@@ -95,30 +103,40 @@ def hardie_droege2007(
 
 @dataclasses.dataclass
 class Model:
-    """`data = g look(z) + b + noise` where `usable`, all (N, 1, h, w) float64; `back` is the adjoint of `look`."""
+    """`data = g forward(z) + b + noise` where `usable`, all (N, 1, h, w) float64.
 
-    look: Callable[[Tensor], Tensor]
-    back: Callable[[Tensor], Tensor]
+    `adjoint` is the adjoint of `forward`.
+    """
+
+    forward: Callable[[Tensor], Tensor]
+    adjoint: Callable[[Tensor], Tensor]
     data: Tensor
     usable: Tensor
-    #: 1 / variance of the noise, of D z, of gain and of bias.
+    #: Inverse variances of the noise, of D z, of the gain and of the bias.
     precisions: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
 
-    def find_strengths(
+    def estimate_precisions(
         self,
         average: Tensor,
         scene: float | None = None,
         gain: float | None = None,
         bias: float | None = None,
     ) -> None:
-        """Set the precisions: as given, or as the registered average and what the frames have beside it tell."""
+        """Set the precisions: as given, or estimated from the registered average and the residuals of the frames.
+
+        Args:
+            average: The registered average, on the grid of the scene.
+            scene: Standard deviation of D z, in the data's units; None: estimated.
+            gain: Standard deviation of the gain; None: estimated.
+            bias: Standard deviation of the bias, in the data's units; None: estimated.
+        """
         n = len(self.data)
         noise = max(sample_noise(self.data[:, 0], self.usable[:, 0] > 0), 1e-4 * float(self.data.std()))
         whole = self.usable.amin(0, keepdim=True) > 0
-        flux = self.look(average)
-        level, left = (each.mean(0, keepdim=True)[whole] for each in (flux, self.data - flux))
+        flux = self.forward(average)
+        level, residual = (each.mean(0, keepdim=True)[whole] for each in (flux, self.data - flux))
         # The average holds 1 / n of the pattern itself, and of the noise.
-        squares = (left**2 - noise**2 / n) / (1 - 1 / max(n, 2))
+        squares = (residual**2 - noise**2 / n) / (1 - 1 / max(n, 2))
         parts, _ = nnls(torch.stack([level**2, torch.ones_like(level)], 1).numpy(), squares.numpy())
         pattern = max(float(squares.mean()), 1e-6 * noise**2)
         of_gain = gain**2 if gain else max(float(parts[0]), 1e-4 * pattern / float((level**2).mean()))
@@ -127,28 +145,32 @@ class Model:
         self.precisions = (1 / noise**2, 1 / of_scene, 1 / of_gain, 1 / of_bias)
 
     def solve(self, z: Tensor) -> tuple[Tensor, int]:
-        """The most probable scene from a start, by Gauss-Newton steps in which gain and bias follow the scene."""
+        """Find the most probable scene by Gauss-Newton steps in which gain and bias are eliminated.
+
+        Returns:
+            The scene and the number of iterations of conjugate gradients.
+        """
         noise, smooth, _, _ = self.precisions
         count = 0
         for _ in range(GAUSS_NEWTON_STEPS):
-            flux = self.look(z)
+            flux = self.forward(z)
             gain, bias = self.sensor(flux)
-            left = self.usable * (self.data - gain * flux - bias)
-            slope = noise * self.back(gain * left) - smooth * high_pass_normal(z)
-            weight = noise * self.back(gain**2 * self.usable) + 1.25 * smooth
+            residual = self.usable * (self.data - gain * flux - bias)
+            slope = noise * self.adjoint(gain * residual) - smooth * high_pass_normal(z)
+            weight = noise * self.adjoint(gain**2 * self.usable) + 1.25 * smooth
 
             def curvature(step: Tensor, gain: Tensor = gain, flux: Tensor = flux) -> Tensor:
-                moved = self.usable * gain * self.look(step)
+                moved = self.usable * gain * self.forward(step)
                 more, higher = self._ridge(flux, moved)
                 moved = self.usable * (moved - more * flux - higher)
-                return noise * self.back(gain * moved) + smooth * high_pass_normal(step)
+                return noise * self.adjoint(gain * moved) + smooth * high_pass_normal(step)
 
             step, iterations = conjugate_gradients(curvature, slope, weight)
             z, count = z + step, count + iterations
         return z, count
 
     def sensor(self, flux: Tensor) -> tuple[Tensor, Tensor]:
-        """The most probable gain and bias (1, 1, h, w), given what falls on the detector."""
+        """The most probable gain and bias (1, 1, h, w), given the flux (N, 1, h, w) on the detector."""
         gain, bias = self._ridge(flux, self.usable * (self.data - flux))
         return 1 + gain, bias
 
@@ -164,7 +186,7 @@ class Model:
 
 
 def high_pass(z: Tensor) -> Tensor:
-    """D z, what a pixel has beyond the mean of its four neighbours; pixels at the rim have none."""
+    """D z: pixels less the mean of their four neighbours, without the outermost rows and columns."""
     return F.conv2d(z, HIGH_PASS_KERNEL)
 
 
@@ -176,17 +198,21 @@ def high_pass_normal(z: Tensor) -> Tensor:
 def conjugate_gradients(
     curvature: Callable[[Tensor], Tensor], slope: Tensor, weight: Tensor
 ) -> tuple[Tensor, int]:
-    """`curvature(step) = slope`, preconditioned by the diagonal `weight`; the step, and after how many iterations."""
-    step, left = torch.zeros_like(slope), slope
-    along = towards = left / weight
-    size = start = float((left * towards).sum())
+    """Solve `curvature(step) = slope`, preconditioned by the diagonal `weight`.
+
+    Returns:
+        The step and the number of iterations.
+    """
+    step, residual = torch.zeros_like(slope), slope
+    along = towards = residual / weight
+    size = start = float((residual * towards).sum())
     for iteration in range(MAX_CG_ITERATIONS):
         if size <= CG_TOLERANCE**2 * start:
             return step, iteration
-        bent = curvature(along)
-        length = size / float((along * bent).sum())
-        step, left = step + length * along, left - length * bent
-        towards = left / weight
-        before, size = size, float((left * towards).sum())
+        curved = curvature(along)
+        length = size / float((along * curved).sum())
+        step, residual = step + length * along, residual - length * curved
+        towards = residual / weight
+        before, size = size, float((residual * towards).sum())
         along = towards + size / before * along
     return step, MAX_CG_ITERATIONS

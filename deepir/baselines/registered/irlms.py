@@ -1,4 +1,4 @@
-"""What a pixel says should be what the frame before has said of the same place."""
+"""Least mean squares between registered frames."""
 
 from __future__ import annotations
 
@@ -34,10 +34,18 @@ def irlms(
 ) -> Result:
     """Least mean squares between frames that are registered, one after the other.
 
-    C. Zuo, Q. Chen, G. Gu, X. Sui: Scene-based nonuniformity correction algorithm based on interframe registration,
-    JOSA A 28 (2011): steepest descent, with step `rate`, on the squared difference of the corrected frame and the
-    corrected one before it, moved to its place by bilinear interpolation. A burst is short and is played `passes`
-    times, forth and back; the paper's video once. The registration is deepir's, rotations too.
+    Each frame takes a step of steepest descent on the squared difference to the corrected frame before it, warped by
+    bilinear interpolation. The burst is played forth and back; the paper's video is played once. The registration is
+    deepir's, rotations included.
+
+    Args:
+        burst: The burst to correct.
+        config: Its configuration.
+        rate: Step size.
+        passes: How often the burst is played.
+
+    Source: C. Zuo, Q. Chen, G. Gu, X. Sui: Scene-based nonuniformity correction algorithm based on interframe
+    registration, JOSA A 28 (2011).
     """
     found = motion, used, _ = register_burst(burst, config)
     frames, low, span = normalise(fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)[used])
@@ -47,19 +55,27 @@ def irlms(
 
 
 def learn_correction(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple[Array, Array]:
-    """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one, moved by (N, 3, 3)."""
+    """Weight and bias that correct normalised frames; arguments as in `irlms`.
+
+    Args:
+        frames: (N, h, w), from about zero to about one.
+        motion: (N, 3, 3), pull homographies in px about the centre.
+
+    Returns:
+        Weight and bias, (h, w).
+    """
     frames = frames.clip(*INPUT_LIMITS)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     for before, now in itertools.pairwise(frame_sequence(len(frames), passes)):
         step = np.linalg.inv(motion[before]) @ motion[now]
-        wanted = warp_bilinear(weight * frames[before] + bias, step)
-        error = np.nan_to_num(wanted - (weight * frames[now] + bias))
+        target = warp_bilinear(weight * frames[before] + bias, step)
+        error = np.nan_to_num(target - (weight * frames[now] + bias))
         weight += rate * error * frames[now]
         bias += rate * error
     return weight, bias
 
 
 def warp_bilinear(frame: Array, step: Array) -> Array:
-    """A frame (h, w) as it looks after a pull (3, 3), by bilinear interpolation; NaN where it did not see."""
+    """A frame (h, w) after a pull by a homography (3, 3), by bilinear interpolation; NaN outside the frame."""
     at = to_indices(sampling_points(step, frame.shape), frame.shape)
     return ndimage.map_coordinates(frame, at, order=1, cval=np.nan)

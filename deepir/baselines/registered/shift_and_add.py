@@ -1,4 +1,4 @@
-"""Every sample goes to the nearest point of a fine grid."""
+"""Super-resolution by shift and add."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from deepir.result import Result
 
 @register("method", "shift_and_add")
 def shift_and_add(burst: Burst, config: Config) -> Result:
-    """Add registered samples up on the fine grid, and fill in where none fell; the pixels' blur stays.
+    """Add registered samples on the fine grid and fill the holes; the pixels' blur stays.
 
-    M. Elad, Y. Hel-Or: A fast super-resolution reconstruction algorithm for pure translational motion and common
-    space-invariant blur, IEEE Trans. Image Processing 10 (2001): the maximum-likelihood estimate of the blurred scene.
-    Gain and offset stay as they are.
+    This is the maximum-likelihood estimate of the blurred scene. Gain and offset stay as they are.
+
+    Source: M. Elad, Y. Hel-Or: A fast super-resolution reconstruction algorithm for pure translational motion and
+    common space-invariant blur, IEEE Trans. Image Processing 10 (2001).
     """
     found = motion, used, _ = register_burst(burst, config)
     result = average_frames(burst, config, burst.frames, found)
@@ -29,9 +30,18 @@ def shift_and_add(burst: Burst, config: Config) -> Result:
 
 
 def accumulate(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) -> Array:
-    """Means of the samples of frames (N, h, w) that are nearest to each point of a finer grid; holes are filled.
+    """Mean of the samples nearest to each point of a finer grid.
 
-    A hole takes the mean of what is about it, weighted by a Gaussian as narrow as reaches anything.
+    A hole takes the mean around it, weighted by the narrowest Gaussian that reaches a sample.
+
+    Args:
+        frames: (N, h, w).
+        valid: (N, h, w) bool.
+        motion: (N, 3, 3), pull homographies in px about the centre.
+        shape: Height and width of the finer grid.
+
+    Returns:
+        (H, W), float32.
     """
     ratio = shape[0] / frames.shape[1]
     total, count = np.zeros((2, *shape))

@@ -1,4 +1,4 @@
-"""Midway equalisation of columns over a width that varies from place to place, then denoising."""
+"""Midway equalisation over locally chosen widths, then denoising."""
 
 from __future__ import annotations
 
@@ -23,11 +23,17 @@ from deepir.result import Result
 def admire(burst: Burst, config: Config, *, deviation: Annotated[float, Field(gt=0)] = 32.0) -> Result:
     """Give neighbouring columns the same histogram over local widths, denoise, then register and average.
 
-    After Y. Tendero, J. Gilles: ADMIRE: a locally adaptive single-image, non-uniformity correction and
-    denoising algorithm: application to uncooled IR camera, Proc. SPIE (2012), arXiv 2411.03615. Single frame,
-    columns only; a column's response need not be linear. Simplified: widths are those of `mire`; the total
-    variation that chooses a pixel's width is a mean by a Gaussian of `deviation` px about it; the denoiser is
-    deepir's `dct`, for the noise of the flattest parts of the equalised frame.
+    Each frame is corrected by itself, along columns only; the response of a column need not be linear. Simplified:
+    widths are those of `mire`, the total variation that selects the width of a pixel is a Gaussian mean, and the
+    denoiser is `dct`, for the noise of the flattest parts of the equalised frame.
+
+    Args:
+        burst: The burst to correct.
+        config: Its configuration.
+        deviation: Standard deviation of that Gaussian, px.
+
+    Source: Y. Tendero, J. Gilles: ADMIRE: a locally adaptive single-image, non-uniformity correction and denoising
+    algorithm: application to uncooled IR camera, Proc. SPIE (2012), arXiv 2411.03615.
     """
     frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
     return average_frames(
@@ -36,7 +42,7 @@ def admire(burst: Burst, config: Config, *, deviation: Annotated[float, Field(gt
 
 
 def equalise_locally(frame: Array, deviation: float) -> Array:
-    """A frame (h, w) equalised over the width at which the total variation about each pixel is least."""
+    """Equalise a frame (h, w), in each pixel over the width with the least total variation within `deviation` px."""
     best, least = frame, np.full(frame.shape, np.inf)
     for width in GAUSSIAN_WIDTHS:
         candidate = midway_equalise(frame, width)
@@ -47,7 +53,7 @@ def equalise_locally(frame: Array, deviation: float) -> Array:
 
 
 def local_variation(frame: Array, deviation: float) -> Array:
-    """Absolute differences of neighbours in a frame (h, w), their mean by a Gaussian of `deviation` px."""
+    """Absolute differences of neighbours in a frame (h, w), averaged by a Gaussian of `deviation` px."""
     total = np.zeros(frame.shape)
     for axis in (0, 1):
         total += np.abs(np.diff(frame, axis=axis, append=frame.take([-1], axis)))
@@ -55,7 +61,7 @@ def local_variation(frame: Array, deviation: float) -> Array:
 
 
 def denoise(frame: Array) -> Array:
-    """A frame (h, w) less white noise, of the strength that its flattest parts show."""
+    """Remove white noise from a frame (h, w); the noise level is that of its flattest parts."""
     picture = torch.from_numpy(frame.astype(np.float32))[None]
     noise = flat_noise(picture, torch.ones_like(picture, dtype=torch.bool))
     return dct(picture, noise)[0].numpy()

@@ -1,4 +1,4 @@
-"""Enlarge one frame: what a viewer does."""
+"""Cubic interpolation of one frame."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def bicubic(burst: Burst, config: Config) -> Result:
     first = dataclasses.replace(burst, frames=burst.frames[:1], valid=burst.valid[:1])
     _, geometry = build(config, first)
     frame, good = (torch.from_numpy(each)[None] for each in (first.frames, first.valid & ~burst.bad_pixels))
-    whole = nearest_filled(frame, good)[0, 0].numpy()
-    result = neutral(enlarge(whole, geometry.ratio), len(burst.frames), burst.size, burst.bad_pixels)
+    filled_frame = nearest_filled(frame, good)[0, 0].numpy()
+    result = neutral(enlarge(filled_frame, geometry.ratio), len(burst.frames), burst.size, burst.bad_pixels)
     result.frames_used[1:] = False
     result.motion[1:] = float("nan")
     result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
@@ -32,5 +32,5 @@ def bicubic(burst: Burst, config: Config) -> Result:
 
 
 def enlarge(frame: Array, ratio: float) -> Array:
-    """A frame (h, w) on a grid `ratio` times as fine; a pixel is an area, and the corners stay where they are."""
+    """A frame (h, w) on a grid `ratio` times as fine; pixels are areas, so that the frame's corners stay in place."""
     return np.asarray(ndimage.zoom(frame, ratio, order=3, mode="mirror", grid_mode=True))

@@ -1,4 +1,4 @@
-"""A network that sees the stripes of one frame."""
+"""Column stripes of single frames by a trained network."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ from deepir.result import Result
 
 @register("method", "destripe_cnn")
 def destripe_cnn(burst: Burst, config: Config) -> Result:
-    """Take column stripes off each frame by a trained network, then register and average.
+    """Remove column stripes from each frame by a trained network, then register and average.
 
-    In the manner of Z. He, Y. Cao, Y. Dong, J. Yang, Y. Cao, C.-L. Tisse: Single-image-based nonuniformity correction
-    of uncooled long-wave infrared detectors: a deep-learning approach, Applied Optics 57 (2018): a network finds
-    the residual, and has learnt it from simulated columns. Theirs is another network, and has seen other pictures.
-    `deepir train destripe_cnn` makes the weights.
+    The network predicts the residual and was trained on simulated columns (`deepir train destripe_cnn`). The paper's
+    network and its training pictures are different ones.
+
+    Source: Z. He, Y. Cao, Y. Dong, J. Yang, Y. Cao, C.-L. Tisse: Single-image-based nonuniformity correction of
+    uncooled long-wave infrared detectors: a deep-learning approach, Applied Optics 57 (2018).
     """
     frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
     return average_frames(burst, config, np.stack([destripe(frame) for frame in frames]))
 
 
 def destripe(frame: Array) -> Array:
-    """A frame (h, w), in any unit, without its stripes; the level stays."""
+    """A frame (h, w), in any unit, without its stripes; its mean stays."""
     level = frame.mean(dtype=np.float64)
     picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]
     with torch.no_grad():
@@ -39,7 +40,7 @@ def destripe(frame: Array) -> Array:
 
 
 def network() -> UNet:
-    """A U-net that is not told how strong the stripes are."""
+    """A U-net without a noise level as input."""
     return UNet((24, 48, 96))
 
 

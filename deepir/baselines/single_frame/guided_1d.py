@@ -1,4 +1,4 @@
-"""Stripes are what is left of smooth rows, and goes with the scene along a column: frame by frame."""
+"""Column stripes by one-dimensional guided filters, frame by frame."""
 
 from __future__ import annotations
 
@@ -25,12 +25,20 @@ def guided_1d(
     edge: Annotated[float, Field(gt=0)] = 0.4,
     height: Annotated[float, Field(gt=0, le=1)] = 1.0,
 ) -> Result:
-    """Take column stripes away by guided filters along rows and columns, then register and average.
+    """Remove column stripes by guided filters along rows and columns, then register and average.
 
-    Y. Cao, M. Y. Yang, C.-L. Tisse: Effective strip noise removal for low-textured infrared images based on 1-D guided
-    filtering, IEEE Trans. Circuits Syst. Video Technol. 26 (2016). Differences along rows below `edge` of the range are
-    smoothed over `radius` px; what that takes is stripes where it is a linear function of the smooth frame within
-    `height` of a column.
+    Differences along rows below `edge` are smoothed. The part that this removes is stripes where, along a column, it is
+    a linear function of the smooth frame.
+
+    Args:
+        burst: The burst to correct.
+        config: Its configuration.
+        radius: Radius of the filter along rows, px.
+        edge: Differences that are smoothed, in ranges of the frames.
+        height: Length of the filter along columns, in heights of the frame.
+
+    Source: Y. Cao, M. Y. Yang, C.-L. Tisse: Effective strip noise removal for low-textured infrared images based on 1-D
+    guided filtering, IEEE Trans. Circuits Syst. Video Technol. 26 (2016).
     """
     frames, low, span = normalise(fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels))
     clean = np.stack([frame - estimate_stripes(frame, radius, edge, height) for frame in frames])
@@ -38,13 +46,26 @@ def guided_1d(
 
 
 def estimate_stripes(frame: Array, radius: int, edge: float, height: float) -> Array:
-    """The stripes of a frame (h, w) that reaches from about zero to about one."""
+    """Stripes (h, w) of a frame (h, w) with values from about zero to about one; arguments as in `guided_1d`."""
     smooth = guided_filter(frame, frame, 2 * radius + 1, edge**2, axis=1)
     return guided_filter(smooth, frame - smooth, max(3, round(height * len(frame))), edge**2, axis=0)
 
 
 def guided_filter(guide: Array, image: Array, size: int, ridge: float, axis: int) -> Array:
-    """What of an image is linear in the guide over windows of `size` px along an axis (He, Sun, Tang 2010)."""
+    """The part of an image that is linear in the guide within a window along an axis.
+
+    Args:
+        guide: (h, w).
+        image: (h, w).
+        size: Length of the window, px.
+        ridge: Regularisation of the slope, squared units of the guide.
+        axis: 0 along columns, 1 along rows.
+
+    Returns:
+        (h, w).
+
+    Source: K. He, J. Sun, X. Tang: Guided image filtering, ECCV (2010).
+    """
 
     def mean(values: Array) -> Array:
         return ndimage.uniform_filter1d(values, size, axis=axis, mode="reflect")

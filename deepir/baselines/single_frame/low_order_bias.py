@@ -1,4 +1,4 @@
-"""A slow bias, as heated optics add it: the polynomial without which a frame's gradients are sparsest."""
+"""A smooth bias, as heated optics add it: a polynomial chosen by the sparsity of the gradients."""
 
 from __future__ import annotations
 
@@ -30,30 +30,45 @@ def low_order_bias(
     exponent: Annotated[float, Field(gt=0, le=2)] = 1.0,
     block: Annotated[int, Field(ge=1)] = 8,
 ) -> Result:
-    """The mean of the polynomials that leave each frame the least absolute gradients; then as `average`.
+    """Subtract the mean of the polynomials that minimise each frame's absolute gradients; then as `average`.
 
-    After L. Liu, L. Yan, H. Zhao, X. Dai, T. Zhang: Correction of aeroheating-induced intensity
-    nonuniformity in infrared images, Infrared Physics & Technology (2016): a frame is the scene and a
-    bivariate polynomial, and the scene's gradients have the least L1 norm. Simplified: noise stays in the
-    scene, so that scene and bias do not alternate. Coefficients are found by iteratively reweighted least
-    squares on a reduced picture, as by Y. Zheng, M. Grossman, S. Awate, J. Gee: Automatic correction of
-    intensity nonuniformity from sparseness of gradient distribution in medical images, MICCAI (2009); here
-    on means of blocks of `block` px. No gain. A slope that all scenes share is taken for bias.
+    A frame is the scene and a bivariate polynomial, and the scene's gradients have the least L1 norm. Simplified: noise
+    stays in the scene, so scene and bias do not alternate. The coefficients are found by iteratively reweighted least
+    squares on means of blocks. The gain stays one. A slope that all scenes share is taken for bias.
+
+    Args:
+        burst: The burst to correct.
+        config: Its configuration.
+        degree: Total degree of the polynomial.
+        exponent: Exponent of the gradients' norm.
+        block: Side of a block, px.
+
+    Source: L. Liu, L. Yan, H. Zhao, X. Dai, T. Zhang: Correction of aeroheating-induced intensity nonuniformity in
+    infrared images, Infrared Physics & Technology (2016); Y. Zheng, M. Grossman, S. Awate, J. Gee: Automatic correction
+    of intensity nonuniformity from sparseness of gradient distribution in medical images, MICCAI (2009).
     """
     frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
     offset = np.mean([estimate_bias(frame, degree, exponent, block) for frame in frames], axis=0)
     offset -= offset[~burst.bad_pixels].mean()
-    corrected = (burst.frames - offset).astype(np.float32)
-    result: Result = average(dataclasses.replace(burst, frames=corrected), config)
+    frames = (burst.frames - offset).astype(np.float32)
+    result: Result = average(dataclasses.replace(burst, frames=frames), config)
     result.offset = offset.astype(np.float32)
     return result
 
 
 def estimate_bias(frame: Array, degree: int = 2, exponent: float = 1.0, block: int = 8) -> Array:
-    """The polynomial (h, w), mean zero, without which the gradients of a frame (h, w) are sparsest.
+    """The polynomial without which the gradients of a frame are sparsest.
 
-    The sum of their absolute values to `exponent` is least, between means of blocks: between pixels, noise
-    and rounding hide slow gradients.
+    Gradients are differences of block means: between pixels, noise and rounding hide slow gradients.
+
+    Args:
+        frame: (h, w).
+        degree: Total degree of the polynomial.
+        exponent: Exponent of the gradients' norm.
+        block: Side of a block, px.
+
+    Returns:
+        (h, w), mean zero.
     """
     terms = legendre_products(frame.shape, degree)
     side = max(1, min(block, min(frame.shape) // MIN_BLOCKS))
@@ -62,7 +77,16 @@ def estimate_bias(frame: Array, degree: int = 2, exponent: float = 1.0, block: i
 
 
 def reweighted_least_squares(target: Array, slopes: Array, exponent: float) -> Array:
-    """Coefficients (terms) of slopes (terms, all): the least `|target - coefficients slopes|^exponent`."""
+    """Minimise `sum |target - coefficients slopes|^exponent` by iteratively reweighted least squares.
+
+    Args:
+        target: (M,).
+        slopes: (K, M).
+        exponent: In (0, 2].
+
+    Returns:
+        The coefficients (K,).
+    """
     coefficients, weight = np.zeros(len(slopes)), np.ones_like(target)
     tiny = 1e-9 * float(np.abs(target).max()) or 1.0
     for _ in range(MAX_IRLS_ITERATIONS):
@@ -78,7 +102,7 @@ def reweighted_least_squares(target: Array, slopes: Array, exponent: float) -> A
 
 
 def legendre_products(shape: tuple[int, ...], degree: int) -> Array:
-    """Products (terms, h, w) of Legendre polynomials of y and x, up to a total degree from one, mean zero."""
+    """Products (K, h, w) of Legendre polynomials of y and x of total degree 1 to `degree`, each of mean zero."""
     y, x = (legendre.legvander(np.linspace(-1, 1, side), degree) for side in shape)
     orders = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)][1:]
     terms = np.stack([np.outer(y[:, i], x[:, j]) for i, j in orders])
@@ -86,12 +110,12 @@ def legendre_products(shape: tuple[int, ...], degree: int) -> Array:
 
 
 def block_means(pictures: Array, side: int) -> Array:
-    """Means over the whole blocks of `side` px of pictures (N, h, w)."""
+    """Means (N, h // side, w // side) over the whole blocks of pictures (N, h, w)."""
     count, height, width = pictures.shape[0], *(length // side for length in pictures.shape[1:])
     kept = pictures[:, : height * side, : width * side]
     return np.asarray(kept.reshape(count, height, side, width, side).mean((2, 4)))
 
 
 def gradients(pictures: Array) -> Array:
-    """Differences (N, all) of neighbours in pictures (N, h, w), along y and along x."""
+    """Differences (N, M) of neighbours in pictures (N, h, w), along y and along x."""
     return np.concatenate([np.diff(pictures, axis=axis).reshape(len(pictures), -1) for axis in (1, 2)], 1)

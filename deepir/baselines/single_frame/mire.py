@@ -1,4 +1,4 @@
-"""Midway equalisation of columns, frame by frame: no motion is needed."""
+"""Midway equalisation of columns, frame by frame."""
 
 from __future__ import annotations
 
@@ -18,22 +18,32 @@ GAUSSIAN_WIDTHS = np.arange(0.5, 8.5, 0.5)  # px; the width with the least total
 def mire(burst: Burst, config: Config) -> Result:
     """Give neighbouring columns the same histogram, then register and average.
 
-    Y. Tendero, S. Landeau, J. Gilles: Non-uniformity correction of infrared images by midway equalization, Image
-    Processing On Line 2 (2012). Single frame, columns only, blind to pixels; a column's response need not be linear.
+    Each frame is corrected by itself, along columns only; single pixels are not corrected. The response of a column
+    need not be linear.
+
+    Source: Y. Tendero, S. Landeau, J. Gilles: Non-uniformity correction of infrared images by midway equalization,
+    Image Processing On Line 2 (2012).
     """
     frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
     return average_frames(burst, config, np.stack([equalise(frame) for frame in frames]))
 
 
 def equalise(frame: Array) -> Array:
-    """A frame (h, w) with columns equalised over the width at which its total variation is least."""
+    """Equalise the columns of a frame (h, w) over the width with the least total variation."""
     return min((midway_equalise(frame, width) for width in GAUSSIAN_WIDTHS), key=total_variation)
 
 
 def midway_equalise(frame: Array, width: float) -> Array:
-    """Replace each column's quantiles by their mean over the columns about it, weighted by a Gaussian of `width` px.
+    """Replace the quantiles of each column by their Gaussian mean over neighbouring columns: the midway histogram.
 
-    Averages of inverse cumulative histograms are the midway histogram. Reflection at the sides keeps the mean.
+    Reflection at the sides keeps the mean.
+
+    Args:
+        frame: (h, w).
+        width: Standard deviation of the Gaussian, px.
+
+    Returns:
+        (h, w).
     """
     order = frame.argsort(axis=0, kind="stable")
     quantiles = np.take_along_axis(frame, order, axis=0)
@@ -44,5 +54,5 @@ def midway_equalise(frame: Array, width: float) -> Array:
 
 
 def total_variation(frame: Array) -> float:
-    """Sum of absolute differences of neighbours."""
+    """Sum of the absolute differences of neighbours in a frame (h, w)."""
     return float(np.abs(np.diff(frame, axis=0)).sum() + np.abs(np.diff(frame, axis=1)).sum())

@@ -1,4 +1,4 @@
-"""A network that makes an enlarged frame sharp."""
+"""Super-resolution of single frames by a trained network."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ from deepir.result import Result
 def vdsr(burst: Burst, config: Config) -> Result:
     """Enlarge each frame by a cubic spline and sharpen it by a trained network, then register and average.
 
-    In the manner of J. Kim, J. K. Lee, K. M. Lee: Accurate image super-resolution using very deep convolutional
-    networks, CVPR (2016): convolutions of 3 x 3 px find the residual, one network for all factors. Theirs is deeper and
-    wider, and has learnt from other pictures. `deepir train vdsr` makes the weights. Gain and offset stay as they are.
+    Convolutions of 3 x 3 px predict the residual; one network serves all factors (`deepir train vdsr`). The paper's
+    network is deeper and wider, and its training pictures are different ones. Gain and offset stay as they are.
+
+    Source: J. Kim, J. K. Lee, K. M. Lee: Accurate image super-resolution using very deep convolutional networks, CVPR
+    (2016).
     """
     found = motion, used, _ = register_burst(burst, config)
     result = average_frames(burst, config, burst.frames, found)
@@ -42,7 +44,7 @@ def vdsr(burst: Burst, config: Config) -> Result:
 
 
 def sharpen(frame: Array) -> Array:
-    """An enlarged frame (h, w), in any unit, with what enlarging has lost."""
+    """Restore the detail of an enlarged frame (h, w), in any unit."""
     level = frame.mean(dtype=np.float64)
     picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]
     with torch.no_grad():
@@ -52,8 +54,8 @@ def sharpen(frame: Array) -> Array:
 class VDSR(nn.Module):
     """Convolutions whose result is added to the picture, (B, 1, H, W).
 
-    There are no biases, and the picture's mean is taken off first, so the network knows no units. Beyond the picture's
-    edges are zeros, as in the paper.
+    There are no biases, and the picture's mean is subtracted first, so that the network does not depend on units.
+    Borders are padded with zeros, as in the paper.
     """
 
     def __init__(self, depth: int = 10, width: int = 32) -> None:

@@ -1,4 +1,4 @@
-"""Every pixel sees the same scene in the long run: the oldest online correction."""
+"""Constant statistics: all pixels see the same mean and deviation in the long run."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from deepir.result import Result
 def constant_statistics(burst: Burst, config: Config) -> Result:
     """Give all pixels the same mean and deviation over time, then register and average.
 
-    J. G. Harris, Y.-M. Chiang: Nonuniformity correction of infrared image sequences using the constant-statistics
-    constraint, IEEE Trans. Image Processing 8 (1999). It wants hundreds of frames that cross the whole scene: of a
-    short burst it takes the scene for the pattern.
+    The method needs hundreds of frames that cross the whole scene; in a short burst the scene remains in the pattern.
+
+    Source: J. G. Harris, Y.-M. Chiang: Nonuniformity correction of infrared image sequences using the
+    constant-statistics constraint, IEEE Trans. Image Processing 8 (1999).
     """
     frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels).astype(np.float64)
     mean, deviation = running_statistics(frames)

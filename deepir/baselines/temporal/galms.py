@@ -1,4 +1,4 @@
-"""What a pixel says should be like what its neighbours say, once the scene has moved."""
+"""Gated least mean squares towards a smoothed frame."""
 
 from __future__ import annotations
 
@@ -31,10 +31,19 @@ def galms(
 ) -> Result:
     """Least mean squares towards a smoothed frame, in small steps at edges, and only where the scene has changed.
 
-    R. C. Hardie, F. Baxley, B. Brys, P. Hytla: Scene-based nonuniformity correction with reduced ghosting using a
-    gated LMS algorithm, Optics Express 17 (2009). The target is the corrected frame smoothed by a Gaussian of `radius`
-    px; the step is `rate / (1 + M^2 v)` with the local variance v (Vera and Torres 2005); a pixel learns only when its
-    target has changed by `gate` of the range since it last did. A burst is played `passes` times, forth and back.
+    The target is the corrected frame, smoothed by a Gaussian. The step is `rate / (1 + M^2 v)` with the local variance
+    v (Vera and Torres 2005). A burst is played forth and back.
+
+    Args:
+        burst: The burst to correct.
+        config: Its configuration.
+        rate: Step size in flat regions.
+        radius: Standard deviation of the Gaussian, px.
+        gate: Change of a pixel's target, in ranges of the frames, before it learns again.
+        passes: How often the burst is played.
+
+    Source: R. C. Hardie, F. Baxley, B. Brys, P. Hytla: Scene-based nonuniformity correction with reduced ghosting
+    using a gated LMS algorithm, Optics Express 17 (2009).
     """
     frames, low, span = normalise(fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels))
     weight, bias = learn_correction(frames, rate, radius, gate, passes)
@@ -44,18 +53,25 @@ def galms(
 def learn_correction(
     frames: Array, rate: float, radius: float, gate: float, passes: int = 1
 ) -> tuple[Array, Array]:
-    """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one."""
+    """Weight and bias that correct normalised frames; arguments as in `galms`.
+
+    Args:
+        frames: (N, h, w), from about zero to about one.
+
+    Returns:
+        Weight and bias, (h, w).
+    """
     frames = frames.clip(*INPUT_LIMITS)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     last = np.full(frames.shape[1:], np.inf)
     for frame in (frames[k] for k in frame_sequence(len(frames), passes)):
-        now = weight * frame + bias
-        wanted = ndimage.gaussian_filter(now, radius)
+        corrected = weight * frame + bias
+        target = ndimage.gaussian_filter(corrected, radius)
         variance = ndimage.gaussian_filter(frame**2, radius) - ndimage.gaussian_filter(frame, radius) ** 2
-        learns = np.abs(wanted - last) > gate
-        last = np.where(learns, wanted, last)
+        learns = np.abs(target - last) > gate
+        last = np.where(learns, target, last)
         step = learns * rate / (1 + EDGE_SENSITIVITY**2 * variance.clip(min=0))
-        error = wanted - now
+        error = target - corrected
         weight += step * error * frame
         bias += step * error
     return weight, bias

@@ -1,4 +1,4 @@
-"""Intrinsic images: an offset from the median of derivatives."""
+"""Offset from a robust mean of the frames' gradients (intrinsic images)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ TRIMMED_SHARE = 0.25  # share of the frames left out at either end of the sorted
 
 @register("method", "gradient_consensus")
 def gradient_consensus(burst: Burst, config: Config) -> Result:
-    """The offset whose gradients are the interquartile means of those of the frames; then as `average`.
+    """Offset whose gradients are the interquartile means of the frames' gradients; then as `average`.
 
-    After Weiss (2001), "Deriving intrinsic images from image sequences". The mean of the middle half of the derivatives
-    stands for their median: it is less noisy. No gain.
+    The interquartile mean stands for the paper's median: it is less noisy. The gain stays one.
+
+    Source: Y. Weiss: Deriving intrinsic images from image sequences, ICCV (2001).
     """
     offset = poisson([interquartile_mean(np.diff(burst.frames, axis=axis)) for axis in (-1, -2)])
     offset = offset - offset[~burst.bad_pixels].mean()
@@ -32,7 +33,7 @@ def gradient_consensus(burst: Burst, config: Config) -> Result:
 
 
 def interquartile_mean(values: np.ndarray) -> np.ndarray:
-    """The mean of the middle half along the first axis."""
+    """Mean of the middle half of values (N, ...) along the first axis."""
     count = len(values)
     cut = int(TRIMMED_SHARE * count)
     return np.asarray(np.sort(values, 0)[cut : count - cut].mean(0, dtype=np.float64))

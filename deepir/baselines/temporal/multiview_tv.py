@@ -1,4 +1,4 @@
-"""Total variation of many frames: an offset from frames that nothing registers."""
+"""Offset by the total variation of many unregistered frames."""
 
 from __future__ import annotations
 
@@ -19,31 +19,32 @@ TV_SMOOTHING = 0.1  # smoothing of the total variation at zero, in typical gradi
 
 @register("method", "multiview_tv")
 def multiview_tv(burst: Burst, config: Config) -> Result:
-    """The offset with which the frames' total variation is least, from all frames at once; then as `average`.
+    """Offset that minimises the total variation of all frames; then as `average`.
 
-    After Barral, Arias and Davy (2024), "Fixed pattern noise removal for multi-view single-sensor infrared camera": of
-    `Σ_k |∇(y_k - o)|`, along x and along y, the best ∇o at each edge is the median of the frames' gradients. They are
-    put together to an offset by least squares. No gain, no strengths.
+    Along x and y, the best gradient of the offset o in `sum_k |grad(y_k - o)|` is the median of the frames' gradients;
+    the gradients are integrated by least squares. The gain stays one.
+
+    Source: Barral, Arias, Davy: Fixed pattern noise removal for multi-view single-sensor infrared camera (2024).
     """
     return _corrected(burst, config, median_offset(burst.frames))
 
 
 @register("method", "multiview_tv_recursive")
 def multiview_tv_recursive(burst: Burst, config: Config) -> Result:
-    """The same a frame at a time, for long videos: each moves the offset down the slope of its total variation.
+    """Offset by gradient descent on the total variation of one frame after the other, for long videos.
 
-    After Barral, Arias and Davy (2024), as `multiview_tv`.
+    Source: as `multiview_tv`.
     """
     return _corrected(burst, config, recursive_offset(burst.frames))
 
 
 def median_offset(frames: np.ndarray) -> np.ndarray:
-    """The offset (h, w), mean zero, whose gradients are nearest to the medians of those of frames (N, h, w)."""
+    """Offset (h, w), mean zero, whose gradients are nearest to the medians of those of frames (N, h, w)."""
     return poisson([np.median(np.diff(frames, axis=axis), axis=0) for axis in (-1, -2)])
 
 
 def recursive_offset(frames: np.ndarray) -> np.ndarray:
-    """The offset (h, w), mean zero, after one step for each frame, of length `1 / sqrt(k + 1)`."""
+    """Offset (h, w), mean zero, after one step for each frame of (N, h, w), of length `1 / sqrt(k + 1)`."""
     offset = np.zeros(frames.shape[1:])
     typical = float(np.median(np.abs(np.diff(frames[0], axis=-1)))) or 1.0
     for k, frame in enumerate(frames):

@@ -69,9 +69,9 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
     frames = stream_frames(str(data.path), key=data.key, raw=data.raw)
     first = next(frames)
     maps.check(first, str(data.path))
-    if (rougher := maps.roughens(first)) > MAX_ROUGHNESS_RATIO:
+    if (ratio := maps.roughness_ratio(first)) > MAX_ROUGHNESS_RATIO:
         typer.echo(
-            f"{data.path}: its first frame is {rougher:.1f} times as rough without these maps' pattern as with it. "
+            f"{data.path}: its first frame is {ratio:.1f} times as rough without these maps' pattern as with it. "
             "Are they of another camera, in other units (counts, kelvin, 8 bits), or out of date?",
             err=True,
         )

@@ -46,10 +46,10 @@ def capture(
     except Interrupted as error:
         return report_aborted(error)
     write_npz(out, {"frames": burst.frames, "time": burst.times})
-    if burst.stood > FREEZE_TIME:
+    if burst.longest_freeze > FREEZE_TIME:
         _say(
-            f"the picture stood still for {burst.stood:.1f} s in the midst of the burst, as when the shutter closes: "
-            "the pattern may have changed then. Switch the automatic correction off, or take the burst again"
+            f"the picture stood still for {burst.longest_freeze:.1f} s in the midst of the burst, as when the shutter "
+            "closes: the pattern may have changed then. Switch the automatic correction off, or take the burst again"
         )
     size = " x ".join(map(str, burst.frames.shape[1:]))
     typer.echo(

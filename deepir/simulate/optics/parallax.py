@@ -23,8 +23,8 @@ def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     side = min(height, width)
     if settings.parallax > MAX_PARALLAX * side:
         raise ConfigError(
-            f"simulate.parallax = {settings.parallax:g}: hills would hide each other; at most {MAX_PARALLAX * side:g} px for "
-            f"frames of {height} x {width} px"
+            f"simulate.parallax = {settings.parallax:g}: hills would hide each other; at most "
+            f"{MAX_PARALLAX * side:g} px for frames of {height} x {width} px"
         )
     if not settings.max_shift:
         raise ConfigError(

@@ -64,7 +64,8 @@ class RecordingSettings:
             or not FRAME_SIDE_LIMITS[0] <= min(self.shape) <= max(self.shape) <= FRAME_SIDE_LIMITS[1]
         ):
             raise ConfigError(
-                f"recording: at least one frame (n_frames) with sides of {FRAME_SIDE_LIMITS[0]} to {FRAME_SIDE_LIMITS[1]} px (shape) is needed"
+                f"recording: at least one frame (n_frames) with sides of {FRAME_SIDE_LIMITS[0]} to "
+                f"{FRAME_SIDE_LIMITS[1]} px (shape) is needed"
             )
         if (samples := math.prod((self.n_frames, *self.shape))) > MAX_SAMPLES:
             raise ConfigError(

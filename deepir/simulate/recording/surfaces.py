@@ -116,8 +116,8 @@ def render_view(
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a camera sees of a world.
 
-    Rays through `SAMPLES_PER_PIXEL` x `SAMPLES_PER_PIXEL` points of each pixel meet the surfaces exactly; the texture is averaged over what lies
-    between the points, then blurred by the optics and averaged over the pixel.
+    Rays through `SAMPLES_PER_PIXEL` x `SAMPLES_PER_PIXEL` points of each pixel meet the surfaces exactly; the texture
+    is averaged over what lies between the points, then blurred by the optics and averaged over the pixel.
 
     Args:
         world: What there is to see.

@@ -42,7 +42,8 @@ def load_picture(name: str) -> Scene | list[Scene]:
         return _stretched(_shipped(name), name)
     if not (Path(name).suffix or expanded(name).exists()):
         raise DataError(
-            f"scene: no picture is called '{name}'; {nearest(name, SKIMAGE_PICTURES)}, procedural:SEED, sky:SEED or a file"
+            f"scene: no picture is called '{name}'; {nearest(name, SKIMAGE_PICTURES)}, "
+            "procedural:SEED, sky:SEED or a file"
         )
     from deepir.io import read_frames
 
