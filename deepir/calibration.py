@@ -118,8 +118,8 @@ def read_maps(path: Path) -> CorrectionMaps:
         DataError: They are missing, differ in size, or no pixel has a positive gain.
     """
     file = path / "result.npz" if path.is_dir() else path
-    with readers.guarded(file):
-        if readers.find(file) is not npz:
+    with readers.decoding(file):
+        if readers.find_reader(file) is not npz:
             raise DataError(f"{file}: maps are an .npz with gain and offset, or the folder of a run")
         found = npz.read_all(file)
     if missing := [name for name in ("gain", "offset") if name not in found]:

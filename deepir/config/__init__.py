@@ -1,6 +1,6 @@
-"""Configurations: read, merged, checked, before anything runs."""
+"""Configurations: read, merged and checked before anything runs."""
 
-from deepir.config.files import SHIPPED_CONFIGS, dump, find, headline, load, priors, read, shipped_names
+from deepir.config.files import SHIPPED_CONFIGS, dump, find, headline, load, prior_names, read, shipped_names
 from deepir.config.schema import Config, Data
 
 __all__ = [
@@ -11,7 +11,7 @@ __all__ = [
     "find",
     "headline",
     "load",
-    "priors",
+    "prior_names",
     "read",
     "shipped_names",
 ]

@@ -1,4 +1,4 @@
-"""Make components from configuration: the constructor's signature is the schema."""
+"""Make components from a configuration: the constructor's signature is the schema."""
 
 from __future__ import annotations
 
@@ -34,13 +34,17 @@ ELEMENT_DESCRIPTIONS = {int: "whole numbers", float: "numbers", str: "names"}
 
 
 def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context: Any) -> Any:
-    """The component `name`, with its `options` checked against its signature.
+    """Make the component `name` with its options checked against its signature.
 
-    `where` is the path in the configuration that errors name; `context` holds what the constructor may want
-    of the problem at hand (shape, size, ...).
+    Args:
+        kind: Kind of component, such as `"penalty"`.
+        name: Its registered name.
+        options: Its options from the configuration.
+        where: Path in the configuration, for messages.
+        context: Arguments that the problem at hand supplies (shape, size ...); those that it does not take are dropped.
 
     Raises:
-        ConfigError: Unknown component, unknown option, wrong type or a value that the component refuses.
+        ConfigError: Unknown component, unknown option, wrong type, or a value that the component refuses.
     """
     component = lookup(kind, name, where)
     accepted = _arguments(component)
@@ -54,7 +58,7 @@ def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context
 
 @functools.cache
 def options_schema(component: Any) -> type[BaseModel]:
-    """What a configuration may set: the constructor's arguments less the context, with types and defaults."""
+    """Options that a configuration may set, with types and defaults: the arguments without the context."""
     fields: dict[str, Any] = {
         name: (p.annotation, ... if p.default is p.empty else p.default)
         for name, p in _arguments(component).items()
@@ -82,9 +86,10 @@ def _arguments(component: Any) -> dict[str, inspect.Parameter]:
 
 
 def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any]:
-    """The options with defaults filled in; `ConfigError` says what is allowed, and the nearest spelling.
+    """Check options and fill in defaults; `auto` stands for a missing one.
 
-    `auto` stands for "not given".
+    Raises:
+        ConfigError: An option is wrong; the message says what is allowed, with the nearest spelling.
     """
     if not isinstance(options, Mapping):
         raise ConfigError(
@@ -100,9 +105,15 @@ def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any
 
 
 def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) -> tuple[str, str]:
-    """The path of the key that is most likely wrong, and what is wrong with it, in one line.
+    """The most likely cause of a validation error.
 
-    `whole` is the configuration, in whose depth a key that is unknown here may be.
+    Args:
+        error: The error of pydantic.
+        schema: The schema.
+        whole: The configuration, in which an unknown key may belong to a deeper level.
+
+    Returns:
+        The path of the key, and one line on the error.
     """
     # A misspelt key explains best; of a union's branches, the one that went deepest is what was meant.
     rank = {"extra_forbidden": 0, "missing": 1}
@@ -126,9 +137,9 @@ def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) 
 
 
 def describe_type(annotation: Any) -> str:
-    """What a value of this type is, in words.
+    """A type in words.
 
-    >>> wanted(int | list[float] | None)
+    >>> describe_type(int | list[float] | None)
     'a whole number or a list [...] of numbers'
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
@@ -146,7 +157,7 @@ def describe_type(annotation: Any) -> str:
 
 
 def annotation_of(schema: type[BaseModel], path: str) -> Any:
-    """The type that a key such as `data.path` has in a schema; None if the schema does not know the key."""
+    """Type of a key such as `data.path` in a schema; None if the schema has no such key."""
     steps = list(_steps(schema, tuple(path.split("."))))
     return steps[-1][1] if len(steps) == path.count(".") + 1 else None
 

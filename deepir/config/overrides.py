@@ -14,7 +14,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from deepir.config.components import annotation_of
-from deepir.config.yaml import parse
+from deepir.config.yaml import parse_yaml
 from deepir.errors import ConfigError, nearest
 
 #: Sections that name components, whose keys the schema does not know.
@@ -22,7 +22,15 @@ COMPONENT_SECTIONS = ("physics", "scene", "fidelity", "method")
 
 
 def parse_settings(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]]:
-    """Keys with their values; `ConfigError` for one that is not `key=value`, or whose value is not YAML."""
+    """Split `key=value` pairs and parse their values as YAML.
+
+    Args:
+        pairs: The pairs.
+        schema: Schema of the configuration; values of text keys are not parsed.
+
+    Raises:
+        ConfigError: A pair is not `key=value`, or its value is not YAML.
+    """
     found = []
     for pair in pairs:
         if not isinstance(pair, str):
@@ -42,7 +50,7 @@ def parse_settings(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[
             found.append((key, None if text == "null" else text))
             continue
         try:
-            value = parse(text)
+            value = parse_yaml(text)
         except ValueError as error:
             raise ConfigError(f"'{pair}': not a YAML value: {error}") from None
         # A slice without an end, data.frames=2:, is a mapping of YAML.
@@ -51,7 +59,7 @@ def parse_settings(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[
 
 
 def apply_setting(whole: dict[str, Any], key: str, value: Any) -> None:
-    """Make one change in place.
+    """Apply one setting to a configuration in place.
 
     Raises:
         ConfigError: There is nothing at `key` to remove or to change.
@@ -70,7 +78,7 @@ def apply_setting(whole: dict[str, Any], key: str, value: Any) -> None:
 
 
 def _inner(node: Any, part: str, where: str, key: str) -> Any:
-    """What `node` holds under `part`, as something that has keys of its own."""
+    """The value of `node` under `part`, as a mapping or list."""
     step = _index(node, part, key)
     if isinstance(node, dict) and node.get(step) is None:
         node[step] = {}

@@ -1,4 +1,4 @@
-"""YAML as people mean it: `2:5` is no sexagesimal 125, `1e-3` a number, `no` a word (as in YAML 1.2)."""
+"""YAML with the scalars of version 1.2: `2:5` is text, not a sexagesimal 125; `1e-3` is a number, `no` is text."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_DEPTH = 30  # levels of nesting
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader (no Python objects) with plainer scalars; a key given twice is an error."""
+    """The safe loader (no Python objects) with these scalars; duplicate keys are errors."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's own way
         first: [each for each in rules if each[0].rpartition(":")[2] not in REPLACED_TAGS]
@@ -51,11 +51,14 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", NUMBER_PATTERN, list("-
 _Loader.add_implicit_resolver("tag:yaml.org,2002:bool", BOOLEAN_PATTERN, list("tTfF"))
 
 
-def parse(text: str) -> Any:
-    """The value of a YAML text; `ValueError` in one line, with the place, if it is none.
+def parse_yaml(text: str) -> Any:
+    """The value of a YAML text.
 
-    >>> parse("{frames: 2:5, weight: 1e-3, jitter: no}")
+    >>> parse_yaml("{frames: 2:5, weight: 1e-3, jitter: no}")
     {'frames': '2:5', 'weight': 0.001, 'jitter': 'no'}
+
+    Raises:
+        ValueError: It is not YAML, or too large; one line, with the place.
     """
     if len(text) > MAX_CHARACTERS:
         raise ValueError(f"{len(text):,} characters; at most {MAX_CHARACTERS:,} are read")
@@ -74,7 +77,7 @@ def parse(text: str) -> Any:
 
 
 def _check_extent(value: Any) -> None:
-    """Raise `ValueError` for what is too much, too deep, or holds itself."""
+    """Raise `ValueError` for too many values, too deep nesting, or a value that contains itself."""
     level, count = [value], 0
     for _ in range(MAX_DEPTH):
         inner: list[Any] = []

@@ -77,7 +77,7 @@ def stream_frames(
 def digest(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a burst's file, or of the digests of its pictures in order; `DataError` if it cannot be read."""
     file = expanded(path)
-    with readers.guarded(file):
+    with readers.decoding(file):
         return _sha256(file)
 
 

@@ -45,7 +45,7 @@ def read_truth(
     frame has its own. Raises `DataError` where there is no scene, or it does not fit `shape`.
     """
     file = expanded(path)
-    arrays = {"scene": readers.read(file)} if readers.find(file) is not npz else _arrays(file)
+    arrays = {"scene": readers.read(file)} if readers.find_reader(file) is not npz else _arrays(file)
     if "scene" not in arrays:
         raise DataError(f"{file}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")
     scene = to_stack(arrays["scene"], f"{file}[scene]")
@@ -59,7 +59,7 @@ def read_truth(
 
 
 def _arrays(file: Path) -> dict[str, readers.Array]:
-    with readers.guarded(file):
+    with readers.decoding(file):
         return npz.read_all(file)
 
 

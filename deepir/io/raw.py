@@ -10,7 +10,7 @@ import numpy as np
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.guards import check_size
-from deepir.io.readers import Array, guarded
+from deepir.io.readers import Array, decoding
 
 
 def read(path: Path, layout: Raw) -> Array:
@@ -18,7 +18,7 @@ def read(path: Path, layout: Raw) -> Array:
 
     Raises `DataError` where the file is missing, or does not hold a whole number of such frames.
     """
-    with guarded(path):
+    with decoding(path):
         frames = map_frames(path, layout)
         check_size(path, frames.nbytes, frames.nbytes)
         return clear_unused_bits(frames, layout)
@@ -26,7 +26,7 @@ def read(path: Path, layout: Raw) -> Array:
 
 def stream(path: Path, layout: Raw) -> Iterator[Array]:
     """Frame after frame `(h, w)`, as `read` gives them."""
-    with guarded(path):
+    with decoding(path):
         frames = map_frames(path, layout)
     yield from (clear_unused_bits(frame, layout) for frame in frames)
 

@@ -15,9 +15,9 @@ from deepir.report.summary import DEVIATION_PALETTE, draw_map
 
 
 def write_analysis(
-    path: Path, statistics: Statistics, verdict: Verdict | None = None, doubt: Array | None = None
+    path: Path, statistics: Statistics, verdict: Verdict | None = None, scene_deviation: Array | None = None
 ) -> None:
-    """Write the picture; `doubt` is the standard deviation of the scene, (H, W), where it is known."""
+    """Write the picture; `scene_deviation` is the standard deviation of the scene, (H, W), where it is known."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -31,8 +31,8 @@ def write_analysis(
     _along(grid[1, 0], statistics)
     if statistics.temporal is not None:
         _over_time(grid[1, 1], statistics.temporal)
-    elif doubt is not None:
-        draw_map(grid[1, 1], doubt, "standard deviation of the scene", DEVIATION_PALETTE)
+    elif scene_deviation is not None:
+        draw_map(grid[1, 1], scene_deviation, "standard deviation of the scene", DEVIATION_PALETTE)
     else:
         grid[1, 1].set_axis_off()
     buffer = io.BytesIO()

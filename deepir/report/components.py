@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepir.config import SHIPPED_CONFIGS, headline, priors, shipped_names
+from deepir.config import SHIPPED_CONFIGS, headline, prior_names, shipped_names
 from deepir.config.components import options_schema
 from deepir.registry import components, summary
 
@@ -48,7 +48,7 @@ def components_page() -> str:
     shipped = {
         "Priors": (
             "Presets of the scene: `prior`.",
-            {n: SHIPPED_CONFIGS / "prior" / f"{n}.yaml" for n in priors()},
+            {n: SHIPPED_CONFIGS / "prior" / f"{n}.yaml" for n in prior_names()},
         ),
         "Configurations": (
             "Shipped: `deepir run NAME`.",

@@ -12,7 +12,7 @@ import numpy as np
 from deepir.errors import ConfigError
 from deepir.simulate.burst import Simulation, simulate
 from deepir.simulate.scenes.pictures import load_picture
-from deepir.simulate.settings import Settings, parse
+from deepir.simulate.settings import Settings, settings_from_mapping
 
 
 def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:
@@ -32,7 +32,9 @@ def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:
         raise ConfigError(f"data.simulate.seed = {own!r}: a whole number, zero or more, is needed")
     name = None if scene is None else str(scene)
     changed = Path(name).stat().st_mtime_ns if name and Path(name).is_file() else 0
-    return _recorded(parse(settings, extra=("scene", "seed")), name, seed if own is None else own, changed)
+    return _recorded(
+        settings_from_mapping(settings, extra=("scene", "seed")), name, seed if own is None else own, changed
+    )
 
 
 @functools.lru_cache(maxsize=2)  # a check of many configurations asks for the same burst again and again

@@ -172,7 +172,7 @@ DEFAULT_SETTINGS = Settings()
 
 
 @functools.cache
-def schema(extra: tuple[str, ...] = (), of: type = Settings) -> type[BaseModel]:
+def settings_schema(extra: tuple[str, ...] = (), of: type = Settings) -> type[BaseModel]:
     """What may be set, with types and defaults, of a dataclass; `extra` names what is not for the camera."""
     hints = typing.get_type_hints(of)
     known: Any = {each.name: (hints[each.name], each.default) for each in fields(of)}
@@ -180,7 +180,7 @@ def schema(extra: tuple[str, ...] = (), of: type = Settings) -> type[BaseModel]:
     return create_model("Settings", __config__=ConfigDict(extra="forbid"), **known)
 
 
-def parse(given: Mapping[str, Any], extra: tuple[str, ...] = ()) -> Settings:
+def settings_from_mapping(given: Mapping[str, Any], extra: tuple[str, ...] = ()) -> Settings:
     """Settings from a mapping, whose Nones stand for the default; `ConfigError` for what does not fit.
 
     `extra` names further keys that a user may give there, to be named in errors.
@@ -192,7 +192,7 @@ def checked_values(
     given: Mapping[str, Any], of: type, where: str, extra: tuple[str, ...] = ()
 ) -> dict[str, Any]:
     """The values of all fields of a dataclass, as in `parse`; `where` names them in errors."""
-    known = schema(extra, of)
+    known = settings_schema(extra, of)
     try:
         found = known.model_validate({key: value for key, value in given.items() if value is not None})
     except ValidationError as error:

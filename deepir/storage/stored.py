@@ -1,4 +1,4 @@
-"""Runs that are stored: started in a folder, interrupted, resumed, finished."""
+"""Runs in a folder: started, interrupted, resumed, finished."""
 
 from __future__ import annotations
 
@@ -37,7 +37,15 @@ def run_into(
     plugins: Sequence[str] = (),
     callbacks: Callbacks = (),
 ) -> Result:
-    """Run a configuration into the folder `path`, which is made when all is checked.
+    """Run a configuration into a folder, which is created once everything is checked.
+
+    Args:
+        config: The configuration.
+        path: The folder.
+        frames: (N, h, w), in place of `data.path`.
+        overwrite: Replace a former run.
+        plugins: Modules that were imported, for the record.
+        callbacks: Called with a `Progress` after each iteration.
 
     Raises:
         DeepIRError: Configuration, data or folder are wrong; nothing is written, a former run stays.
@@ -57,12 +65,20 @@ def run_into(
             return work.run()
     except (ConfigError, DataError):
         if not work.begun:
-            folder.discard(made)
+            folder.roll_back(made)
         raise
 
 
 def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()) -> Result | None:
-    """Finish an interrupted run; None if it has finished already.
+    """Finish an interrupted run.
+
+    Args:
+        path: The folder of the run.
+        plugins: Modules that are imported.
+        callbacks: Called with a `Progress` after each iteration.
+
+    Returns:
+        The result; None if the run is already finished.
 
     Raises:
         ConfigError: There is no run, it lacks a plugin, or its input has changed.
@@ -80,7 +96,7 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
         raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
     data = prepare(config)
     check_unchanged(record.get("inputs", {}), input_digests(config.data, data.sha256), path)
-    before = _seconds(folder, record)
+    before = _seconds_in_checkpoint(folder, record)
     with folder.logging():
         _check_state(folder)
         if record.get("versions", versions()) != versions():
@@ -97,7 +113,7 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
 
 @dataclasses.dataclass
 class _Work:
-    """Solve into a folder that is ready."""
+    """A solve into a folder that is ready."""
 
     folder: RunFolder
     config: Config
@@ -138,11 +154,11 @@ class _Work:
     def _first(self, progress: Progress | None = None) -> None:
         if not self.begun:
             self.begun = True
-            self.folder.keep()
+            self.folder.commit()
 
 
 def pin_config(config: Config, folder: RunFolder) -> Config:
-    """The configuration with all that a later process might see differently: paths, threads."""
+    """The configuration with everything fixed that may differ in a later process: absolute paths, threads."""
 
     def absolute(path: str | None) -> str | None:
         return None if path is None else os.path.abspath(expanded(path))  # noqa: PTH100 - keeps globs
@@ -190,7 +206,12 @@ def _check_inputs(config: Config, folder: RunFolder) -> None:
 
 
 def input_digests(paths: Data, frames: str) -> dict[str, str]:
-    """The digest of each file of the input; `frames` is that of the burst."""
+    """Digest of each input file.
+
+    Args:
+        paths: The data of the configuration.
+        frames: Digest of the burst.
+    """
     found = {} if paths.path is None else {paths.path: frames}
     for path in (paths.mask, paths.truth):
         if path is not None and Path(path).is_file():
@@ -199,7 +220,11 @@ def input_digests(paths: Data, frames: str) -> dict[str, str]:
 
 
 def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path) -> None:
-    """Raise `ConfigError` if a file of the input of the run at `path` is not what it was."""
+    """Compare the input's digests with those at the start of a run.
+
+    Raises:
+        ConfigError: A file has changed.
+    """
     for name, digest in then.items():
         if now.get(name) != digest:
             raise ConfigError(
@@ -209,7 +234,7 @@ def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path)
 
 
 def _check_state(folder: RunFolder) -> None:
-    """A checkpoint that cannot be read is left out: the run starts again."""
+    """Remove an unreadable checkpoint: the run starts again."""
     try:
         if folder.checkpoint.exists():
             FileCheckpoint(folder.checkpoint).load()
@@ -218,8 +243,8 @@ def _check_state(folder: RunFolder) -> None:
         folder.checkpoint.unlink()
 
 
-def _seconds(folder: RunFolder, record: Mapping[str, Any]) -> float:
-    """Work that the checkpoint holds; what was done after it is done again."""
+def _seconds_in_checkpoint(folder: RunFolder, record: Mapping[str, Any]) -> float:
+    """Seconds of work that the checkpoint holds; later work is repeated."""
     if not folder.checkpoint.exists() or "started" not in record:
         return 0.0
     return float(record["seconds"]) + max(0.0, folder.checkpoint.stat().st_mtime - float(record["started"]))

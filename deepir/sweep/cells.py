@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deepir.config import Config, dump, load, read
-from deepir.config.yaml import parse
+from deepir.config.yaml import parse_yaml
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.frames import digest
 from deepir.paths import expanded
@@ -42,7 +42,7 @@ class Cell:
         state = self.folder.state()
         if state == "new":
             return state
-        then, now = (_flat(parse(dump(each))) for each in (read(self.folder.config), self.config))
+        then, now = (_flattened(parse_yaml(dump(each))) for each in (read(self.folder.config), self.config))
         for key in sorted(then.keys() | now.keys()):
             if key != "threads" and then.get(key) != now.get(key):
                 raise ConfigError(
@@ -110,19 +110,19 @@ def check_cells(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
     Raises:
         DeepIRError: What is wrong, and with which cell, unless it is wrong with others too.
     """
-    checked = {_kind(cell) for cell in finished}
+    checked = {_check_key(cell) for cell in finished}
     unread: dict[tuple[str, ...], DataError] = {}
     for cell in found:
-        kind = _kind(cell)
+        kind = _check_key(cell)
         if kind in checked:
             continue
-        error = _wrong(cell)
+        error = _error_of(cell)
         if error is None:
             checked.add(kind)
             unread.pop(kind, None)
             continue
-        other = next((each for each in reversed(found) if _kind(each) != kind), None)
-        common = other is not None and str(_wrong(other)) == str(error)
+        other = next((each for each in reversed(found) if _check_key(each) != kind), None)
+        common = other is not None and str(_error_of(other)) == str(error)
         named = error if common else type(error)(f"{cell.name}: {error}")
         if not (isinstance(named, DataError) and BURST_AXIS in cell.values):
             raise named
@@ -131,7 +131,7 @@ def check_cells(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
         raise next(iter(unread.values()))
 
 
-def _wrong(cell: Cell) -> DeepIRError | None:
+def _error_of(cell: Cell) -> DeepIRError | None:
     """What is wrong with a cell, if anything."""
     try:
         prepare(cell.config)
@@ -140,7 +140,7 @@ def _wrong(cell: Cell) -> DeepIRError | None:
     return None
 
 
-def _kind(cell: Cell) -> tuple[str, ...]:
+def _check_key(cell: Cell) -> tuple[str, ...]:
     """What matters to a check."""
     return tuple(value for key, value in cell.values.items() if key not in ("seed", BURST_AXIS))
 
@@ -154,7 +154,7 @@ def check_inputs(found: Sequence[Cell]) -> None:
             check_unchanged(cell.folder.record().get("inputs", {}), now, cell.folder.path)
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return dict(_leaves(tree, prefix))
 
 

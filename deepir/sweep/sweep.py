@@ -100,7 +100,7 @@ def prepare(
             cell.folder.check_free(overwrite=True)
         check_cells(found)
         for cell in found:
-            cell.folder.discard([cell.folder.path])
+            cell.folder.roll_back([cell.folder.path])
     else:
         finished = [cell for cell in found if cell.state() == "finished"]
         check_cells([cell for cell in found if cell not in finished], finished)

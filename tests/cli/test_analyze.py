@@ -71,7 +71,7 @@ def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
     ("arguments", "message"),
     [
         (["nothing.npz"], "nothing.npz: no such file"),
-        (["flat.npy", "seed=3", "--flat"], "seed=3: of the settings only data are taken here"),
+        (["flat.npy", "seed=3", "--flat"], "seed=3: only settings of data are accepted here"),
         (["both.npz", "sed=3"], "did you mean 'seed'"),
     ],
 )

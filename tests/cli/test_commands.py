@@ -93,7 +93,7 @@ def test_check_says_what_would_be_simulated(deepir):
 
 def test_check_sees_a_former_run(deepir, nuc):
     nuc("data.path=burst.npz")
-    assert "holds another run (finished)" in deepir("check", "nuc")[1]
+    assert "already contains a run (finished)" in deepir("check", "nuc")[1]
 
 
 def test_simulate_writes_a_burst_and_its_truth(deepir, folder):

@@ -88,7 +88,7 @@ def test_another_run_is_refused(nuc, folder):
     before = (folder / "runs/nuc/result.npz").read_bytes()
     status, _, err = nuc("data.path=burst.npz", "seed=1")
     assert status == 2
-    assert "holds another run (finished)" in err
+    assert "already contains a run (finished)" in err
     assert "--overwrite" in err
     assert (folder / "runs/nuc/result.npz").read_bytes() == before
 

@@ -6,7 +6,7 @@ import tifffile
 from PIL import Image
 
 import deepir
-from deepir.config import priors
+from deepir.config import prior_names
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.pictures import load_picture
@@ -167,7 +167,7 @@ def test_frames_and_their_truths_are_selected_together():
     assert "psnr" in result.metrics
 
 
-@pytest.mark.parametrize("prior", priors())
+@pytest.mark.parametrize("prior", prior_names())
 def test_every_prior_takes_two_steps(prior):
     frames = np.random.default_rng(0).random((3, 24, 32))
     result = deepir.run("multiview_nuc", frames=frames, prior=prior, **QUICK)

@@ -26,10 +26,10 @@ def analyze(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Say how much jitter and how many frames a camera wants: deepir analyze burst.npz, or shutter.npz --flat.
+    """Report the jitter and the frames that a camera needs: deepir analyze burst.npz, or shutter.npz --flat.
 
-    A burst is solved first (settings are those of `deepir run nuc`), and it is said whether it suffices; of a uniform
-    source, settings say how the file is read.
+    A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
+    file's format.
     """
     from deepir.analysis.verdict import report_lines
     from deepir.errors import ConfigError, DataError
@@ -43,20 +43,20 @@ def analyze(
         raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
     in_run = (path / "result.npz").is_file()
     verdict: Verdict | None = None
-    doubt: Array | None = None
+    scene_deviation: Array | None = None
     if flat:
         statistics = _of_flat(path, settings or [])
     elif in_run:
         if settings:
-            raise ConfigError(f"{what}: a run that is finished takes no settings")
-        statistics, verdict, doubt = _of_run(path)
+            raise ConfigError(f"{what}: a finished run takes no settings")
+        statistics, verdict, scene_deviation = _of_run(path)
     else:
-        statistics, verdict, doubt = _of_burst(path, settings or [])
-    for line in report_lines(statistics, verdict, doubt):
+        statistics, verdict, scene_deviation = _of_burst(path, settings or [])
+    for line in report_lines(statistics, verdict, scene_deviation):
         typer.echo(line)
     picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
     picture.parent.mkdir(parents=True, exist_ok=True)
-    write_analysis(picture, statistics, verdict, doubt)
+    write_analysis(picture, statistics, verdict, scene_deviation)
     typer.echo(f"picture: {picture}")
 
 
@@ -72,8 +72,10 @@ def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | No
     import deepir
 
     result = deepir.run("nuc", *settings, f"data.path={path}", output={})
-    doubt = result.uncertainty.get("scene")
-    return *_judged(result.gain, result.offset, result.scene, result.motion, result.bad_pixels), doubt
+    scene_deviation = result.uncertainty.get("scene")
+    return *_judged(
+        result.gain, result.offset, result.scene, result.motion, result.bad_pixels
+    ), scene_deviation
 
 
 def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
@@ -81,18 +83,18 @@ def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
 
     with np.load(path / "result.npz") as stored:
         found = [stored[name] for name in ("gain", "offset", "scene", "motion", "bad_pixels")]
-    beside, doubt = path / "uncertainty.npz", None
+    beside, scene_deviation = path / "uncertainty.npz", None
     if beside.exists():
         with np.load(beside) as stored:
-            doubt = stored["scene"]
-            doubt = doubt if doubt.ndim == 2 else None  # of a scene for each frame there is no one map
-    return *_judged(*found), doubt
+            # With a scene for each frame there is no single map.
+            scene_deviation = stored["scene"] if stored["scene"].ndim == 2 else None
+    return *_judged(*found), scene_deviation
 
 
 def _judged(
     gain: Array, offset: Array, scene: Array, motion: Array, bad: Array
 ) -> tuple[Statistics, Verdict | None]:
-    """Of a result: the pattern that it would print on a scene as warm as the mean, and what motion makes of it."""
+    """Statistics of the pattern of a result at the mean flux, and its verdict."""
     import numpy as np
 
     from deepir.analysis import assess, map_statistics
@@ -102,6 +104,6 @@ def _judged(
     finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
     coarser = np.diag([1 / finer, 1 / finer, 1])
     seen = motion[np.isfinite(motion).all((1, 2))]
-    if len(seen) < 2 or scene.ndim > 2:  # one frame, or a scene for each: nothing moves before the pattern
+    if len(seen) < 2 or scene.ndim > 2:  # no motion across the pattern
         return statistics, None
     return statistics, assess(statistics, coarser @ seen @ np.linalg.inv(coarser))

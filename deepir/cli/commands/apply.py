@@ -36,7 +36,8 @@ def apply(
 ) -> int:
     """Correct a whole recording, frame by frame: deepir apply maps.npz flight.seq --output flight.mp4.
 
-    It need not fit into memory. Settings: data.key, data.raw, data.radiometry, output.palette, output.tones.
+    The recording may be larger than the memory. Settings: data.key, data.raw, data.radiometry, output.palette,
+    output.tones.
     """
     from deepir.calibration import read_maps
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
@@ -57,7 +58,7 @@ def apply(
 
 
 def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool) -> str:
-    """Write all frames; what was done, in a line."""
+    """Write all frames; a line with the result."""
     import itertools
     from concurrent.futures import Future, ThreadPoolExecutor
 

@@ -27,11 +27,11 @@ def calibrate(
         ),
     ],
     burst: Annotated[
-        bool, typer.Option("--burst", help="It is a burst of a moving camera, and nothing uniform.")
+        bool, typer.Option("--burst", help="The recording is a burst of a moving camera.")
     ] = False,
     overwrite: Overwrite = False,
 ) -> int:
-    """Find a camera's gain, offset and bad pixels: deepir calibrate maps.npz cold.npz hot.npz.
+    """Estimate a camera's gain, offset and bad pixels: deepir calibrate maps.npz cold.npz hot.npz.
 
     One flat recording gives the offset, two or more the gain too. With --burst both come from the scene's motion.
     """
@@ -74,8 +74,8 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
         means.append(calibration.mean_frame(itertools.chain(first, frames), file))
         if visible_motion(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
             typer.echo(
-                f"{file}: its frames change as where a camera moves, and a flat recording shows something uniform. Is "
-                "it a burst of a moving camera? Then give --burst",
+                f"{file}: its frames change as with a moving camera, but a flat recording shows a uniform surface. "
+                "For a burst of a moving camera, give --burst",
                 err=True,
             )
     return calibration.maps_from_flats(means, files)

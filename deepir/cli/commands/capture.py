@@ -29,7 +29,7 @@ def capture(
     overwrite: Overwrite = False,
     plugin: Plugins = None,
 ) -> int:
-    """Take a burst from a live camera, and say how to move it: deepir capture burst.npz device=/dev/video2."""
+    """Take a burst from a live camera, with advice on its motion: deepir capture burst.npz device=/dev/video2."""
     load_plugins(plugin)
     from deepir.cameras.capture import FREEZE_TIME
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
@@ -42,12 +42,12 @@ def capture(
         raise DataError(f"{out} exists; replace it with --overwrite, or give another name")
     try:
         with Interruptible():
-            burst = _taken(camera, settings or (), frames, every)
+            burst = _capture(camera, settings or (), frames, every)
     except Interrupted as error:
         return report_aborted(error)
     write_npz(out, {"frames": burst.frames, "time": burst.times})
     if burst.longest_freeze > FREEZE_TIME:
-        _say(
+        _notify(
             f"the picture stood still for {burst.longest_freeze:.1f} s in the midst of the burst, as when the shutter "
             "closes: the pattern may have changed then. Switch the automatic correction off, or take the burst again"
         )
@@ -60,7 +60,7 @@ def capture(
     return 0
 
 
-def _taken(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
+def _capture(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
     from deepir.cameras.camera import Array
     from deepir.cameras.capture import advice, capture, motion_span
     from deepir.config.components import make, options_schema
@@ -69,15 +69,17 @@ def _taken(name: str, settings: Sequence[str], count: int, every: float) -> Capt
 
     options: dict[str, Any] = dict(parse_settings(settings, options_schema(lookup("camera", name, "camera"))))
 
-    def tell(frames: Sequence[Array]) -> None:
+    def on_frame(frames: Sequence[Array]) -> None:
         next_move = advice(motion_span(frames)) if len(frames) > 1 else "move the camera, in a small circle"
-        _say(f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}")
+        _notify(
+            f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}"
+        )
 
     with make("camera", name, options, "camera") as camera:
         if camera.correction:
-            _say(camera.correction)
-        return capture(camera, count, every, tell)
+            _notify(camera.correction)
+        return capture(camera, count, every, on_frame)
 
 
-def _say(line: str) -> None:
+def _notify(line: str) -> None:
     print(f"deepir: {line}", file=sys.stderr, flush=True)

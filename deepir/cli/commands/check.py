@@ -24,7 +24,7 @@ def check(
     settings: Settings = None,
     plugin: Plugins = None,
 ) -> None:
-    """Say what a burst holds, or what a configuration would do; run nothing."""
+    """Describe a burst, or what a configuration would do, without a run."""
     load_plugins(plugin)
     from deepir.config import load, shipped_names
     from deepir.errors import ConfigError
@@ -81,18 +81,20 @@ def _configuration(name: str, settings: list[str]) -> None:
     folder = RunFolder(output_folder(config, name))
     state = folder.state()
     data = _data(config)
-    typer.echo(f"configuration: {name} is in order; problem {config.problem}, method {chosen(config)[0]}")
+    typer.echo(f"configuration {name} is valid; problem {config.problem}, method {chosen(config)[0]}")
     for stage, slots in config.physics.items():
-        typer.echo(f"  {stage}: {_short(slots) or 'as it is'}")
+        typer.echo(f"  {stage}: {_short(slots) or 'no options'}")
     typer.echo(f"  scene: prior {config.prior}, {_short(config.scene)}")
     for line in data:
         typer.echo(line)
-    holds = "free" if state == "new" else f"holds another run ({state}); `deepir run` wants --overwrite"
-    typer.echo(f"output: {folder.path}, {holds}")
+    if state == "new":
+        typer.echo(f"output folder: {folder.path} (new)")
+    else:
+        typer.echo(f"output folder: {folder.path} already contains a run ({state}); use --overwrite")
 
 
 def _data(config: Config) -> list[str]:
-    """What the data are, in lines; the components are checked against them, or against zeros without any."""
+    """Describe the data in lines; check the components against them, or against zeros if there are none."""
     import numpy as np
 
     from deepir.burst import Burst

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from deepir.sweep.table import Row
 
 Workers = Annotated[
-    int | None, typer.Option(min=1, help="Processes to start; a core each, unless told.", show_default=False)
+    int | None,
+    typer.Option(min=1, help="Processes to start; by default one for each core.", show_default=False),
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option(metavar="tcp://HOST:PORT", help="Use a Dask cluster that runs already.", show_default=False),
+    typer.Option(metavar="tcp://HOST:PORT", help="Use a running Dask cluster.", show_default=False),
 ]
 
 
@@ -44,7 +45,7 @@ def compare(
     """Run all combinations of values: deepir compare nuc data.path=burst.npz method=joint,average data.frames=3,5,10.
 
     Results go to output.dir (runs/NAME-compare): a folder for each run, report.html, table.md, table.csv and
-    quality.png. The same command again goes on where it was interrupted.
+    quality.png. The same command again continues an interrupted comparison.
     """
     plugins = load_plugins(plugin)
     from deepir.sweep.axes import parse_axes
@@ -56,7 +57,7 @@ def compare(
         config,
         fixed,
         axes,
-        folder=output_folder(config, "compare"),
+        folder=sweep_folder(config, "compare"),
         workers=workers,
         remote=remote,
         overwrite=overwrite,
@@ -84,7 +85,7 @@ def batch(
     """Correct many bursts the same way: deepir batch nuc 'bursts/*.tiff' [prior=tv ...].
 
     Results go to output.dir (runs/NAME-batch): a folder for each burst, table.md and table.csv.
-    The same command again goes on where it was interrupted.
+    The same command again continues an interrupted comparison.
     """
     plugins = load_plugins(plugin)
     from deepir.errors import ConfigError, DataError
@@ -101,7 +102,7 @@ def batch(
         config,
         fixed,
         [burst_axis(patterns), *axes],
-        folder=output_folder(config, "batch"),
+        folder=sweep_folder(config, "batch"),
         workers=workers,
         remote=scheduler is not None,
         overwrite=overwrite,
@@ -109,15 +110,25 @@ def batch(
     return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
 
 
-def output_folder(config: str, kind: str) -> Path:
-    """Where results go: runs/NAME-KIND of the configuration's name."""
+def sweep_folder(config: str, kind: str) -> Path:
+    """Default output folder: runs/NAME-KIND of the configuration's name."""
     return Path("runs") / f"{Path(config).stem if Path(config).is_file() else config}-{kind}"
 
 
 def run_and_report(
     checked: Sweep, command: Sequence[str], scheduler: str | None, plugins: Sequence[str]
 ) -> int:
-    """Run what is missing, write and print the table; the exit status."""
+    """Run the missing cells, then write and print the table.
+
+    Args:
+        checked: The sweep, checked.
+        command: The command line, for the table's title.
+        scheduler: Address of a Dask scheduler; None: local workers.
+        plugins: Modules to import on the workers.
+
+    Returns:
+        The exit status.
+    """
     from deepir.cli.signals import Interrupted, Interruptible
 
     status = 0
@@ -125,14 +136,14 @@ def run_and_report(
         with Interruptible():
             checked.run(_Progress(checked), scheduler, plugins)
     except Interrupted as error:
-        print("deepir: interrupted; the same command goes on with what is missing", file=sys.stderr)
+        print("deepir: interrupted; the same command continues with the missing runs", file=sys.stderr)
         status = error.status
     _report(checked.write(shlex.join(["deepir", *command])), checked.folder)
     return status or int(bool(checked.errors))
 
 
 class _Progress:
-    """A line on stderr for each cell that ends."""
+    """A line on stderr for each finished cell."""
 
     def __init__(self, checked: Sweep) -> None:
         todo, self.total = len(checked.todo()), len(checked.cells)
@@ -151,7 +162,7 @@ class _Progress:
 
 
 def _report(rows: Sequence[Row], where: Path) -> None:
-    """Print the table, and where the files are."""
+    """Print the table and the paths of the files."""
     from rich import box
     from rich.console import Console
     from rich.markup import escape

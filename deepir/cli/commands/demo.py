@@ -12,7 +12,7 @@ DEMO_SHAPE = (256, 320)  # height and width of its frames, px
 
 def demo() -> int:
     """Correct a simulated burst of five frames in counts; results and pictures in runs/demo/."""
-    from deepir.cli.commands.run import run_stored
+    from deepir.cli.commands.run import run_and_store
     from deepir.config import load
     from deepir.errors import DataError
     from deepir.simulate import Settings, simulate
@@ -28,7 +28,7 @@ def demo() -> int:
         raise DataError(f"{DEMO_FOLDER}: cannot be written: {error.strerror}") from None
     typer.echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
     config = load("nuc", [f"data.path={path}", f"data.truth={truth}"])
-    status = run_stored(config, DEMO_FOLDER, overwrite=True, plugins=[])
+    status = run_and_store(config, DEMO_FOLDER, overwrite=True, plugins=[])
     if status == 0:
         _compare()
     return status

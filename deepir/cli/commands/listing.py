@@ -10,7 +10,7 @@ from deepir.cli.arguments import Plugins, load_plugins
 def list_components(plugin: Plugins = None) -> None:
     """List what configurations may name: methods, operators, fields, penalties, priors, problems ..."""
     load_plugins(plugin)
-    from deepir.config import SHIPPED_CONFIGS, headline, priors, shipped_names
+    from deepir.config import SHIPPED_CONFIGS, headline, prior_names, shipped_names
     from deepir.registry import components, summary
 
     groups = {
@@ -28,7 +28,7 @@ def list_components(plugin: Plugins = None) -> None:
         )
     }
     groups["priors (prior=NAME; a field or a .yaml file too)"] = {
-        name: headline(SHIPPED_CONFIGS / "prior" / f"{name}.yaml") for name in priors()
+        name: headline(SHIPPED_CONFIGS / "prior" / f"{name}.yaml") for name in prior_names()
     }
     groups["configs (deepir run NAME)"] = {
         name: headline(SHIPPED_CONFIGS / f"{name}.yaml") for name in shipped_names()

@@ -30,7 +30,7 @@ def run(
     from deepir.config import load
 
     checked = load(config, settings or ())
-    return run_stored(checked, output_folder(checked, config), overwrite=overwrite, plugins=plugins)
+    return run_and_store(checked, output_folder(checked, config), overwrite=overwrite, plugins=plugins)
 
 
 def resume(
@@ -64,8 +64,12 @@ def output_folder(config: Config, name: str) -> Path:
     return Path("runs") / (Path(name).stem if Path(name).is_file() else name)
 
 
-def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[str]) -> int:
-    """Run into a folder with progress on stderr; the exit status."""
+def run_and_store(config: Config, folder: Path, *, overwrite: bool, plugins: list[str]) -> int:
+    """Run into a folder, with progress on stderr.
+
+    Returns:
+        The exit status.
+    """
     from deepir.cli.signals import Interrupted, Interruptible, report_interrupted
     from deepir.report.progress import show_progress
     from deepir.storage.stored import run_into
@@ -81,7 +85,7 @@ def run_stored(config: Config, folder: Path, *, overwrite: bool, plugins: list[s
 
 
 def report_result(result: Result, folder: Path) -> None:
-    """Say what came out, and where it is."""
+    """Print figures of a result and the paths of its files."""
     import numpy as np
 
     from deepir.io.radiometry import ZERO_CELSIUS

@@ -45,17 +45,17 @@ def simulate(
     from deepir.config.overrides import parse_settings
     from deepir.errors import DataError
     from deepir.simulate.scenes.pictures import load_picture
-    from deepir.simulate.settings import checked_values, parse, schema
+    from deepir.simulate.settings import checked_values, settings_from_mapping, settings_schema
 
     made: Simulation | Recording
     given = settings or []
     if whole := any(each.partition("=")[0].strip() == "kind" for each in given):
         from deepir.simulate.recording import RecordingSettings, simulate_recording
 
-        pairs = dict(parse_settings(given, schema(of=RecordingSettings)))
+        pairs = dict(parse_settings(given, settings_schema(of=RecordingSettings)))
         asked = RecordingSettings(**checked_values(pairs, RecordingSettings, "recording"))
     else:
-        burst = parse(dict(parse_settings(given, schema())))
+        burst = settings_from_mapping(dict(parse_settings(given, settings_schema())))
     truth = out.with_name(f"{out.stem}_truth.npz")
     for path in (out, truth):
         if path.exists() and not overwrite:

@@ -44,14 +44,14 @@ def train(
     if path.exists() and not overwrite:
         raise DataError(f"{path} exists; replace it with --overwrite, or give another name with --out")
     torch.set_num_threads(threads)
-    network = training.train(kind, seed=seed, iterations=iterations, report=_say)
+    network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
     about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
     about |= {"deepir": deepir.__version__, "torch": torch.__version__}
     weights.save(network, path, about)
     typer.echo(f"weights: {path}")
 
 
-def _say(now: TrainingProgress) -> None:
+def _report_progress(now: TrainingProgress) -> None:
     if now.iteration % REPORT_INTERVAL == 0 or now.iteration == now.iterations:
         left = now.seconds / now.iteration * (now.iterations - now.iteration)
         print(

@@ -63,12 +63,12 @@ def suffixes() -> list[str]:
     return sorted({suffix for reader in all_readers() for suffix in reader.SUFFIXES})
 
 
-def find(path: Path) -> Reader | None:
+def find_reader(path: Path) -> Reader | None:
     """The reader that recognises the contents of `path`, or None.
 
     Raises `DataError` where `path` is missing, empty, no ordinary file, or may not be read.
     """
-    with guarded(path):
+    with decoding(path):
         head = _head(path)
         return next((reader for reader in all_readers() if reader.sniff(head, path)), None)
 
@@ -78,13 +78,13 @@ def read(path: Path, key: str | None = None) -> Array:
 
     Raises `DataError` for whatever is wrong with the file.
     """
-    reader = find(path)
+    reader = find_reader(path)
     if reader is None:
         raise DataError(
             f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
             "Save it as .npz with an array `frames` (frames, height, width)."
         )
-    with guarded(path):
+    with decoding(path):
         return reader.read(path, key)
 
 
@@ -93,11 +93,11 @@ def stream(path: Path, key: str | None = None) -> Iterator[Array]:
 
     Raises `DataError` as `read` does, once the piece that is wrong is reached.
     """
-    own = getattr(find(path), "stream", None)
+    own = getattr(find_reader(path), "stream", None)
     pieces = own(path, key) if own else iter([read(path, key)])
     empty = True
     while True:
-        with guarded(path):  # not around the loop: what is done with a piece is no business of ours
+        with decoding(path):  # not around the loop: what is done with a piece is no business of ours
             piece = next(pieces, None)
         if piece is None:
             break
@@ -109,13 +109,13 @@ def stream(path: Path, key: str | None = None) -> Iterator[Array]:
 
 def radiometry(path: Path) -> Radiometry | None:
     """What makes kelvin of the counts in `path`, if the file says it. Raises `DataError` as `read` does."""
-    own = getattr(find(path), "radiometry", None)
-    with guarded(path):
+    own = getattr(find_reader(path), "radiometry", None)
+    with decoding(path):
         return own(path) if own else None
 
 
 @contextmanager
-def guarded(path: Path) -> Iterator[None]:
+def decoding(path: Path) -> Iterator[None]:
     """Turn whatever a decoder raises inside into a `DataError` that names the file; hide its warnings."""
     try:
         with warnings.catch_warnings():

@@ -8,7 +8,7 @@ from deepir.simulate.recording.paths import CAMERA_SPEEDS, LANE_CENTRE, MAX_PAN_
 from deepir.simulate.recording.settings import RecordingSettings
 from deepir.simulate.recording.surfaces import AHEAD, DOWN, RIGHT, Surface, Texture, World, cut_out, texture
 from deepir.simulate.recording.traffic import box, cars_ahead, cars_below, people, people_across
-from deepir.simulate.scenes.drawing import Canvas, fractal
+from deepir.simulate.scenes.drawing import Canvas, fractal_noise
 from deepir.simulate.scenes.objects import house, tree
 from deepir.simulate.scenes.procedural import procedural
 
@@ -86,7 +86,7 @@ def _street(
 ) -> list[Surface]:
     """Road, pavements, land, houses at both sides and trees; nearest things on the ground first."""
     length = CAMERA_SPEEDS[settings.kind] * duration
-    land = texture(0.33 + 0.03 * fractal(rng, (512, 512), 1.2), 0.25)
+    land = texture(0.33 + 0.03 * fractal_noise(rng, (512, 512), 1.2), 0.25)
     found = [
         _ground(_road(seed), (-8 * 1.28, 0, -20), (16 * 1.28, GROUND_LENGTH)),
         _ground(land, (-400, 0.02, -20), (800, GROUND_LENGTH), layer=1),

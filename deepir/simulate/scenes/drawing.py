@@ -11,7 +11,7 @@ from scipy import fft
 Point = tuple[float, float]
 
 
-def fractal(
+def fractal_noise(
     rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0
 ) -> np.ndarray:
     """Noise of unit variance, amplitude ~ 1 / frequency**slope, features `stretch` times longer along x."""
@@ -31,8 +31,8 @@ class Canvas:
         self.rng, texture = np.random.default_rng(seed).spawn(2)  # the layout knows nothing of the shape
         self.shape, self.aspect = shape, shape[1] / shape[0]
         self.image = np.zeros(shape)
-        self.rough = fractal(texture, shape, 1.1)  # plaster, leaves, gravel
-        self.soft = fractal(texture, shape, 1.8, stretch=2.5)  # clouds, ground
+        self.rough = fractal_noise(texture, shape, 1.1)  # plaster, leaves, gravel
+        self.soft = fractal_noise(texture, shape, 1.8, stretch=2.5)  # clouds, ground
         self.y, self.x = (np.arange(n) / shape[0] for n in shape)
 
     def vary(self, low: float, high: float) -> float:

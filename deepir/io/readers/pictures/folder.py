@@ -84,7 +84,7 @@ def _is_picture(file: Path) -> bool:
     if file.name.startswith(".") or not file.is_file():
         return False
     return file.suffix.lower() in readers.suffixes() or (
-        file.stat().st_size > 0 and readers.find(file) is not None
+        file.stat().st_size > 0 and readers.find_reader(file) is not None
     )
 
 
