@@ -1,4 +1,4 @@
-"""Files in and out: frames, masks and truths as numpy arrays, checked before anything is solved."""
+"""Files in and out: frames, masks and truths as NumPy arrays, checked before anything is solved."""
 
 from deepir.io.frames import Frames, read_frames, stream_frames
 from deepir.io.inspection.checks import crop, validate

@@ -28,12 +28,15 @@ Select = str | int | Sequence[int] | None
 
 @dataclass(frozen=True)
 class Frames:
-    """A burst as it came from a file.
+    """A burst from a file.
 
-    `frames` is `(N, h, w)` float32 in the data's units, `source` says where it is from, `dtype` is the type
-    it was stored in, `sha256` is that of the file (where there are several, of their digests in order), and
-    `radiometry` makes kelvin of the units, if the file says how. `beside` are pairs of frames that were not selected
-    (2 M, h, w).
+    Attributes:
+        frames: (N, h, w), float32, in the data's units.
+        source: The file, for messages.
+        dtype: Type in which the frames were stored.
+        sha256: Digest of the file; of several files, of their digests in order.
+        radiometry: Conversion to kelvin, if the file has it.
+        beside: (2 M, h, w), pairs of frames that were not selected.
     """
 
     frames: np.ndarray[Any, np.dtype[np.float32]]
@@ -47,11 +50,16 @@ class Frames:
 def read_frames(
     path: str | os.PathLike[str], *, key: str | None = None, select: Select = None, raw: Raw | None = None
 ) -> Frames:
-    """Read `(N, h, w)` frames from a file, a folder of pictures or a glob.
+    """Read frames from a file, a folder of pictures or a glob; the contents decide the format.
 
-    Contents decide the format, not names. `key` names the array where there are several. `select` takes the first
-    n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. `raw` is the layout of a file without a
-    header. Raises `DataError` for whatever cannot be read or is no burst of numbers.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+        select: The first n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers.
+        raw: Layout of a file without a header.
+
+    Raises:
+        DataError: It cannot be read, or holds no burst of numbers.
     """
     file = expanded(path)
     stored = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
@@ -64,9 +72,15 @@ def read_frames(
 def stream_frames(
     path: str | os.PathLike[str], *, key: str | None = None, raw: Raw | None = None
 ) -> Iterator[Array]:
-    """Frame after frame `(h, w)`, in the type they are stored in, of a recording that need not fit into memory.
+    """Frame after frame (h, w), in the stored type, of a recording that may be larger than the memory.
 
-    What is given, and what is raised, is as for `read_frames`.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+        raw: Layout of a file without a header.
+
+    Raises:
+        DataError: As `read_frames`.
     """
     file = expanded(path)
     pieces = readers.stream(file, key) if raw is None else headerless.stream(file, raw)
@@ -75,16 +89,21 @@ def stream_frames(
 
 
 def digest(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a burst's file, or of the digests of its pictures in order; `DataError` if it cannot be read."""
+    """SHA-256 of a burst's file, or of the digests of its pictures in order.
+
+    Raises:
+        DataError: It cannot be read.
+    """
     file = expanded(path)
     with readers.decoding(file):
         return _sha256(file)
 
 
 def to_stack(array: Array, source: str) -> Array:
-    """`(N, h, w)` from `(h, w)`, `(N, h, w)`, `(N, 1, h, w)` or `(N, h, w, 1)`.
+    """Frames (N, h, w) of an array (h, w), (N, h, w), (N, 1, h, w) or (N, h, w, 1).
 
-    Raises `DataError` for other shapes, and for values that are neither integers nor floats.
+    Raises:
+        DataError: The shape is another, or values are neither integers nor floats; the message names `source`.
     """
     if array.dtype.kind not in "uif":
         raise DataError(f"{source}: values of type {array.dtype}; frames are integers or real numbers")
@@ -103,13 +122,17 @@ def to_stack(array: Array, source: str) -> Array:
 
 
 def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """A float32 copy: exact to 24 bits, infinite beyond float32's range, NaN where the array is masked."""
+    """Copy in float32: exact up to 24 bits, infinite beyond its range, NaN where the array is masked."""
     with np.errstate(over="ignore"):
         return np.ma.filled(array.astype(np.float32), np.nan)
 
 
 def select_frames(frames: Array, select: Select, source: str) -> Array:
-    """The frames that `select` names, see `read_frames`; `DataError` where it does not fit them."""
+    """The selected frames, see `read_frames`.
+
+    Raises:
+        DataError: `select` does not fit the frames; the message names `source`.
+    """
     if select is None:
         return frames
     count = len(frames)
@@ -130,9 +153,16 @@ def select_frames(frames: Array, select: Select, source: str) -> Array:
 
 
 def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
-    """Pairs of frames (2 M, h, w) that `select` leaves out, from about those that it takes; None where there are none.
+    """Pairs of frames outside the selection, from its neighbourhood.
 
-    Those of a pair are as far apart as half the burst reaches, and `MAX_PAIR_GAP` frames at most.
+    The two frames of a pair are half the reach of the burst apart, at most `MAX_PAIR_GAP` frames.
+
+    Args:
+        frames: (N, h, w).
+        select: The selection, see `read_frames`.
+
+    Returns:
+        (2 M, h, w), float32; None if there is no pair.
     """
     if select is None:
         return None
@@ -153,7 +183,7 @@ def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[
 
 
 def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
-    """A slice or a list; `ValueError` where it is neither, or steps by zero."""
+    """A slice or a list of a selection; `ValueError` if it is neither, or has a step of zero."""
     if isinstance(select, str) and ":" in select:
         bounds = [int(part) if part.strip() else None for part in select.split(":")]
         if len(bounds) > 3 or (len(bounds) == 3 and bounds[2] == 0):

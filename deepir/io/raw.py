@@ -1,4 +1,4 @@
-"""Headerless recordings, such as a Lepton's Y16 dump: only the user knows how they are laid out."""
+"""Headerless recordings, such as a Lepton's Y16 dump, with a layout that the user gives."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from deepir.io.readers import Array, decoding
 
 
 def read(path: Path, layout: Raw) -> Array:
-    """All frames `(N, h, w)`, uint8 or uint16; bits of a sample above the layout's are cleared.
+    """All frames (N, h, w), uint8 or uint16; bits above the layout's are cleared.
 
-    Raises `DataError` where the file is missing, or does not hold a whole number of such frames.
+    Raises:
+        DataError: The file is missing, or does not hold a whole number of such frames.
     """
     with decoding(path):
         frames = map_frames(path, layout)
@@ -25,14 +26,14 @@ def read(path: Path, layout: Raw) -> Array:
 
 
 def stream(path: Path, layout: Raw) -> Iterator[Array]:
-    """Frame after frame `(h, w)`, as `read` gives them."""
+    """Frame after frame (h, w), as `read` gives them."""
     with decoding(path):
         frames = map_frames(path, layout)
     yield from (clear_unused_bits(frame, layout) for frame in frames)
 
 
 def map_frames(path: Path, layout: Raw) -> Array:
-    """The samples as they stand in the file, `(N, h, w)`."""
+    """Memory map (N, h, w) of the samples."""
     dtype = np.dtype("u1" if layout.bits <= 8 else f"{'<' if layout.endian == 'little' else '>'}u2")
     frame = layout.height * layout.width * dtype.itemsize
     stored = path.stat().st_size - layout.offset

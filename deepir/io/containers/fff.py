@@ -42,9 +42,18 @@ Records = dict[int, bytes]
 
 
 def read_records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[Records, int]:
-    """The records of the FFF that begins at `start`, by their kind, and the first byte after it.
+    """Records of an FFF.
 
-    Raises `DataError` where the directory or a record lies outside.
+    Args:
+        data: The bytes.
+        path: The file, for messages.
+        start: First byte of the FFF.
+
+    Returns:
+        The records by their kind, and the first byte after the FFF.
+
+    Raises:
+        DataError: The directory or a record lies outside the data.
     """
     order = ">" if data[start + 20 : start + 22] == b"\0\0" else "<"
     directory, count = struct.unpack_from(f"{order}II", data, start + 24)
@@ -68,9 +77,10 @@ def read_records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[R
 
 
 def read_raw_plane(found: Records, path: Path) -> Array:
-    """The raw counts `(h, w)`, uint16: plain, or packed as PNG or JPEG-LS.
+    """The raw counts (h, w), uint16: plain, or packed as PNG or JPEG-LS.
 
-    Raises `DataError` where there are none, or they are not of the size that the record says.
+    Raises:
+        DataError: There are none, or their size differs from the record's.
     """
     if RAW_RECORD not in found:
         raise DataError(f"{path}: FLIR's records hold no raw plane; export a radiometric file")
@@ -91,7 +101,7 @@ def read_raw_plane(found: Records, path: Path) -> Array:
 
 
 def read_radiometry(found: Records) -> Planck | None:
-    """The camera's calibration and what its user set; None if the file does not hold them, or what cannot be."""
+    """Radiometry of the camera and the settings of its user; None if they are missing or impossible."""
     record = found.get(CAMERA_RECORD, b"")
     if len(record) < CAMERA_RECORD_BYTES:
         return None
@@ -114,14 +124,14 @@ def read_radiometry(found: Records) -> Planck | None:
         )
     except (ValueError, OverflowError):  # a root or a power of nonsense
         return None
-    shares = (setting["emissivity"], setting["window_transmission"], through)
-    if min(r1, b, r2, *setting.values(), through) <= 0 or max(shares) > 1:
+    fractions = (setting["emissivity"], setting["window_transmission"], through)
+    if min(r1, b, r2, *setting.values(), through) <= 0 or max(fractions) > 1:
         return None
     return Planck(r1, b, number(0x60), number(0x308, "i"), r2, transmission=through, **setting)
 
 
 def byte_order(record: bytes) -> str:
-    """A record begins with the number 2 in the order of its bytes."""
+    """Byte order of a record, which begins with the number 2."""
     return "<" if record[:2] == b"\2\0" else ">"
 
 

@@ -1,4 +1,4 @@
-"""The segments before a JPEG's picture, where thermal cameras keep their raw plane."""
+"""Segments before a JPEG's picture, in which thermal cameras store their raw plane."""
 
 from __future__ import annotations
 
@@ -11,9 +11,15 @@ FRAME_HEADER_MARKERS = {0xC0, 0xC1, 0xC2, 0xC3, 0xF7}  # SOF0 to SOF3 and, F7, S
 
 
 def segments(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Marker (its second byte: 0xE1 is APP1) and content of each segment up to the picture's data.
+    """Segments of a JPEG up to the picture's data.
 
-    `stream` is at its beginning. Ends early where the file does, or where no segment begins.
+    Ends early where the file ends, or where no segment begins.
+
+    Args:
+        stream: At its beginning.
+
+    Yields:
+        Marker (its second byte: 0xE1 is APP1) and content.
     """
     stream.seek(2)
     while len(head := stream.read(4)) == 4 and head[0] == 0xFF and head[1] != SCAN_MARKER:
@@ -21,7 +27,7 @@ def segments(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:
 
 
 def picture_size(stream: IO[bytes]) -> tuple[int, int] | None:
-    """(h, w) of the picture; None if the file does not say."""
+    """Height and width of the picture; None if the file does not contain them."""
     for marker, content in segments(stream):
         if marker in FRAME_HEADER_MARKERS:
             return int.from_bytes(content[1:3]), int.from_bytes(content[3:5])

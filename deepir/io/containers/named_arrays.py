@@ -1,4 +1,4 @@
-"""Which of a file's named arrays is meant."""
+"""Choice among the named arrays of a file."""
 
 from __future__ import annotations
 
@@ -11,9 +11,15 @@ PREFERRED_NAMES = ("frames", "raw")  # names of the array that holds the frames,
 
 
 def choose_array(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | None) -> str:
-    """`key`, else `frames`, else `raw`, else the only array with two or three dimensions.
+    """Name of the frames' array: `key`, else `frames`, else `raw`, else the only array with two or three dimensions.
 
-    Raises `DataError`, with the arrays there are, where that is none or several.
+    Args:
+        shapes: Shapes of the arrays by name.
+        path: The file, for messages.
+        key: The user's choice.
+
+    Raises:
+        DataError: There is none, or several; the message lists the arrays.
     """
     if key is not None and key not in shapes:
         raise DataError(f"{path}: no array '{key}'; {nearest(key, shapes)}")

@@ -1,4 +1,4 @@
-"""Whether frames can be worked with, and which of their samples."""
+"""Checks of frames, and masks of their usable samples."""
 
 from __future__ import annotations
 
@@ -21,10 +21,18 @@ Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Mask:
-    """Check frames `(N, h, w)`; give their mask `(N, h, w)`, True for samples that are finite.
+    """Check frames and find their finite samples.
 
-    Raises `DataError` for fewer than `needs` frames, frames under 16 px on a side, and frames that are constant or
-    mostly not finite (see `lost`); it names the first such frame.
+    Args:
+        frames: (N, h, w).
+        source: The file, for messages.
+        needs: Least number of frames.
+
+    Returns:
+        (N, h, w) bool, finite samples.
+
+    Raises:
+        DataError: There are fewer frames, they are smaller than `MIN_FRAME_SIDE`, or one is unusable or out of bounds.
     """
     count, height, width = frames.shape
     if count < needs:
@@ -50,23 +58,29 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
 
 
 def unusable_frames(frames: np.ndarray[Any, Any]) -> dict[int, str]:
-    """Those of the frames `(N, h, w)` that show nothing, by number, and why: all one value, or mostly not finite."""
+    """Numbers of the frames (N, h, w) without content, and the reason: constant, or mostly not finite."""
     found = {}
     for k, frame in enumerate(frames):
         values = frame[np.isfinite(frame)]
-        share = 1 - values.size / frame.size
-        if share > 0.5:
-            found[k] = f"{share:.0%} NaN or infinite"
+        lost = 1 - values.size / frame.size
+        if lost > 0.5:
+            found[k] = f"{lost:.0%} NaN or infinite"
         elif values.min() == values.max():
             found[k] = f"{values[0]:g} everywhere (a shutter, or lost)"
     return found
 
 
 def unrecorded_samples(frames: np.ndarray[Any, Any]) -> Mask:
-    """Samples of frames `(N, h, w)` in which nothing was recorded.
+    """Samples in which nothing was recorded.
 
-    Bars: whole rows and columns, from the edge on, that hold one value in all frames of a burst. And lost samples, rows
-    or packets: zeros further below all else than all else spans, but for those of a scene that is too cold.
+    Bars are whole rows and columns, from the edge on, that hold one value in all frames. Lost samples, rows or packets
+    are zeros further below all other values than their range, except in regions of a scene that is too cold.
+
+    Args:
+        frames: (N, h, w).
+
+    Returns:
+        (N, h, w) bool.
     """
     bars = _bars(frames) if len(frames) > 1 else np.zeros(frames.shape[1:], bool)
     zero = frames == 0
@@ -78,16 +92,16 @@ def unrecorded_samples(frames: np.ndarray[Any, Any]) -> Mask:
 
 
 def _bars(frames: np.ndarray[Any, Any]) -> Mask:
-    """Pixels (h, w) of bars; where the line beside one goes on with its value, it is a scene at the range's end."""
+    """Pixels (h, w) of bars; a scene at the end of the range is none, if its value continues beside it."""
     found, bars = (np.zeros(frames.shape[1:], bool) for _ in range(2))
-    ways = [(axis, way) for axis in (0, 1) for way in (slice(None), slice(None, None, -1))]
+    directions = [(axis, way) for axis in (0, 1) for way in (slice(None), slice(None, None, -1))]
     widths = []
-    for axis, way in ways:
+    for axis, way in directions:
         lines = np.moveaxis(frames, axis + 1, 0)[way]
         bar = np.logical_and.accumulate((lines == lines[:, :1, :1]).all((1, 2)))
         widths.append(int(bar.sum()))
         np.moveaxis(found, axis, 0)[way][bar] = True
-    for (axis, way), width in zip(ways, widths, strict=True):
+    for (axis, way), width in zip(directions, widths, strict=True):
         lines, known = np.moveaxis(frames, axis + 1, 0)[way], ~np.moveaxis(found, axis, 0)[way]
         beside = lines[width][:, known[width]] if 0 < width < len(lines) else np.zeros((1, 0))
         if beside.size and (beside == lines[0, 0, 0]).mean() < MAX_BAR_CONTINUATION:
@@ -96,7 +110,7 @@ def _bars(frames: np.ndarray[Any, Any]) -> Mask:
 
 
 def _cold(zero: Mask) -> Mask:
-    """Pixels (h, w) of regions that are zero in all frames inside and in some at the rim, as the camera moves."""
+    """Pixels (h, w) of regions that are zero inside in all frames and at the rim in some, as the camera moves."""
     always, region = zero.all(0), label(zero.any(0))[0]
     inside, rim = (np.bincount(region.flat, each.flat) for each in (always, zero.any(0) & ~always))
     cold = (np.minimum(inside, rim) >= MIN_COLD_PIXELS) & (inside > MIN_COLD_CORE * rim)
@@ -104,9 +118,14 @@ def _cold(zero: Mask) -> Mask:
 
 
 def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, Any]:
-    """The part `[y0, y1, x0, x1]` of frames `(..., h, w)`; y1 and x1 are the first row and column left out.
+    """Crop frames (..., h, w).
 
-    Raises `DataError` where the box is not inside the frame or is under 16 px on a side.
+    Args:
+        frames: (..., h, w).
+        box: [y0, y1, x0, x1]; y1 and x1 are the first row and column outside.
+
+    Raises:
+        DataError: The box is not inside the frame, or is smaller than `MIN_FRAME_SIDE`.
     """
     height, width = frames.shape[-2:]
     if len(box) != 4:

@@ -1,4 +1,4 @@
-"""What a burst looks like, in words: for `deepir check FILE`."""
+"""A burst in words, for `deepir check FILE`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MIN_F_STATISTIC = 10.0  # F statistic above which a shift is significant
 
 
 def describe(burst: Frames) -> list[str]:
-    """Lines on the number, size and type of the frames, their values, unusable samples, noise and motion."""
+    """Lines on number, size and type of the frames, their values, unusable samples, noise and motion."""
     frames = burst.frames
     count, height, width = frames.shape
     finite = frames[np.isfinite(frames)]
@@ -32,9 +32,9 @@ def describe(burst: Frames) -> list[str]:
     lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
     lines += _temperatures(burst, finite)
     lines += _unusable(burst, finite)
-    nothing = unusable_frames(frames)
-    lines += [f"frame {k} shows nothing: it is {why}" for k, why in nothing.items()]
-    frames = np.delete(frames, [*nothing], axis=0)
+    unusable = unusable_frames(frames)
+    lines += [f"frame {k} shows unusable: it is {why}" for k, why in unusable.items()]
+    frames = np.delete(frames, [*unusable], axis=0)
     if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
         frames = np.delete(frames, rows, axis=1)
@@ -68,21 +68,21 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
 
 def _noise_and_motion(frames: Array) -> list[str]:
     if _is_little(frames):
-        return ["too few or too small frames to see temporal noise and motion"]
+        return ["too few or too small frames to measure temporal noise and motion"]
     noise = f"{temporal_noise(frames):.3g} (standard deviation of a sample"
     if shift := visible_motion(frames):
         return [
-            f"temporal noise at most {noise}; texture that moves counts in, a run tells them apart)",
+            f"temporal noise at most {noise}; moving texture included, which a run separates)",
             f"motion: yes, roughly {shift:.1f} px between frames, or more",
         ]
     return [
         f"temporal noise about {noise})",
-        "motion: none to be seen; without motion the fixed pattern cannot be told from the scene",
+        "motion: none detected; without motion the fixed pattern cannot be separated from the scene",
     ]
 
 
 def visible_motion(frames: Array) -> float:
-    """Px between consecutive frames `(N, h, w)`, roughly; zero where none is to be seen."""
+    """Motion between consecutive frames (N, h, w), px, roughly; zero if none is significant."""
     if _is_little(frames) or not np.isfinite(frames).any():
         return 0.0
     shift, evidence = apparent_motion(frames)
@@ -90,16 +90,23 @@ def visible_motion(frames: Array) -> float:
 
 
 def _is_little(frames: Array) -> bool:
-    """Whether frames `(N, h, w)` are too few or too small to see noise and motion."""
+    """True if frames (N, h, w) are too few or too small to show noise and motion."""
     return len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK_SIDE
 
 
 def temporal_noise(frames: Array) -> float:
-    """Temporal noise of one sample, from differences of consecutive frames `(N, h, w)`; NaN if there is none.
+    """Temporal noise of a sample from differences of consecutive frames.
 
-    Differences cancel the fixed pattern, and the diagonal detail of 2 x 2 blocks most of what motion leaves, though not
-    fine texture: with motion it is an upper bound. The median ignores the rest (Donoho and Johnstone, "Ideal spatial
-    adaptation by wavelet shrinkage", 1994).
+    Differences cancel the fixed pattern; the diagonal detail of 2 x 2 blocks cancels most of the motion, but not fine
+    texture: with motion it is an upper bound.
+
+    Args:
+        frames: (N, h, w).
+
+    Returns:
+        Standard deviation, in the data's units; NaN if there is no such difference.
+
+    Source: the median estimate of Donoho and Johnstone, Ideal spatial adaptation by wavelet shrinkage (1994).
     """
     with np.errstate(invalid="ignore"):
         d = np.diff(frames, axis=0)[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2]
@@ -109,10 +116,15 @@ def temporal_noise(frames: Array) -> float:
 
 
 def apparent_motion(frames: Array) -> tuple[float, float]:
-    """Shift between consecutive frames `(N, h, w)` in px, and the evidence for it (F statistic); medians.
+    """Shift between consecutive frames, by one Lucas-Kanade step on block means.
 
-    Differences of 8 x 8 block means are explained by the scene's gradient, as in the first step of Lucas and
-    Kanade's method: rough, and too small where the motion is large, but nothing on a still camera.
+    It is rough, and too small where the motion is large, but zero for a still camera.
+
+    Args:
+        frames: (N, h, w).
+
+    Returns:
+        Median shift, px, and median F statistic.
     """
     finite = np.isfinite(frames)
     means = _block_means(np.where(finite, frames, np.median(frames[finite])))

@@ -1,4 +1,4 @@
-"""Pictures that a camera or a program has stretched, each frame by its own: what tells them."""
+"""Detect frames whose contrast was stretched individually (automatic gain control, normalisation)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ MAX_CLIPPED_SHARE = 0.5  # share of a frame at the ends of the range from which 
 
 
 def is_contrast_stretched(frames: Array) -> bool:
-    """Whether frames (N, h, w), NaN where unknown, may have contrasts of their own: 8 bits, or all of one range.
+    """True if frames may have individual contrasts: 8 bits, or all of one range.
 
-    An automatic gain makes such pictures, and so does who scales each frame to [0, 1]. Pixels at an end in all frames
-    are dead and tell nothing.
+    An automatic gain control gives such frames, and so does normalisation of each frame to [0, 1]. Pixels at an end of
+    the range in all frames are dead and are ignored.
+
+    Args:
+        frames: (N, h, w), NaN where unknown.
     """
     low, high = np.nanmin(frames), np.nanmax(frames)
     if low >= 0 and 1 < high <= 255 and np.array_equal(frames, np.rint(frames), equal_nan=True):
@@ -24,6 +27,6 @@ def is_contrast_stretched(frames: Array) -> bool:
 
 
 def clipped_samples(frames: Array) -> Array:
-    """Samples of frames (N, h, w), bool, at an end of the range: cut off. Not of frames that mostly are."""
+    """Samples of frames (N, h, w), bool, at an end of the range; none of frames that mostly are."""
     cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
     return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MAX_CLIPPED_SHARE))

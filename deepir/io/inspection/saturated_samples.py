@@ -15,11 +15,16 @@ NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
 
 
 def saturated_samples(frames: Array) -> Array | None:
-    """Which samples of frames (N, h, w), NaN where unknown, are cut off: 1 at the top, -1 at the bottom, else 0; int8.
+    """Samples that are cut off at an end of the range.
 
-    Integers cannot be above the largest that some bits hold; and where something has cut them off, many more samples
-    share an end of the range than share any value next to it. A pixel that is there in all frames does not
-    tell: it may be dead. None if nothing is cut off.
+    Integers cannot exceed the largest value of a converter. A cut-off end of the range holds many more samples than any
+    neighbouring value. Pixels at the end in all frames are ignored: they may be dead.
+
+    Args:
+        frames: (N, h, w), NaN where unknown.
+
+    Returns:
+        (N, h, w), int8: 1 at the top, -1 at the bottom, else 0; None if nothing is cut off.
     """
     found = np.zeros(frames.shape, np.int8)
     for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
@@ -32,6 +37,6 @@ def saturated_samples(frames: Array) -> Array | None:
 
 
 def _piled_up(frames: Array, count: int) -> bool:
-    """Whether so many samples are more than there are of any value next to the largest."""
+    """True if `count` is far above the number of samples at any value next to the largest."""
     _, counts = np.unique(frames[np.isfinite(frames)], return_counts=True)
     return len(counts) > 1 and count > PILE_UP_RATIO * counts[-NEIGHBOUR_VALUES - 1 : -1].max()

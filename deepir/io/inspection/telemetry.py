@@ -1,4 +1,4 @@
-"""Rows at the upper or lower edge of frames that are no picture: what a camera says of itself, as numbers."""
+"""Telemetry rows: rows at the upper or lower edge of frames that hold numbers of the camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ ROW_STRIDE = 8  # every n-th row of the middle of a frame is inspected
 
 
 def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
-    """The numbers of such rows of frames `(N, h, w)`: a picture goes on from row to row, numbers do not."""
+    """Telemetry rows of frames: pictures are continuous from row to row, numbers are not.
+
+    Args:
+        frames: (N, h, w).
+
+    Returns:
+        Row numbers.
+    """
     count, height, _ = frames.shape
     edge = MAX_TELEMETRY_ROWS + COMPARED_ROWS
     if height < 2 * edge:
@@ -28,7 +35,7 @@ def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
 
 
 def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Of rows `(N, K, w)` how much pixels differ from the next, `(K,)`: nearly the most, in a usual frame."""
+    """Roughness (K,) of rows (N, K, w): a high quantile of their absolute differences, in a typical frame."""
     known = np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
     steps = np.nan_to_num(np.abs(np.diff(known, axis=-1)))
     found: np.ndarray[Any, Any] = np.median(np.quantile(steps, ROUGHNESS_QUANTILE, axis=-1), axis=0)
@@ -36,7 +43,7 @@ def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def _at_start(rough: np.ndarray[Any, Any], usual: float) -> int:
-    """How many of the first rows are numbers, by how rough these and the next ones are, from the edge on."""
+    """Number of telemetry rows at the start, by the roughness of these and the next rows, from the edge on."""
     for count in range(MAX_TELEMETRY_ROWS, 0, -1):
         beside = max(usual, float(rough[count : count + COMPARED_ROWS].max()))
         if rough[:count].min() > MIN_ROUGHNESS_RATIO * beside > 0:
@@ -45,7 +52,7 @@ def _at_start(rough: np.ndarray[Any, Any], usual: float) -> int:
 
 
 def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
-    """What to say of them, of frames of a shape (h, w)."""
+    """A warning on telemetry rows of frames of a shape (h, w)."""
     height, width = shape
     above = sum(row < height / 2 for row in rows)
     box = [above, height - len(rows) + above, 0, width]

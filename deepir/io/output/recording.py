@@ -1,4 +1,4 @@
-"""Recordings written frame after frame, each file whole or not at all: TIFF to measure on, MP4 to look at."""
+"""Recordings written frame by frame, each file atomically: TIFF for measurements, MP4 for display."""
 
 from __future__ import annotations
 
@@ -22,9 +22,15 @@ FILM_FRAME_RATE = 30  # frames a second of a film
 
 @contextmanager
 def tiff(path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any]) -> Iterator[Write]:
-    """Give a function that appends a frame (h, w) as a page; whole numbers are rounded and cut to their range.
+    """A context with a function that appends a frame (h, w) as a page; integers are rounded and clipped to their range.
 
-    The first page's description holds `metadata` as JSON. Raises `DataError` where it cannot be written.
+    Args:
+        path: The file.
+        dtype: Type of the samples.
+        metadata: Written as JSON into the description of the first page.
+
+    Raises:
+        DataError: It cannot be written.
     """
     import tifffile
 
@@ -44,13 +50,13 @@ def tiff(path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any]) -> Itera
 
 
 def output_type(recorded: np.dtype[Any], *, rounded: bool) -> np.dtype[Any]:
-    """The recording's own type where that is 8 or 16 bits and values may be `rounded` to it, else float32."""
+    """The recording's own type for 8 or 16 bits if values may be `rounded` to it, else float32."""
     keeps = rounded and recorded.kind == "u" and recorded.itemsize <= 2
     return recorded.newbyteorder("=") if keeps else np.dtype(np.float32)
 
 
 def cast(frame: Array, dtype: np.dtype[Any]) -> Array:
-    """Values in another type; for whole numbers rounded, cut to their range, whose least stands for NaN."""
+    """Values in another type; integers are rounded and clipped, and NaN becomes their least value."""
     if dtype.kind == "f":
         return frame.astype(dtype, copy=False)
     limits = np.iinfo(dtype)
@@ -62,10 +68,18 @@ def cast(frame: Array, dtype: np.dtype[Any]) -> Array:
 
 @contextmanager
 def mp4(path: Path, palette: str, mapping: str) -> Iterator[Write]:
-    """Give a function that appends a frame (h, w) to a film; for looking at only.
+    """A context with a function that appends a frame (h, w) to a film, for display.
 
-    `percentile` takes the range of the first frame for all, so that the film does not flicker. An odd last row or
-    column is left out, as the codec wants it. Raises `DataError` without the extra `video`.
+    `percentile` uses the range of the first frame for all, so that the film does not flicker. An odd last row or column
+    is dropped, as the codec requires.
+
+    Args:
+        path: The file.
+        palette: One of `PALETTES`.
+        mapping: One of `TONE_MAPPINGS`.
+
+    Raises:
+        DataError: The extra `video` is missing.
     """
     av = import_optional("av", "video", str(path))
     colours = colour_table(palette)
@@ -98,7 +112,11 @@ def _track(av: Any, container: Any, shape: tuple[int, ...]) -> Any:
 def open_writer(
     path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any], palette: str, mapping: str
 ) -> Any:
-    """`tiff` or `mp4`, as the name of `path` says; `DataError` for another name."""
+    """`tiff` or `mp4`, by the name of `path`.
+
+    Raises:
+        DataError: The name is another.
+    """
     if path.suffix.lower() in (".tif", ".tiff"):
         return tiff(path, dtype, metadata)
     if path.suffix.lower() == ".mp4":

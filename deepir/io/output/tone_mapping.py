@@ -1,4 +1,4 @@
-"""Values to shades and colours: for looking at only, there is no way back."""
+"""Tone mapping: values to grey levels and colours, for display only."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ PALETTES = {
 
 
 def apply_palette(shades: Array, palette: str) -> Array:
-    """Shades (..., h, w) from 0 to 1 as uint8: (..., h, w) for `white-hot`, else (..., h, w, 3)."""
+    """Grey levels (..., h, w) from 0 to 1 as uint8: (..., h, w) for `white-hot`, else (..., h, w, 3)."""
     levels = np.round(255 * shades).astype(np.uint8)
     return levels if palette == WHITE_HOT else colour_table(palette)[levels]
 
 
 def colour_table(palette: str) -> Array:
-    """256 colours (256, 3), uint8, from cold to hot: of one of `PALETTES`, or of matplotlib's."""
+    """256 colours (256, 3), uint8, from cold to hot, of one of `PALETTES` or a colour map of matplotlib."""
     from matplotlib import colormaps
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -42,14 +42,14 @@ def colour_table(palette: str) -> Array:
 
 
 def percentile(image: Array) -> Array:
-    """Shades of an image (h, w): 0 to 1 between its percentiles 0.5 and 99.5; 0 where it is not finite."""
+    """Linear tone mapping of an image (h, w) between its percentiles 0.5 and 99.5; 0 where it is not finite."""
     return stretch(image, *display_limits(image))
 
 
 def clahe(image: Array) -> Array:
-    """Shades with the contrast of each neighbourhood evened out, for scenes with both hot and cold parts.
+    """Contrast-limited adaptive histogram equalisation of an image (h, w), for scenes with hot and cold parts.
 
-    Pizer et al., "Adaptive histogram equalization and its variations" (1987), as scikit-image has it.
+    Source: Pizer et al., Adaptive histogram equalization and its variations (1987), as in scikit-image.
     """
     from skimage.exposure import equalize_adapthist
 
@@ -58,14 +58,14 @@ def clahe(image: Array) -> Array:
 
 
 def display_limits(image: Array) -> tuple[float, float]:
-    """The percentiles 0.5 and 99.5 of what is finite; zeros where nothing is."""
+    """Percentiles 0.5 and 99.5 of the finite values; zeros if there is none."""
     finite = image[np.isfinite(image)]
     low, high = np.percentile(finite, [0.5, 99.5]) if finite.size else (0.0, 0.0)
     return float(low), float(high)
 
 
 def stretch(image: Array, low: float, high: float) -> Array:
-    """0 to 1 between `low` and `high`; 0 where the image is not finite, or there is nothing between."""
+    """Linear map of [low, high] to [0, 1], clipped; 0 where the image is not finite."""
     scale = 1 / (high - low) if high > low else 0.0
     return np.clip((np.where(np.isfinite(image), image, low) - low) * scale, 0, 1)
 

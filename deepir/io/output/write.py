@@ -1,4 +1,4 @@
-"""Writing results, each file whole or not at all."""
+"""Writing results, each file atomically."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ PathLike = str | os.PathLike[str]
 
 @contextmanager
 def atomic_file(path: PathLike) -> Iterator[Path]:
-    """Give a temporary file's name beside `path`; when the block ends without an error, it becomes `path`.
+    """A context with the name of a temporary file, which replaces `path` if the block ends without an error.
 
-    Whoever reads `path` meanwhile, or after a crash, sees the old file or the new one, never a part.
-    Raises `DataError` where it cannot be written.
+    Readers see the old file or the new one, never a part, even after a crash.
+
+    Raises:
+        DataError: It cannot be written.
     """
     target = Path(path)
     # Made by name and not by `tempfile`, whose files nobody else may read.
@@ -42,7 +44,11 @@ def atomic_file(path: PathLike) -> Iterator[Path]:
 
 
 def write_npz(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
-    """Write named arrays as a compressed `.npz`. Raises `DataError` for arrays of Python objects."""
+    """Write named arrays as a compressed `.npz`.
+
+    Raises:
+        DataError: An array holds Python objects.
+    """
     for name, array in arrays.items():
         if np.asarray(array).dtype.hasobject:
             raise DataError(f"{path}: '{name}' holds Python objects; only plain arrays are written")
@@ -51,7 +57,7 @@ def write_npz(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Non
 
 
 def write_json(path: PathLike, content: Any) -> None:
-    """Write JSON. Numpy's numbers and arrays become plain; NaN and infinity, not in JSON, become null."""
+    """Write JSON; NumPy's numbers and arrays become plain, NaN and infinity become null."""
     text = json.dumps(to_json_types(content), indent=2, allow_nan=False, ensure_ascii=False)
     with atomic_file(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
@@ -60,7 +66,7 @@ def write_json(path: PathLike, content: Any) -> None:
 def write_tiff(
     path: PathLike, frames: np.ndarray[Any, Any], metadata: Mapping[str, Any] | None = None
 ) -> None:
-    """Write `(h, w)` or `(N, h, w)` as float32 TIFF; ImageDescription holds `metadata` as JSON."""
+    """Write (h, w) or (N, h, w) as float32 TIFF; ImageDescription holds `metadata` as JSON."""
     import tifffile
 
     description = json.dumps(to_json_types(metadata or {}), allow_nan=False)
@@ -77,7 +83,7 @@ def write_tiff(
 def write_preview(
     path: PathLike, image: np.ndarray[Any, Any], palette: str = WHITE_HOT, mapping: str = PERCENTILE
 ) -> None:
-    """Write `(h, w)` as an 8-bit PNG to look at, in a palette and by a tone mapping, see `tone_mapping`."""
+    """Write an image (h, w) as an 8-bit PNG, in a palette and a tone mapping of `tone_mapping`."""
     from PIL import Image
 
     shades = TONE_MAPPINGS[mapping](image)
@@ -86,7 +92,7 @@ def write_preview(
 
 
 def write_mat(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
-    """Write named arrays for MATLAB (version 5), axes as they are."""
+    """Write named arrays for MATLAB (version 5)."""
     import scipy.io
 
     with atomic_file(path) as temporary, temporary.open("wb") as file:
@@ -94,7 +100,7 @@ def write_mat(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> Non
 
 
 def to_json_types(value: Any) -> Any:
-    """`value` in JSON's own types; NaN and infinity, not in JSON, become null."""
+    """A value in JSON's types; NaN and infinity become null."""
     if isinstance(value, Mapping):
         return {str(key): to_json_types(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

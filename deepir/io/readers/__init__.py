@@ -13,7 +13,7 @@ and nothing else has to know of it. It may also have
 
 for recordings larger than the memory, and for radiometric ones. A reader of something general sets `GENERIC = True`
 and is asked last, so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything
-on a damaged file: `guarded` turns it into a `DataError`.
+on a damaged file: `decoding` turns it into a `DataError`.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 
 class Reader(Protocol):
-    """What a module in this folder offers."""
+    """The interface of a reader."""
 
     __name__: str
     SUFFIXES: tuple[str, ...]
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        """Whether this reader reads `path`, whose first bytes are `head` (empty for a folder or a glob)."""
+        """True if this reader reads `path`, whose first bytes are `head` (empty for a folder or a glob)."""
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The stored array, or for a format with masks of its own a masked one."""
+        """The stored array; masked for a format with masks."""
 
 
 @functools.cache
@@ -59,14 +59,15 @@ def all_readers() -> tuple[Reader, ...]:
 
 
 def suffixes() -> list[str]:
-    """What the files of all readers are usually called."""
+    """Usual suffixes of all formats."""
     return sorted({suffix for reader in all_readers() for suffix in reader.SUFFIXES})
 
 
 def find_reader(path: Path) -> Reader | None:
-    """The reader that recognises the contents of `path`, or None.
+    """The reader that recognises the contents of a file; None if there is none.
 
-    Raises `DataError` where `path` is missing, empty, no ordinary file, or may not be read.
+    Raises:
+        DataError: The file is missing, empty, not an ordinary file, or not readable.
     """
     with decoding(path):
         head = _head(path)
@@ -74,9 +75,14 @@ def find_reader(path: Path) -> Reader | None:
 
 
 def read(path: Path, key: str | None = None) -> Array:
-    """The array stored in `path` (a file, a folder or a glob), as it is stored; `key` names it in an archive.
+    """The stored array of a file, a folder or a glob.
 
-    Raises `DataError` for whatever is wrong with the file.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+
+    Raises:
+        DataError: The file cannot be read.
     """
     reader = find_reader(path)
     if reader is None:
@@ -89,15 +95,20 @@ def read(path: Path, key: str | None = None) -> Array:
 
 
 def stream(path: Path, key: str | None = None) -> Iterator[Array]:
-    """The array stored in `path` in pieces: frames `(h, w)`, or as many at a time as `read` would give.
+    """The stored array in pieces: frames (h, w), or several at a time.
 
-    Raises `DataError` as `read` does, once the piece that is wrong is reached.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+
+    Raises:
+        DataError: As `read`, when the damaged piece is reached.
     """
     own = getattr(find_reader(path), "stream", None)
     pieces = own(path, key) if own else iter([read(path, key)])
     empty = True
     while True:
-        with decoding(path):  # not around the loop: what is done with a piece is no business of ours
+        with decoding(path):  # not around the loop: errors of the caller pass
             piece = next(pieces, None)
         if piece is None:
             break
@@ -108,7 +119,11 @@ def stream(path: Path, key: str | None = None) -> Iterator[Array]:
 
 
 def radiometry(path: Path) -> Radiometry | None:
-    """What makes kelvin of the counts in `path`, if the file says it. Raises `DataError` as `read` does."""
+    """Radiometry of a file; None if it has none.
+
+    Raises:
+        DataError: As `read`.
+    """
     own = getattr(find_reader(path), "radiometry", None)
     with decoding(path):
         return own(path) if own else None
@@ -137,7 +152,7 @@ def decoding(path: Path) -> Iterator[None]:
 
 
 def is_glob(path: Path) -> bool:
-    """Whether `path` is a pattern such as `frames/*.png` rather than the name of something that exists."""
+    """True for a pattern such as `frames/*.png` that is not the name of an existing file."""
     return any(letter in str(path) for letter in "*?[") and not path.exists()
 
 
