@@ -81,7 +81,7 @@ def cells(protocol: Protocol, group: Group) -> list[Cell]:
 
 def run(sweep: Sweep) -> int:
     """Finish the cells, and keep what went wrong; the exit status."""
-    if todo := len(sweep.todo()):
+    if todo := len(sweep.unfinished()):
         compile_loops()
     start, done = time.monotonic(), 0
     print(f"{todo} of {len(sweep.cells)} runs are to be done", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""One picture of a pattern's statistics, and of a burst's motion over it."""
+"""One picture of a pattern's statistics, and of a burst's motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ from deepir.report.summary import DEVIATION_PALETTE, draw_map
 def write_analysis(
     path: Path, statistics: Statistics, verdict: Verdict | None = None, scene_deviation: Array | None = None
 ) -> None:
-    """Write the picture; `scene_deviation` is the standard deviation of the scene, (H, W), where it is known."""
+    """Write the picture.
+
+    Args:
+        path: A .png.
+        statistics: Of the pattern.
+        verdict: Of the burst, if there is one.
+        scene_deviation: (H, W), standard deviation of the scene, if it is known.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -42,7 +49,7 @@ def write_analysis(
 
 
 def _around(axes: Any, statistics: Statistics, verdict: Verdict | None) -> None:
-    """The autocorrelation, and over it the places of the frames: pale ones off the frame's centre."""
+    """The autocorrelation, with the displacements of the frames: pale at points off the centre."""
     edge = len(statistics.correlation) // 2 + 0.5
     shown = axes.imshow(
         statistics.correlation,

@@ -16,7 +16,7 @@ PAGE_HEADER = """# Components
 What a configuration may name. `deepir list` prints the same, with plugins. This page is written by
 `python -m deepir.report.components docs/components.md`; [extending.md](extending.md) says how to add to it.
 """
-#: Kind -> heading, and what it is.
+#: Kind -> heading and description.
 COMPONENT_KINDS = {
     "operator": ("Operators", "Stages of `physics`, applied top to bottom. Each slot takes a field."),
     "field": (
@@ -34,7 +34,7 @@ COMPONENT_KINDS = {
 
 
 def components_page() -> str:
-    """The page, in Markdown: deepir's own components, whatever plugins are installed."""
+    """The page in Markdown: deepir's own components, without plugins."""
     parts = [PAGE_HEADER]
     for kind, (title, text) in COMPONENT_KINDS.items():
         found = {
@@ -74,7 +74,7 @@ def _slots(operator: Any) -> Mapping[str, Any]:
 
 
 def _options(component: Any) -> str:
-    """Options with their defaults; one whose default is None is found from the data, or not used."""
+    """Options with their defaults; a default of None is found from the data, or not used."""
     fields = options_schema(component).model_fields
     return ", ".join(
         f"`{name}`" + (f" ({field.default})" if field.default is not None and not field.is_required() else "")

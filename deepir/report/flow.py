@@ -1,4 +1,4 @@
-"""A picture of dense motion: hue is direction, strength of the colour is length."""
+"""A picture of dense motion: hue is direction, saturation is length."""
 
 from __future__ import annotations
 
@@ -19,7 +19,13 @@ MAX_SHOWN_FRAMES = 4  # frames in the picture
 
 
 def write_flow(path: Path, flow: Array, motion: Array) -> None:
-    """Write what the flow (N, 2, h, w) has beside the homographies (N, 3, 3), of some frames, and what colours mean."""
+    """Write the deviation of some frames' flow from their homographies, with a legend.
+
+    Args:
+        path: A .png.
+        flow: (N, 2, h, w), x and y, px.
+        motion: (N, 3, 3), pull homographies, px.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -59,7 +65,7 @@ def write_flow(path: Path, flow: Array, motion: Array) -> None:
 
 
 def flow_colours(vectors: Array) -> Array:
-    """(2, h, w) vectors as (h, w, 3) colours: white is zero, a length of one or more is a full colour."""
+    """Vectors (2, h, w) as colours (h, w, 3): white is zero, full colour a length of one or more."""
     from matplotlib.colors import hsv_to_rgb
 
     hue = np.arctan2(vectors[1], vectors[0]) / (2 * np.pi) % 1

@@ -1,4 +1,4 @@
-"""`report.html` of a run: one file to look at, by which the result explains itself."""
+"""`report.html` of a run: one self-contained page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,14 @@ HISTOGRAM_BINS = 160  # bins between the display limits
 
 
 def write_report(path: Path, result: Result, example: Array, config: Config) -> None:
-    """Write the page; `example` is a raw frame (h, w), which lies on the grid of the scene, if coarser."""
+    """Write the page.
+
+    Args:
+        path: The page.
+        result: The result of the run.
+        example: (h, w), a raw frame on the grid of the scene, or a coarser one.
+        config: The configuration of the run.
+    """
     from deepir.config import dump
 
     source = config.data.path
@@ -52,12 +59,12 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
 
 
 def _unit(result: Result) -> str:
-    """`counts` or `K`; empty where the input does not say."""
+    """`counts` or `K`; empty where the input has no unit."""
     return str(unit_metadata(result.radiometry).get("unit", ""))
 
 
 def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
-    """The maps in order: name, title, unit, how it is coloured, and `packed`."""
+    """The maps in order: name, title, unit, palette, and `pack_map`."""
     here = _unit(result)
     yield _map("raw", "Raw frame", example, here)
     yield from _scenes("scene", "Scene", result.scene, here)
@@ -85,7 +92,7 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
 
 
 def _scenes(name: str, title: str, scenes: Array, here: str) -> Iterator[dict[str, Any]]:
-    """The scene; where each frame has its own, that of the first by this name, and some of the others."""
+    """The scene; where each frame has its own, that of the first by this name, and some others."""
     yield _map(name, title, _first(scenes), here)
     if scenes.ndim == 3:
         for other in evenly_spaced(len(scenes))[1:]:
@@ -106,7 +113,7 @@ def _map(
     colours: str = "",
     fine: int = FINE_LEVELS,
 ) -> dict[str, Any]:
-    """One map; about a `centre` its colours are those of signs, and reach as far to both sides."""
+    """One map; with a `centre` its palette is signed, and symmetric about it."""
     found = {"name": name, "title": title, "unit": here, "colours": colours} | pack_map(image, fine)
     if centre is None:
         return found
@@ -151,7 +158,7 @@ def _stages(history: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _motion(result: Result) -> list[tuple[int, float, float, float]]:
-    """Frame, where its centre looks (x, y in px of the scene's grid), and its turn in degrees."""
+    """Frame, displacement of its centre (x, y in px of the scene's grid), and rotation in degrees."""
     rows = []
     for frame in np.flatnonzero(result.frames_used):
         m = result.motion[frame]

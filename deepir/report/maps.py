@@ -1,4 +1,4 @@
-"""Maps packed for a page: levels of 16 bits, which `web/maps.js` unpacks and reads values from."""
+"""Maps packed for a page: 16-bit levels, which `web/maps.js` unpacks."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ COARSE_LEVELS = 256  # the same, at least, of maps with far outliers
 
 
 def pack_map(image: Array, fine: int = FINE_LEVELS) -> dict[str, Any]:
-    """Levels of a map (h, w) as text, and what a page needs to show and read them: `value = base + step * level`.
+    """Levels of a map (h, w) as text, with the data to read them: `value = base + step * level`.
 
-    Levels are differences along x, high bytes first and then low ones: so they shrink best.
+    Levels are differences along x, high bytes first, for compression.
+
+    Args:
+        image: (h, w).
+        fine: Levels between the display limits.
     """
     whole, image = image.dtype == bool, np.asarray(image, np.float64)
     finite = image[np.isfinite(image)]

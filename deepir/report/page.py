@@ -1,4 +1,4 @@
-"""One self-contained HTML page: a frame with a body, style, scripts and data put in."""
+"""One self-contained HTML page: a template with body, style, scripts and data."""
 
 from __future__ import annotations
 
@@ -15,10 +15,16 @@ WEB_FOLDER = Path(__file__).parent / "web"  # templates, scripts and styles
 
 
 def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
-    """Write a page with a body and scripts of the folder `web`; they find `data` as JSON in `#data`.
+    """Write a page; its scripts find `data` as JSON in `#data`.
 
-    The page's policy allows these scripts and this style by their digests, and nothing from a network: text that
-    got past the escaping would not run.
+    The content policy allows these scripts and this style by their digests, and no network access: text that passed the
+    escaping would not run.
+
+    Args:
+        path: The page.
+        body: Name of the body in the folder `web`.
+        scripts: Names of the scripts in the folder `web`.
+        data: The data.
     """
     style = _read("page.css")
     script = "".join(map(_read, ("page.js", *scripts)))

@@ -12,7 +12,7 @@ Panel = tuple[str, np.ndarray[Any, Any], float, float]
 
 
 def montage(scenes: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """One picture to look at: the scene (H, W); of scenes (N, H, W) four or fewer, from first to last, side by side."""
+    """One picture of a scene (H, W), or of up to four of the scenes (N, H, W) side by side."""
     if scenes.ndim == 2:
         return scenes
     chosen = scenes[evenly_spaced(len(scenes))]
@@ -23,7 +23,7 @@ def montage(scenes: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def evenly_spaced(count: int) -> list[int]:
-    """Four or fewer of `count`, from first to last."""
+    """Four or fewer of `count` indices, from the first to the last."""
     found: list[int] = np.linspace(0, count - 1, min(count, 4)).round().astype(int).tolist()
     return found
 

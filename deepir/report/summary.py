@@ -1,4 +1,4 @@
-"""One picture of a run: a raw frame, the scene and how sure it is, gain, offset, other maps, and how the loss fell."""
+"""One picture of a run: raw frame, scene and its uncertainty, gain, offset, other maps, loss."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
 
 
 def draw_map(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
-    """A map (h, w) with its scale; colours are even about the centre, where there is one; NaN has its own."""
+    """A map (h, w) with its colour scale, symmetric about the centre, if there is one; NaN has its own colour."""
     from matplotlib import colormaps
 
     low, high = np.nanpercentile(image, [0.5, 99.5])

@@ -1,4 +1,4 @@
-"""A burst and its truth."""
+"""A simulated burst and its truth."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ from deepir.simulate.views import render_own_scenes
 
 @dataclass(frozen=True)
 class Truth:
-    """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
+    """Everything that made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics, unless `sharp`, and pixel's box), on a
-    #: grid `factor` times as fine.
+    #: Frame 0 without pattern, stray flux, level, noise and walker, on a grid `factor` times as fine; with the pixel's
+    #: box and, unless `sharp`, the optics.
     scene: np.ndarray  # (Q H, Q W); with own_scenes each frame, (N, Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
-    rows: np.ndarray  # (N, H), what each row of each frame jumps by
-    columns: np.ndarray  # (N, W), the same of columns
-    stray: np.ndarray  # (H, W), mean zero over good pixels, where it is the scene's level
+    rows: np.ndarray  # (N, H), row noise of each frame
+    columns: np.ndarray  # (N, W), column noise of each frame
+    stray: np.ndarray  # (H, W), mean zero over good pixels; its mean is part of the scene
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
-    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: motion and parallax
-    tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
+    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to its point of frame 0: motion and parallax
+    tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: no lag
     housing: np.ndarray  # (N, H, W), flux of the housing above that of the first frame
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
@@ -61,7 +61,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A burst (N, H, W), float32 or uint16, and what made it."""
+    """A burst (N, H, W), float32 or uint16, and its truth."""
 
     frames: np.ndarray
     truth: Truth
@@ -69,7 +69,14 @@ class Simulation:
     seed: int
 
     def save(self, path: str | Path) -> tuple[Path, Path]:
-        """Write `path` (frames; settings as JSON) and, beside it, STEM_truth.npz (the fields of `Truth`)."""
+        """Write `path` (frames; settings as JSON) and, beside it, STEM_truth.npz (the fields of `Truth`).
+
+        Returns:
+            Both paths.
+
+        Raises:
+            DataError: The name does not end in .npz.
+        """
         path = Path(path)
         if path.suffix != ".npz":
             raise DataError(f"{path}: a simulation is saved as .npz")
@@ -84,18 +91,18 @@ def simulate(
 ) -> Simulation:
     """Record a burst of a scene, or with `own_scenes` a frame of each of several.
 
-    Motion, pattern, level, noise and each effect that is off by default have random streams of their own: with
-    another noise the motion stays.
+    Motion, pattern, level, noise and every optional effect have independent random streams: another noise leaves the
+    motion unchanged.
 
     Args:
-        scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a
-            given shape, twice as fine as the truth's scene. None: `procedural(seed)`. With `own_scenes` one for each
-            frame, or None: each is drawn.
+        scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a given
+        shape,
+            twice as fine as the truth's scene. None: `procedural(seed)`. With `own_scenes` one for each frame, or None.
         settings: The camera and its motion.
         seed: The same seed gives the same burst.
 
     Raises:
-        DataError: A picture is no picture, or is too small for the frames and their motion; or there are too few.
+        DataError: A picture is invalid, too small for the frames and their motion, or there are too few.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
     streams = np.random.default_rng(seed).spawn(11)

@@ -1,4 +1,4 @@
-"""What happens before the camera: somebody walks by, a frame is of another place."""
+"""Events during a burst: a person walks by, a frame shows another place."""
 
 from __future__ import annotations
 
@@ -21,7 +21,20 @@ def observe(
     walk_rng: np.random.Generator,
     place_rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Flux in units of the range, and where the walker has changed it, (N, H, W); frame 0 without him, (H, W)."""
+    """Render all frames with their events.
+
+    Args:
+        picture: (height, width), the scene.
+        motion: (N, 3, 3), pull homographies, px.
+        scale: Picture px per detector px.
+        settings: The camera.
+        beside: (N, 2, H, W), parallax, px; None: none.
+        walk_rng: Random stream of the walker.
+        place_rng: Random stream of the other place.
+
+    Returns:
+        Flux (N, H, W) in ranges; samples that the walker changes, (N, H, W) bool; flux of frame 0 without the walker.
+    """
 
     def seen(scene: np.ndarray, frames: slice) -> np.ndarray:
         more = None if beside is None else beside[frames]
@@ -43,7 +56,7 @@ def observe(
 def walker_cover(
     shape: tuple[int, ...], scale: float, settings: Settings, rng: np.random.Generator
 ) -> list[np.ndarray]:
-    """How much of each picture px the walker covers, for each frame; he is near the middle at half time."""
+    """Cover of each picture px by the walker, in [0, 1], for each frame; the path is central at half time."""
     height, width = settings.shape
     tall, way = settings.walker * height, rng.choice([-1, 1])
     middle, feet = width * rng.uniform(-0.25, 0.25), height * rng.uniform(0.2, 0.45)

@@ -1,4 +1,4 @@
-"""The burst that `data.simulate` of a configuration describes."""
+"""The burst of `data.simulate` of a configuration."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from deepir.simulate.settings import Settings, settings_from_mapping
 
 
 def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:
-    """The simulation of `given`: `Settings` by name, and `scene` and `seed`.
+    """Simulate the burst of a configuration.
 
     Args:
-        given: What is missing or None has its default; the scene is then drawn, by the burst's seed.
-        seed: The run's, of all that is drawn, unless `given` has its own.
+        given: `Settings` by name, `scene` and `seed`; missing or None: the default. The default scene is drawn.
+        seed: Seed of the run, unless `given` has its own.
 
     Raises:
         ConfigError: An unknown setting, or a wrong value.
-        DataError: There is no such scene, or it is too small for the frames and their motion.
+        DataError: The scene does not exist, or is too small for the frames and their motion.
     """
     settings = dict(given)
     scene, own = settings.pop("scene", None), settings.pop("seed", None)
@@ -43,7 +43,7 @@ def _recorded(settings: Settings, scene: str | None, seed: int, changed: int) ->
 
 
 def truth_arrays(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
-    """The arrays that a result is compared with, float32; the scene is NaN where somebody stands before it."""
+    """Arrays to compare a result with, float32; the scene is NaN where a walker covers frame 0."""
     found = simulation.truth
     scene = np.where(found.moving[0], np.nan, found.scene) if found.moving[0].any() else found.scene
     arrays = {"scene": scene, "gain": found.gain, "offset": found.offset, "motion": found.motion}

@@ -24,16 +24,18 @@ from deepir.simulate.settings import Settings
 def render_own_scenes(
     scenes: Scene | Sequence[Scene] | None, settings: Settings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Flux of each frame in units of the range, (N, H, W); the same `factor` times as fine; scale of frame 0.
+    """Render one frame of each scene.
 
     Args:
         scenes: One for each frame; None: drawn with seeds of `rng`.
         settings: The camera.
-        rng: The scenes' own random stream.
+        rng: Random stream of the scenes.
+
+    Returns:
+        Flux of each frame in ranges, (N, H, W); the same on the truth's grid; picture px per detector px of frame 0.
 
     Raises:
-        ConfigError: Something is asked for that a scene has for several frames.
-        DataError: There are fewer scenes than frames, or one is no picture, or too small.
+        DataError: There are fewer scenes than frames, or one is invalid or too small.
     """
     if scenes is None:
         seeds = rng.integers(2**31, size=settings.n_frames)

@@ -1,4 +1,4 @@
-"""What a sweep varies: `prior=tv,dip`, or one burst after another."""
+"""Axes of a sweep: `prior=tv,dip`, or one burst after another."""
 
 from __future__ import annotations
 
@@ -21,16 +21,19 @@ QUOTES = "\"'"
 
 @dataclass(frozen=True)
 class Axis:
-    """A key and its values: what each is called, and the settings that it stands for."""
+    """A key, and for each label of its values the settings."""
 
     key: str
     choices: Mapping[str, Sequence[str]]
 
 
 def parse_axes(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
-    """Settings with one value, and an axis for each that lists several: `prior=tv,dip`.
+    """Split settings into those with one value and axes: `prior=tv,dip`.
 
-    A comma within brackets or quotes belongs to a value. Raises `ConfigError` where all values are the same one.
+    A comma within brackets or quotes belongs to a value. Of a key given twice, the last counts.
+
+    Raises:
+        ConfigError: All values of an axis are equal.
     """
     fixed: list[str] = []
     axes: dict[str, Axis] = {}
@@ -48,9 +51,9 @@ def parse_axes(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
 
 
 def split_at_commas(text: str) -> list[str]:
-    """A text at its commas, those within brackets or quotes left out.
+    """Split a text at its commas outside brackets and quotes.
 
-    >>> split("[0, 3],5")
+    >>> split_at_commas("[0, 3],5")
     ['[0, 3]', '5']
     """
     parts, depth, quote = [""], 0, ""
@@ -98,10 +101,10 @@ def _burst(path: str, truth: str) -> list[str]:
 
 
 def folder_name(values: Mapping[str, str]) -> str:
-    """The name of a cell, as a folder's: `prior=tv,seed=0`.
+    """Name of the folder of a cell: `prior=tv,seed=0`.
 
     Raises:
-        ConfigError: It is too long for one.
+        ConfigError: It is too long.
     """
     parts = [value if key == BURST_AXIS else f"{key}={value}" for key, value in values.items()]
     name = ",".join(re.sub(r"[^\w.+=-]+", "-", part) for part in parts)

@@ -1,4 +1,4 @@
-"""The cells of a sweep: which runs there are, and what has become of them."""
+"""The cells of a sweep: its runs and their states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deepir.sweep.axes import BURST_AXIS, Axis, folder_name
 
 @dataclass(frozen=True)
 class Cell:
-    """One run: its values by axis, its configuration in full, its folder."""
+    """One run: its values by axis, its complete configuration, its folder."""
 
     values: Mapping[str, str]
     config: Config
@@ -30,14 +30,14 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Its values in short."""
+        """Its values, as in the name of its folder."""
         return self.folder.path.name
 
     def state(self) -> str:
         """`new`, `interrupted` or `finished`.
 
         Raises:
-            ConfigError: The folder holds the run of another configuration, or of data that have changed since.
+            ConfigError: The folder holds a run of another configuration.
         """
         state = self.folder.state()
         if state == "new":
@@ -60,9 +60,9 @@ def make_cells(
     Args:
         name: The configuration.
         settings: `key=value`, for all cells.
-        axes: What varies; the last varies fastest.
-        base: The folder of their folders.
-        threads: Of each run that does not say.
+        axes: The axes; the last varies fastest.
+        base: The folder of the cells' folders.
+        threads: Threads of each run whose configuration has none.
 
     Raises:
         ConfigError: A value is wrong.
@@ -93,7 +93,7 @@ def _cell(values: Mapping[str, str], config: Config, path: Path, threads: int) -
 
 
 def _one_burst(config: Config, most: int | None) -> Config:
-    """All numbers of frames are the first of one simulated burst, whose scene and scale then are the same."""
+    """Configuration in which all numbers of frames are the first ones of one simulated burst."""
     simulate = config.data.simulate
     if simulate is None or most is None or simulate.get("n_frames") is not None:
         return config
@@ -102,13 +102,12 @@ def _one_burst(config: Config, most: int | None) -> Config:
 
 
 def check_cells(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
-    """Find what is wrong with any of them before anything runs, but for the files of bursts that an axis names.
+    """Check all cells before anything runs, except for the files of an axis of bursts.
 
-    Configurations that differ in seeds only are checked once, and on one burst that can be read; not at all
-    if one like it is `finished`.
+    Configurations that differ only in seeds are checked once, on one burst that can be read; not if one is `finished`.
 
     Raises:
-        DeepIRError: What is wrong, and with which cell, unless it is wrong with others too.
+        DeepIRError: The message names the cell, unless the error is common to others.
     """
     checked = {_check_key(cell) for cell in finished}
     unread: dict[tuple[str, ...], DataError] = {}
@@ -132,7 +131,7 @@ def check_cells(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
 
 
 def _error_of(cell: Cell) -> DeepIRError | None:
-    """What is wrong with a cell, if anything."""
+    """The error of a cell; None if it can run."""
     try:
         prepare(cell.config)
     except DeepIRError as error:
@@ -141,12 +140,16 @@ def _error_of(cell: Cell) -> DeepIRError | None:
 
 
 def _check_key(cell: Cell) -> tuple[str, ...]:
-    """What matters to a check."""
+    """Values of a cell that matter to a check."""
     return tuple(value for key, value in cell.values.items() if key not in ("seed", BURST_AXIS))
 
 
 def check_inputs(found: Sequence[Cell]) -> None:
-    """Raise `ConfigError` if data of a finished cell have changed since."""
+    """Compare the data of finished cells with those at their start.
+
+    Raises:
+        ConfigError: A file has changed.
+    """
     for cell in found:
         if cell.state() == "finished":
             data = cell.config.data

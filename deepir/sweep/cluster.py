@@ -1,4 +1,4 @@
-"""Cells on Dask's workers: processes of this machine, or a cluster that runs already."""
+"""Cells on Dask's workers: processes of this machine, or a running cluster."""
 
 from __future__ import annotations
 
@@ -21,13 +21,17 @@ WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_
 
 
 def demand_dask() -> None:
-    """Raise `ConfigError` if Dask is not installed."""
+    """Check that Dask is installed.
+
+    Raises:
+        ConfigError: It is not.
+    """
     if importlib.util.find_spec("distributed") is None:
         raise ConfigError("compare and batch run on Dask, which is missing: pip install 'deepir[compare]'")
 
 
 def core_count() -> int:
-    """How many this process may use."""
+    """Number of cores that this process may use."""
     from dask.system import CPU_COUNT
 
     return int(CPU_COUNT)
@@ -36,14 +40,14 @@ def core_count() -> int:
 def run_cells(
     cells: Sequence[Cell], *, workers: int, scheduler: str | None = None, plugins: Sequence[str] = ()
 ) -> Iterator[tuple[Cell, str | None]]:
-    """Finish the cells; each as it ends, with what is wrong with it or None.
+    """Finish the cells; yields each as it ends, with its error or None.
 
-    A cell whose worker is lost goes to another one, which goes on where that left it.
+    If a worker is lost, its cell continues on another worker.
 
     Args:
-        cells: Their folders lie where all workers see them.
+        cells: Their folders are visible to all workers.
         workers: Processes to start, each with one run at a time.
-        scheduler: Address of a Dask scheduler (`tcp://host:8786`) to use instead.
+        scheduler: Address of a running Dask scheduler (`tcp://host:8786`) to use instead.
         plugins: Modules to import on the workers.
 
     Raises:

@@ -16,7 +16,7 @@ AVERAGED_AXES = (*REPEAT_AXES, BURST_AXIS)  # axes over which curves take median
 
 
 def write_plots(path: Path, found: Sequence[Row]) -> None:
-    """One picture, or none of a single point: a line for each combination of the axes beside frames and repeats.
+    """Write one picture, a line for each combination of the axes beside frames and repeats; none for a single point.
 
     Points are medians over seeds and bursts, with bars from the least to the greatest.
     """
@@ -53,7 +53,7 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
 
 
 def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
-    """The rows that can be drawn, and against what: nothing, where they make a single point."""
+    """Rows that can be plotted, and against which quantities; none if they make a single point."""
     finished = [row for row in found if row.metrics.get(shown_metrics(found)[0]) is not None]
     if not finished or len(group_rows(finished, AVERAGED_AXES)) < 2:
         return finished, []
@@ -62,7 +62,7 @@ def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
 
 
 def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
-    """Groups that differ in the number of frames only, by what they have in common."""
+    """Groups that differ only in the number of frames, by their common values."""
     lines: dict[str, list[Group]] = {}
     for group in group_rows(found, AVERAGED_AXES):
         label = ", ".join(value for key, value in group.values.items() if key != FRAMES_AXIS)
@@ -72,15 +72,17 @@ def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
 
 def _draw(axes: Any, groups: Sequence[Group], x: str, metric: str, label: str) -> None:
     """A line through the medians, with bars from the least to the greatest."""
-    ordered = sorted(groups, key=lambda group: group.spread("frames") or ())
-    (across, aside), (up, beside) = (_bars([group.spread(each) for group in ordered]) for each in (x, metric))
+    ordered = sorted(groups, key=lambda group: group.median_range("frames") or ())
+    (across, aside), (up, beside) = (
+        _bars([group.median_range(each) for group in ordered]) for each in (x, metric)
+    )
     axes.errorbar(
         across, up, xerr=aside, yerr=beside, marker="o", markersize=4, capsize=2, linewidth=1, label=label
     )
 
 
 def _bars(spreads: Sequence[Any]) -> tuple[list[float], list[list[float]]]:
-    """Medians, and how far the least and the greatest are from them."""
+    """Medians, and distances to the least and the greatest."""
     middles = [middle for middle, _, _ in spreads]
     return middles, [
         [middle - least for middle, least, _ in spreads],

@@ -17,27 +17,29 @@ from deepir.sweep.cells import Cell, check_cells, check_inputs, make_cells
 
 @dataclass
 class Sweep:
-    """Cells that are checked, in a folder, and what went wrong with them so far."""
+    """Checked cells in a folder, with the errors so far."""
 
     folder: Path
     cells: list[Cell]
     workers: int
     errors: dict[str, str] = field(default_factory=dict)
 
-    def todo(self) -> list[Cell]:
-        """What is not finished."""
+    def unfinished(self) -> list[Cell]:
+        """Cells that are not finished."""
         return [cell for cell in self.cells if cell.state() != "finished"]
 
     def run(
-        self, say: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]
+        self, report: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]
     ) -> None:
-        """Finish all cells; `say` hears of each as it ends."""
-        if todo := self.todo():
-            workers = min(self.workers, len(todo))
-            for cell, error in cluster.run_cells(todo, workers=workers, scheduler=scheduler, plugins=plugins):
+        """Finish all cells; `report` is called with each as it ends."""
+        if cells := self.unfinished():
+            workers = min(self.workers, len(cells))
+            for cell, error in cluster.run_cells(
+                cells, workers=workers, scheduler=scheduler, plugins=plugins
+            ):
                 if error is not None:
                     self.errors[cell.name] = error
-                say(cell, error)
+                report(cell, error)
 
     def write(self, title: str) -> list[table.Row]:
         """Write `table.csv`, `table.md`, `quality.png` and `report.html`; the rows."""
@@ -63,19 +65,19 @@ def prepare(
     remote: bool = False,
     overwrite: bool = False,
 ) -> Sweep:
-    """Check everything, and say which runs there will be.
+    """Check everything and list the runs.
 
-    There are as many workers as cores, or as cells if those are fewer, and each run has its share of the cores as
-    threads, or the `threads` that it names. On workers elsewhere (`remote`) it has one.
+    There are as many workers as cores, or as cells if these are fewer; each run has its share of the cores as threads,
+    or the `threads` of its configuration. On workers elsewhere (`remote`) it has one.
 
     Args:
         name: The configuration.
         settings: `key=value`, for all cells.
-        axes: What varies.
-        folder: Where the cells' folders go, unless `output.dir` says.
-        workers: How many processes; None: as above.
-        remote: The workers are those of another cluster.
-        overwrite: Remove what former sweeps left of these cells.
+        axes: The axes.
+        folder: Folder of the cells' folders, unless `output.dir` is set.
+        workers: Number of processes; None: as above.
+        remote: True: the workers are those of another cluster.
+        overwrite: Remove former runs of these cells.
 
     Raises:
         DeepIRError: A setting, a file or the folder is wrong; nothing is written.

@@ -1,4 +1,4 @@
-"""What came out of a sweep: a row for each cell, and medians over seeds."""
+"""The results of a sweep: a row for each cell, and medians over seeds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TABLE_HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n
 
 @dataclass(frozen=True)
 class Row:
-    """A cell's values by axis, its numbers (empty if it is not finished), and what is wrong with it."""
+    """A cell's values by axis, its metrics (empty if it is not finished), and its error."""
 
     name: str
     values: Mapping[str, str]
@@ -39,24 +39,29 @@ class Row:
 
 @dataclass(frozen=True)
 class Group:
-    """Cells that differ in seeds only."""
+    """Cells that differ only in seeds."""
 
     values: Mapping[str, str]
     rows: Sequence[Row]
 
-    def spread(self, metric: str) -> tuple[float, float, float] | None:
-        """Median, least and greatest of a metric over the cells that have it."""
+    def median_range(self, metric: str) -> tuple[float, float, float] | None:
+        """Median, least and greatest of a metric over the cells that have it; None if none has."""
         found = [row.metrics[metric] for row in self.rows if row.metrics.get(metric) is not None]
         return (median(found), min(found), max(found)) if found else None
 
 
 def make_rows(cells: Sequence[Cell], errors: Mapping[str, str]) -> list[Row]:
-    """A row for each cell; `errors` by the cells' names."""
+    """A row for each cell.
+
+    Args:
+        cells: The cells.
+        errors: Errors by the cells' names.
+    """
     return [Row(cell.name, cell.values, _metrics(cell), errors.get(cell.name, "")) for cell in cells]
 
 
 def group_rows(found: Sequence[Row], without: Sequence[str] = REPEAT_AXES) -> list[Group]:
-    """The rows by their values, those of the axes `without` left out, in order."""
+    """Rows grouped by their values, except for those of the axes `without`, in order."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     keys = [key for key in found[0].values if key not in without]
     for row in found:
@@ -65,7 +70,7 @@ def group_rows(found: Sequence[Row], without: Sequence[str] = REPEAT_AXES) -> li
 
 
 def shown_metrics(found: Sequence[Row]) -> list[str]:
-    """The metrics that the table shows: the held-out error only where there is no truth."""
+    """Metrics of the table: the held-out error only where there is no truth."""
     truth = any("psnr_aligned" in row.metrics for row in found)
     unknown = ("held_out_rmse",) if truth else ("psnr_aligned", "radiometric_rmse")
     return [metric for metric in TABLE_METRICS if metric not in unknown]
@@ -78,13 +83,13 @@ def table_lines(found: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
     body = []
     for group in groups:
         done = sum(bool(row.metrics) for row in group.rows)
-        figures = [_figure(group.spread(metric), TABLE_METRICS[metric][1]) for metric in metrics]
+        figures = [_figure(group.median_range(metric), TABLE_METRICS[metric][1]) for metric in metrics]
         body.append([*group.values.values(), f"{done}/{len(group.rows)}", *figures])
     return heads, body
 
 
 def metrics_line(cell: Cell) -> str:
-    """What came out of one cell, in a line."""
+    """The metrics of one cell in a line."""
     found = make_rows([cell], {})
     heads, (body,) = table_lines(found)
     return ", ".join(
@@ -93,7 +98,7 @@ def metrics_line(cell: Cell) -> str:
 
 
 def markdown(found: Sequence[Row], title: str) -> str:
-    """The table as a page, with the machines that ran it and what failed."""
+    """The table as a page, with its machines and failures."""
     heads, body = table_lines(found)
     table = [heads, ["---"] * len(heads), *([cell.replace("|", "\\|") for cell in line] for line in body)]
     text = "".join(f"| {' | '.join(line)} |\n" for line in table)
@@ -108,7 +113,7 @@ def markdown(found: Sequence[Row], title: str) -> str:
 
 
 def write_csv(path: Path, found: Sequence[Row]) -> None:
-    """A line for each cell, with all its numbers."""
+    """Write a line for each cell, with all its numbers."""
     names = {
         name: None
         for row in found
@@ -127,13 +132,17 @@ def write_csv(path: Path, found: Sequence[Row]) -> None:
 
 
 def write_markdown(path: Path, found: Sequence[Row], title: str) -> None:
-    """The table, and what failed."""
+    """Write the table and the failures."""
     with atomic_file(path) as part:
         part.write_text(markdown(found, title), encoding="utf-8")
 
 
 def check_free(folder: Path) -> None:
-    """Raise `ConfigError` if the folder holds a table that no sweep wrote."""
+    """Check that a table may be written.
+
+    Raises:
+        ConfigError: The folder holds a table that no sweep wrote.
+    """
     page = folder / "table.md"
     try:
         ours = page.is_file() and page.read_text(encoding="utf-8").startswith(TABLE_HEADER)

@@ -1,4 +1,4 @@
-"""The denoiser `cnn`."""
+"""Training of the denoiser `cnn`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOISE_RANGE = (0.003, 0.15)  # standard deviations, in ranges of a picture; log-
 
 @register("training", "denoiser")
 class Denoiser(Training):
-    """White noise of known strength, taken off pictures: the denoiser `cnn`."""
+    """White noise of known strength, removed from pictures: the denoiser `cnn`."""
 
     iterations = 4500
 

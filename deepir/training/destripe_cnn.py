@@ -1,4 +1,4 @@
-"""The rival `destripe_cnn`."""
+"""Training of the method `destripe_cnn`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOISE_RANGE = (0.001, 0.1)  # standard deviations of white noise, in ranges of a
 
 @register("training", "destripe_cnn")
 class DestripeCNN(Training):
-    """Columns with gains and offsets of their own, taken off pictures: the method `destripe_cnn`."""
+    """Random column gains and offsets, removed from pictures: the method `destripe_cnn`."""
 
     iterations = 4500
 
@@ -35,7 +35,7 @@ class DestripeCNN(Training):
         return destripe_cnn.network()
 
     def loss(self, network: nn.Module) -> Tensor:
-        """Mean absolute error in units of the stripes. Noise is no stripe: it is to stay."""
+        """Mean absolute error in units of the stripes; noise is part of the target."""
         clean = self.pictures.crops(BATCH_SIZE, CROP_SIDE)
         gain, offset = (
             self._strength(each) * self._normal(1, CROP_SIDE) for each in (GAIN_RANGE, OFFSET_RANGE)
@@ -46,7 +46,7 @@ class DestripeCNN(Training):
         return ((network(target + stripes, 0.0) - target) / height).abs().mean()
 
     def _strength(self, limits: tuple[float, float]) -> Tensor:
-        """One for each crop; each order of magnitude equally often."""
+        """One for each crop, log-uniform."""
         low, high = (math.log(each) for each in limits)
         return torch.from_numpy(np.exp(self.rng.uniform(low, high, (BATCH_SIZE, 1, 1, 1))).astype(np.float32))
 

@@ -1,4 +1,4 @@
-"""The penalty `foe`."""
+"""Training of the penalty `foe`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ START_TV_WEIGHT = 0.05 / 1.6
 
 
 class Bursts(NamedTuple):
-    """Of B scenes N frames each, in standard deviations of the noise that a coefficient of the scene has."""
+    """N frames of each of B scenes, in standard deviations of the noise of a coefficient of the scene."""
 
     frames: Tensor  # (B, N, h, w)
     truth: Tensor  # (B, h, w): the first without noise
@@ -53,14 +53,14 @@ class Bursts(NamedTuple):
     columns: Tensor  # (B, N, w, W)
 
     def misfit(self, scene: Tensor) -> Tensor:
-        """Of scenes (B, H, W), in nats: a frame's noise is `sqrt(N / 12)`."""
+        """Negative log-likelihood of scenes (B, H, W), nats; the noise of a frame is `sqrt(N / 12)`."""
         apart = self.rows @ scene[:, None] @ self.columns.mT - self.frames
         return 6 / self.frames.shape[1] * apart.square().sum()
 
 
 @register("training", "foe")
 class FieldsOfExperts(Training):
-    """Jittered frames of blurred pictures, and their likeliest scene under the penalty: how far it is off."""
+    """Jittered frames of blurred pictures; the error of their MAP scene under the penalty."""
 
     iterations = 1000
     rate = 3e-2
@@ -77,7 +77,7 @@ class FieldsOfExperts(Training):
         return Experts()
 
     def loss(self, network: nn.Module) -> Tensor:
-        """The mean square error in logarithms; its slope is that of the minimum, by the implicit function theorem."""
+        """Mean logarithm of the square error; its gradient through the minimum is by the implicit function theorem."""
         with torch.autocast("cpu", enabled=False):
             bursts = self._bursts()
             scene, share = self._weakly_held(bursts)
@@ -134,7 +134,7 @@ class FieldsOfExperts(Training):
 
     @torch.no_grad()
     def _weakly_held(self, bursts: Bursts) -> tuple[Tensor, Tensor]:
-        """Scenes under next to no prior, and how strongly each place of them is to be held."""
+        """Scenes under a weak prior, and the weight map of the penalty."""
         start = F.pad(bursts.frames[:, 0], (SCENE_MARGIN,) * 4, mode="replicate")
 
         def weak(scene: Tensor) -> Tensor:
@@ -166,7 +166,7 @@ def _minimum(objective: Callable[[Tensor], Tensor], start: Tensor, iterations: i
 
 
 def _solved(slope: Tensor, scene: Tensor, wanted: Tensor) -> Tensor:
-    """`H⁻¹ wanted` of the objective's second derivatives, of each scene, by conjugate gradients."""
+    """`H⁻¹ wanted` of the second derivatives of each scene, by conjugate gradients."""
 
     def dot(a: Tensor, b: Tensor) -> Tensor:
         return (a * b).sum((1, 2), keepdim=True)

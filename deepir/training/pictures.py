@@ -1,4 +1,4 @@
-"""Pictures to learn from: those of scikit-image that no benchmark judges by, and drawn scenes."""
+"""Training pictures: photographs of scikit-image that no benchmark uses, and drawn scenes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ PHOTOGRAPH_REDUCTIONS = (1, 2, 3)  # factors; a reduced photograph is sharper
 
 
 class Pictures:
-    """Pictures in [0, 1], and crops of them: half are of photographs, half of scenes, each drawn when it is wanted.
+    """Pictures in [0, 1], and crops of them: half of photographs, half of scenes, each drawn on demand.
 
-    `without` names photographs that are not to be learnt from.
+    Args:
+        rng: Random stream.
+        without: Names of photographs to leave out.
     """
 
     def __init__(self, rng: np.random.Generator, without: Sequence[str] = ()) -> None:
@@ -36,7 +38,7 @@ class Pictures:
         self.drawn: dict[int, np.ndarray] = {}
 
     def crops(self, count: int, side: int) -> Tensor:
-        """(count, 1, side, side), float32: turned, mirrored, and half of them negative."""
+        """Random crops (count, 1, side, side), float32: rotated, mirrored, and half of them negative."""
         return torch.from_numpy(np.stack([self._crop(side) for _ in range(count)])[:, None])
 
     def _crop(self, side: int) -> np.ndarray:
@@ -46,7 +48,7 @@ class Pictures:
         return (crop if self.rng.integers(2) else crop.T) * np.float32(self.rng.choice([-1, 1]))
 
     def _photograph(self) -> np.ndarray:
-        """Large ones, which have more to show, more often."""
+        """A photograph; larger ones are more frequent."""
         sides = np.sqrt([each.size for each in self.photographs])
         return self.photographs[self.rng.choice(len(sides), p=sides / sides.sum())]
 

@@ -1,4 +1,4 @@
-"""The rival `vdsr`."""
+"""Training of the method `vdsr`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SuperResolution(Training):
         return VDSR()
 
     def loss(self, network: nn.Module) -> Tensor:
-        """Mean absolute error over that of the enlarged crops: a network that does nothing has one."""
+        """Mean absolute error over that of the enlarged crops; a network without effect has one."""
         fine = self.pictures.crops(BATCH_SIZE, CROP_SIDE)
         coarse = torch.stack([self._coarse(each) for each in fine])
         with torch.autocast("cpu", enabled=False):  # what is lost is finer than bfloat16 tells

@@ -146,7 +146,7 @@ class _Progress:
     """A line on stderr for each finished cell."""
 
     def __init__(self, checked: Sweep) -> None:
-        todo, self.total = len(checked.todo()), len(checked.cells)
+        todo, self.total = len(checked.unfinished()), len(checked.cells)
         self.done = self.total - todo
         if self.done:
             print(

@@ -1,6 +1,6 @@
-"""The detector from its physics: what a pixel's thermal and electrical constants make of flux (docs/sensor-physics.md).
+"""The detector from its physics: thermal and electrical constants of its pixels (docs/sensor-physics.md).
 
-Saragadam et al. 2021, "Sensor modeling".
+Source: Saragadam et al. 2021, "Sensor modeling".
 """
 
 from __future__ import annotations
@@ -24,9 +24,12 @@ CORNER_ANGLE = 20.0  # degrees from the axis to the frame's corner
 def bolometer_pixels(
     settings: Settings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gain, offset (data units), and the time constants in their mean, all (H, W).
+    """Gain, offset and relative time constants of the pixels.
 
-    `g = I α β R / G`, `o = -g Φ_fpa`, `τ = C / G`; of the offset, the readout takes the mean pixel's share off.
+    `g = I α β R / G`, `o = -g Φ_fpa`, `τ = C / G`; the readout subtracts the mean pixel's offset.
+
+    Returns:
+        Gain, offset (data units) and time constants over their mean, (H, W) each.
     """
 
     def drawn(sigma: float) -> np.ndarray:
@@ -42,9 +45,9 @@ def bolometer_pixels(
 
 
 def housing_flux(settings: Settings) -> np.ndarray:
-    """Flux that a housing which warms up adds to each frame, (N, H, W), data units; none to the first.
+    """Flux of a warming housing above that of the first frame, (N, H, W), data units.
 
-    A pixel sees the housing wherever it does not see the lens, whose share falls as the fourth power of the cosine.
+    A pixel sees the housing outside the lens, whose solid angle falls with the fourth power of the cosine.
     """
     y, x = (np.linspace(-1, 1, side) for side in settings.shape)
     off_axis = np.hypot(x, y[:, None]) / np.sqrt(2)

@@ -1,7 +1,8 @@
-"""Noise that all pixels of a row, or of a column, of one frame have in common.
+"""Noise that all pixels of a row, or of a column, of one frame share.
 
-The temporal row and column noise of the 3-D noise model (D'Agostino and Webb 1991): a microbolometer array is read row
-by row, and the bias of each reading is noisy.
+A microbolometer array is read row by row, and the bias of each reading is noisy.
+
+Source: the temporal row and column noise of the 3-D noise model, D'Agostino and Webb (1991).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from deepir.simulate.settings import Settings
 
 
 def line_noise(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Of each row, (N, H), and of each column, (N, W), of each frame, in the data's units."""
+    """Row noise (N, H) and column noise (N, W) of each frame, in the data's units."""
     sigmas = (settings.row_noise, settings.column_noise)
     rows, columns = (
         settings.range * sigma * rng.standard_normal((settings.n_frames, side))

@@ -25,7 +25,13 @@ class Defect(IntEnum):
 def fixed_pattern(
     settings: Settings, rng: np.random.Generator, shading_rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gain, offset (data units) and the defects that `dead_pixels` asks for; all (H, W)."""
+    """Gain, offset (data units) and the defects of `dead_pixels`, (H, W) each.
+
+    Args:
+        settings: The camera.
+        rng: Random stream of the pattern.
+        shading_rng: Random stream of the gain's shading.
+    """
     height, width = settings.shape
     layout = ((height, width), (1, width), (height, 1))
     sigmas = (settings.gain_pixel, settings.gain_column, settings.gain_row)
@@ -46,14 +52,14 @@ def fixed_pattern(
 
 
 def shading(peak_to_peak: float, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """A random quadratic, (H, W)."""
+    """A random quadratic (H, W) with a given range."""
     y, x = np.linspace(-1, 1, shape[0])[:, None], np.linspace(-1, 1, shape[1])
     smooth = np.tensordot(rng.standard_normal(5), np.stack(np.broadcast_arrays(x, y, x * y, x * x, y * y)), 1)
     return peak_to_peak * smooth / np.ptp(smooth)
 
 
 def add_defects(bad: np.ndarray, settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """The defects, with those of `stuck_pixels` and `noisy_pixels` among what was good."""
+    """Defects (H, W) with those of `stuck_pixels` and `noisy_pixels` added among the good pixels."""
     places = rng.permutation(np.flatnonzero(bad == 0))
     stuck = round(settings.stuck_pixels * bad.size)
     noisy = round(settings.noisy_pixels * bad.size)
@@ -72,7 +78,21 @@ def expose(
     rng: np.random.Generator,
     defects_rng: np.random.Generator,
 ) -> np.ndarray:
-    """The data of (N, H, W) flux: pattern, noise, defects, converter."""
+    """Data of a flux: pattern, noise, defects, converter.
+
+    Args:
+        flux: (N, H, W), data units.
+        gain: (H, W).
+        offset: (H, W) or (N, H, W), data units.
+        level: (N,), data units.
+        bad: (H, W), kinds of defects.
+        settings: The camera.
+        rng: Random stream of the noise.
+        defects_rng: Random stream of the defects' values.
+
+    Returns:
+        (N, H, W), float32, or uint16 counts.
+    """
     read, photons = settings.read_noise * settings.range, settings.photons / settings.range
     clean = gain * flux
     frames = rng.poisson(np.maximum(clean, 0) * photons) / photons if photons else clean

@@ -1,4 +1,4 @@
-"""Thermal lag: pixels that take their time, in front of which the camera moves on between the frames."""
+"""Thermal lag: pixels respond slowly while the camera moves between the frames."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ TREMOR_WAVES = 4  # sinusoids in the path of each motion parameter
 
 
 def smooth_path(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """A smooth path of the motion's nine parameters, (instants, 9) in [-1, 1], zero at first.
+    """A smooth random path of the nine motion parameters, at `substeps` instants for each frame after the first.
 
-    There are `substeps` instants for each frame after the first.
+    Returns:
+        (I, 9), in [-1, 1]; zero at the first instant.
     """
     time = np.arange((settings.n_frames - 1) * settings.substeps + 1) / (settings.substeps * settings.fps)
     rate = 2 * np.pi * settings.tremor * rng.uniform(0.1, 1, (TREMOR_WAVES, 9))
@@ -28,16 +29,23 @@ def smooth_path(settings: Settings, rng: np.random.Generator) -> np.ndarray:
 
 
 def time_constants(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """The time constant of each pixel (H, W), ms."""
-    spread = 1 + settings.tau_pixel * rng.standard_normal(settings.shape)
-    return settings.tau * spread.clip(min=0.2)
+    """Time constant of each pixel (H, W), ms."""
+    factors = 1 + settings.tau_pixel * rng.standard_normal(settings.shape)
+    return settings.tau * factors.clip(min=0.2)
 
 
 def apply_lag(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarray:
-    """What the pixels show of a flux (instants, H, W) as they are read, (N, H, W).
+    """Frames of lagging pixels: `tau dy/dt = x - y`, exact for a flux that is linear between two instants.
 
-    A pixel follows the flux by `tau dy/dt = x - y`, which is solved exactly for a flux that is linear between two
-    instants. Before the first it had settled.
+    Before the first instant the pixels have settled.
+
+    Args:
+        flux: (I, H, W), at successive instants.
+        tau: (H, W), time constants, ms.
+        settings: The camera.
+
+    Returns:
+        (N, H, W), as read out.
     """
     kept, old, new = lag_coefficients(1000 / (settings.fps * settings.substeps) / tau)
     shown = [flux[0]]
@@ -47,14 +55,14 @@ def apply_lag(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarr
 
 
 def lag_coefficients(step: Values) -> tuple[Values, Values, Values]:
-    """Shares of what was shown, of the flux before and of the flux now, after a `step` in time constants."""
+    """Weights of the previous output, the previous flux and the current flux after a `step` in time constants."""
     kept = np.exp(-step)
     new = 1 - (1 - kept) / step
     return kept, 1 - kept - new, new
 
 
 def rolling_readout(shown: np.ndarray, settings: Settings) -> np.ndarray:
-    """Frames of rows that are read one after the other, the last one as its frame ends."""
+    """Frames whose rows are read one after the other, the last one at the end of its frame."""
     height = settings.shape[0]
     early = settings.substeps * settings.readout * (1 - np.arange(1, height + 1) / height)
     at = np.arange(settings.n_frames)[:, None] * settings.substeps - early

@@ -15,7 +15,7 @@ KERNEL_SUBSAMPLES = 9  # samples of a kernel along the side of a grid point
 
 
 def blur_picture(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
-    """The picture (height, width), `scale` px per detector px, behind all but the Gaussian blur."""
+    """Blur a picture (height, width), `scale` px per detector px, by all but the Gaussian."""
     for each in _kernels(settings, scale):
         padded = np.pad(picture, [(side // 2,) * 2 for side in each.shape], mode="symmetric")
         picture = signal.fftconvolve(padded, each, mode="valid")
@@ -23,7 +23,7 @@ def blur_picture(picture: np.ndarray, scale: float, settings: Settings) -> np.nd
 
 
 def psf(settings: Settings) -> np.ndarray:
-    """All of the optics, (K, K) with K odd, `PSF_SAMPLES_PER_PIXEL` points per detector px, sum one."""
+    """Point-spread function of the optics, (K, K), K odd, `PSF_SAMPLES_PER_PIXEL` points per px, sum one."""
     side = 2 * int(np.ceil(PSF_SAMPLES_PER_PIXEL * (blur_radius(settings) + 1))) + 1
     point = np.zeros((side, side))
     point[side // 2, side // 2] = 1
@@ -46,7 +46,7 @@ def blur_radius(settings: Settings) -> float:
 
 
 def _kernels(settings: Settings, scale: float) -> list[np.ndarray]:
-    """Those that there are, on a grid of `scale` points per detector px, each of sum one."""
+    """The kernels in use, on a grid of `scale` points per detector px, each of sum one."""
     found = []
     if first := settings.airy_radius * scale:
         found.append(_drawn(lambda x, y: airy(np.hypot(x, y), first), AIRY_RINGS * first))
@@ -58,7 +58,7 @@ def _kernels(settings: Settings, scale: float) -> list[np.ndarray]:
 
 
 def airy(r: np.ndarray, first: float) -> np.ndarray:
-    """Diffraction at a round aperture, `(2 J1(v) / v)²`, with its first dark ring at `first`."""
+    """Diffraction at a round aperture, `(2 J1(v) / v)²`, of radii r, with its first dark ring at `first`."""
     v = special.jn_zeros(1, 1)[0] * r / first + 1e-9
     return np.asarray((2 * special.j1(v) / v) ** 2)
 
@@ -73,7 +73,7 @@ def _drawn(profile: Callable[[np.ndarray, np.ndarray], np.ndarray], radius: floa
 
 
 def _line(length: float, angle: float) -> np.ndarray:
-    """A straight line through the centre, shared out between the grid points at its sides."""
+    """A straight line through the centre, distributed bilinearly over the grid points."""
     side = 2 * int(np.ceil(length / 2)) + 3
     along = length * ((np.arange(2000) + 0.5) / 2000 - 0.5)
     kernel = np.zeros((side, side))

@@ -1,4 +1,4 @@
-"""A scene that is not flat: a camera that shifts sees what is near move more."""
+"""Parallax: when the camera shifts, near points of the scene move more."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ MAX_FIXED_POINT_ITERATIONS = 60
 
 
 def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """Hills: place (x, y) in detector px from the centre, width, height; scaled so that nearness is within [0, 1].
+    """Random hills, scaled so that nearness is within [0, 1].
+
+    Returns:
+        (K, 4): x and y in detector px from the centre, width (px), height.
 
     Raises:
-        ConfigError: A parallax for which hills hide each other, or of a camera that does not shift.
+        ConfigError: The hills would hide each other, or the camera does not shift.
     """
     height, width = settings.shape
     side = min(height, width)
@@ -40,7 +43,7 @@ def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
 
 
 def nearness(hills: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """How near the scene is at points of frame 0: 0 is the farthest, 1 the nearest."""
+    """Nearness of the scene at points of frame 0: 0 is the farthest, 1 the nearest."""
     return sum(
         tall * np.exp(((x - at_x) ** 2 + (y - at_y) ** 2) / (-2 * wide**2))
         for at_x, at_y, wide, tall in hills
@@ -48,10 +51,18 @@ def nearness(hills: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def parallax(motion: np.ndarray, hills: np.ndarray, settings: Settings) -> np.ndarray:
-    """What is added to where pixels look, (N, 2, H, W), x and y in px.
+    """Displacement of the points where pixels look, added to the homography.
 
-    A frame that is shifted by t sees a point of nearness d at `q = T p + parallax d(q) t / max_shift`. The scene's
-    points keep their nearness, so q is a fixed point, which there is as long as no hill hides another.
+    A frame shifted by t sees a point of nearness d at `q = T p + parallax d(q) t / max_shift`. Points of the scene keep
+    their nearness, so q is a fixed point, which exists as long as no hill hides another.
+
+    Args:
+        motion: (N, 3, 3), pull homographies, px.
+        hills: (K, 4), see `relief`.
+        settings: The camera.
+
+    Returns:
+        (N, 2, H, W), x and y, px.
     """
     found = np.zeros((len(motion), 2, *settings.shape))
     for k, T in enumerate(motion):
@@ -67,14 +78,14 @@ def parallax(motion: np.ndarray, hills: np.ndarray, settings: Settings) -> np.nd
 
 
 def sampling_points(T: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels of a frame look, x and y from its centre, by the homography alone."""
+    """Points where the pixels of a frame look by the homography alone, x and y from its centre, px."""
     y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
     at_x, at_y, w = (row[0] * x + row[1] * y[:, None] + row[2] for row in T)
     return at_x / w, at_y / w
 
 
 def dense_flow(motion: np.ndarray, shape: tuple[int, int], beside: np.ndarray | None) -> np.ndarray:
-    """From each pixel to where it looks, (N, 2, H, W)."""
+    """Displacement from each pixel to the point where it looks, (N, 2, H, W), px."""
     y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
     looks = np.array(
         [np.stack(sampling_points(T, shape)) - np.stack(np.broadcast_arrays(x, y[:, None])) for T in motion]

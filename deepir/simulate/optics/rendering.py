@@ -1,4 +1,4 @@
-"""How the camera moves, and what its pixels collect."""
+"""Motion of the camera, and the flux that its pixels collect."""
 
 from __future__ import annotations
 
@@ -24,19 +24,18 @@ def render(
     psf_sigma: float = 0.0,
     beside: np.ndarray | None = None,
 ) -> np.ndarray:
-    """What the detector's pixels collect: `D B M_k x` without pattern and noise.
+    """Flux on the detector's pixels: `D B M_k x`, without pattern and noise.
 
-    The scene is continuous: the cubic B-spline through the blurred picture. Each pixel integrates it over its
-    (moved) area by Gauss-Legendre quadrature. So no grid that a reconstruction may use has made the data.
+    The scene is continuous: the cubic B-spline through the blurred picture. Each pixel integrates it over its moved
+    area by Gauss-Legendre quadrature, so that the data come from no grid of a reconstruction.
 
     Args:
-        picture: (height, width); its centre is the centre of frame 0.
-        motion: (N, 3, 3) pull homographies in detector px, origin at the frame's centre.
-        shape: Height and width of a frame.
-        scale: Picture px per detector px.
-        psf_sigma: Gaussian blur of the optics, detector px; applied before the motion, with which it commutes
-            but for stretch and keystone.
-        beside: (N, 2, *shape), x and y in detector px that are added to where pixels look; linear within a pixel.
+        picture: (height, width); its centre is the centre of frame 0. motion: (N, 3, 3), pull homographies in
+        detector px, origin at the frame's centre. shape: Height and width of a frame. scale: Picture px per detector
+        px. psf_sigma: Gaussian blur of the optics, detector px; applied before the motion, with which it commutes
+        except for
+            stretch and keystone.
+        beside: (N, 2, *shape), x and y in detector px, added to the points where pixels look; linear within a pixel.
 
     Returns:
         Frames (N, *shape), float64.
@@ -61,7 +60,16 @@ def render(
 
 
 def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
-    """A scene as a picture (height, width), for frames that see so far; `DataError` if it is none."""
+    """A scene as a picture (height, width).
+
+    Args:
+        scene: A picture, or a function that draws one of a given shape.
+        reach: (y, x), extent from the centre that the frames see, detector px.
+        settings: The camera.
+
+    Raises:
+        DataError: It is not a picture in [0, 1].
+    """
     if callable(scene):
         height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
         scene = scene((int(height), int(width)))
@@ -78,7 +86,7 @@ def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Sett
 
 
 def render_reference(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
-    """What a detector `factor` times as fine sees of frame 0, behind the same optics or (`sharp`) none, (Q H, Q W)."""
+    """Frame 0 on a detector `factor` times as fine, with the same optics or (`sharp`) none, (Q H, Q W)."""
     fine, (height, width) = settings.factor, settings.shape
     blur = 0.0 if settings.sharp else settings.psf_sigma * fine  # in px of the finer detector
     picture = picture if settings.sharp else blur_picture(picture, scale, settings)
@@ -86,14 +94,14 @@ def render_reference(picture: np.ndarray, scale: float, settings: Settings) -> n
 
 
 def random_motion(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """Homographies (N, 3, 3), each frame's drawn alone; the first is the identity."""
+    """Independent random homographies (N, 3, 3); the first is the identity."""
     draws = rng.uniform(-1, 1, (settings.n_frames, 9))
     draws[0] = 0
     return homographies(settings, draws)
 
 
 def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
-    """(N, 3, 3): shift after rotation (about the centre) after stretch, shear and keystone, `draws` (N, 9) in +-1."""
+    """Homographies (N, 3, 3) of draws (N, 9) in [-1, 1]: shift after rotation after stretch, shear and keystone."""
     motion = np.tile(np.eye(3), (len(draws), 1, 1))
     height, width = settings.shape
     if settings.motion == "homography":
@@ -110,7 +118,7 @@ def homographies(settings: Settings, draws: np.ndarray) -> np.ndarray:
 
 
 def visible_reach(motion: np.ndarray, settings: Settings) -> np.ndarray:
-    """How far (y, x) from the centre the frames see, detector px: their corners, the blur and the parallax."""
+    """Extent (y, x) from the centre that the frames see, detector px: corners, blur and parallax."""
     height, width = settings.shape
     corners = np.array([(i * width / 2, j * height / 2, 1) for i in (-1, 1) for j in (-1, 1)])
     seen = corners @ motion.mT
@@ -119,7 +127,16 @@ def visible_reach(motion: np.ndarray, settings: Settings) -> np.ndarray:
 
 
 def picture_scale(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:
-    """The setting, or the largest that fits; two picture px at each side are left to the spline."""
+    """Picture px per detector px: the setting, or the largest that fits.
+
+    Args:
+        shape: Shape of the picture; two px at each side are for the spline.
+        reach: (y, x), extent from the centre that the frames see, detector px.
+        settings: The camera.
+
+    Raises:
+        DataError: The picture is too small.
+    """
     largest = float(np.min((np.array(shape) - 5) / (2 * reach)))
     scale, least = settings.scale or largest, settings.least_scale
     if scale > largest or scale < least:

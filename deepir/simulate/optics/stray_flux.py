@@ -1,4 +1,4 @@
-"""Flux that does not come from the scene: what lenses and housing send to the detector (narcissus)."""
+"""Stray flux from lenses and housing (narcissus)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deepir.simulate.settings import Settings
 
 
 def stray_flux(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """Of each pixel, in units of the range, (H, W): from zero to `settings.stray`."""
+    """Stray flux of each pixel, (H, W), in ranges: from zero to `settings.stray`."""
     height, width = settings.shape
     y, x = (np.arange(side) - (side - 1) / 2 for side in settings.shape)
     shape = STRAY_SHAPES[settings.stray_shape](y[:, None] / height, x / height, width / height, rng)
@@ -17,11 +17,11 @@ def stray_flux(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     return settings.stray * shape / shape.max()
 
 
-# Below, y and x are from the frame's centre, in heights of the frame, which is `wide` of them wide.
+# Below, y and x are distances from the frame's centre and `wide` is the frame's width, in heights of the frame.
 
 
 def smooth(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) -> np.ndarray:
-    """Glows of the housing: four warm or cold spots without an edge."""
+    """Glow of the housing: four warm or cold spots."""
     found = np.zeros(np.broadcast_shapes(y.shape, x.shape))
     for at_y, at_x, size, warmth in zip(
         rng.uniform(-0.5, 0.5, 4),
@@ -35,21 +35,21 @@ def smooth(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) 
 
 
 def radial(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) -> np.ndarray:
-    """About the optical axis: the detector sees itself in a lens (a spot), and the barrel all around."""
+    """About the optical axis: reflection of the detector in a lens (a spot), and the barrel around."""
     at_y, at_x, spot, focus = rng.uniform((-0.05, -0.05, 0.15, 0.8), (0.05, 0.05, 0.3, 1.2))
     r2 = (y - at_y) ** 2 + (x - at_x) ** 2
-    barrel = 1 - (1 + r2 / focus**2) ** -2  # what the lens leaves of the field, with cos^4
+    barrel = 1 - (1 + r2 / focus**2) ** -2  # complement of the cos^4 falloff
     return barrel + rng.choice([-0.5, 0.5]) * np.exp(-r2 / (2 * spot**2))
 
 
 def ring(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) -> np.ndarray:
-    """The ghost of a stop, out of focus."""
+    """The defocused ghost of a stop."""
     at_y, at_x, radius, blur = rng.uniform((-0.1, -0.1, 0.2, 0.04), (0.1, 0.1, 0.4, 0.08))
     return np.exp(-((np.hypot(y - at_y, x - at_x) - radius) ** 2) / (2 * blur**2))
 
 
 def edge(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) -> np.ndarray:
-    """The camera's own body in a polariser in front of it, out of focus."""
+    """The defocused reflection of the camera's body in a polariser."""
     angle, place, blur = rng.uniform((0, -0.3, 0.04), (2 * np.pi, 0.3, 0.1))
     return ndtr((x * np.cos(angle) + y * np.sin(angle) - place) / blur)
 

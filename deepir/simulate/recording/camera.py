@@ -1,4 +1,4 @@
-"""What a camera makes of the flux: lag, drift, shutter, gain control and compression."""
+"""The camera of a recording: lag, drift, shutter, gain control and compression."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AGC_LEVELS = (16.0, 240.0)  # grey levels of these percentiles
 
 
 def shutter_closures(settings: RecordingSettings) -> np.ndarray:
-    """(N,) bool: frames of the closed shutter. There was one just before the recording."""
+    """Frames (N,) bool of the closed shutter; one closure was just before the recording."""
     if not settings.shutter_every:
         return np.zeros(settings.n_frames, bool)
     frame = np.arange(settings.n_frames)
@@ -37,15 +37,15 @@ def drifting_offsets(
 ) -> np.ndarray:
     """The offset of each frame, counts.
 
-    It drifts by independent steps of pixels, columns and rows in the proportions of their sigmas. With a shutter the
-    camera takes off what it sees of it: `(1 - gain) flat` and a residual are left after each closure.
+    Pixels, columns and rows drift by independent steps in the proportions of their sigmas. With a shutter, the camera
+    subtracts its picture: `(1 - gain) flat` and a residual remain after each closure.
 
     Args:
         settings: Drift and shutter.
         gain: (H, W), mean one.
         offset: (H, W), at the start of a recording without a shutter.
         closed: (N,) bool, frames of the closed shutter.
-        rng: Draws drift and residuals.
+        rng: Random stream of drift and residuals.
 
     Returns:
         (N, H, W), float32.
@@ -61,8 +61,8 @@ def drifting_offsets(
     size = settings.contrast * settings.drift * np.sqrt(variance)
 
     def after_closure() -> np.ndarray:
-        left = fixed_pattern(settings.sensor(settings.shutter_residual), rng, rng)[1]
-        return (1 - gain) * settings.flat + left - left.mean()
+        residual = fixed_pattern(settings.sensor(settings.shutter_residual), rng, rng)[1]
+        return (1 - gain) * settings.flat + residual - residual.mean()
 
     base = after_closure() if settings.shutter_every else offset
     drift, found = np.zeros((height, width)), np.empty((settings.n_frames, height, width), np.float32)
@@ -80,9 +80,9 @@ def drifting_offsets(
 
 
 def lagged_frames(flux: Iterable[np.ndarray], settings: RecordingSettings) -> Iterator[np.ndarray]:
-    """Frames that pixels of time constant `tau_ms` show of the flux (H, W) at successive instants.
+    """Frames of pixels with the time constant `tau_ms`, from the flux (H, W) at successive instants.
 
-    Exact for a flux that is linear between two instants. Before the first the pixels had settled.
+    Exact for a flux that is linear between two instants. Before the first instant the pixels have settled.
     """
     kept, old, new = 0.0, 0.0, 1.0
     if settings.tau_ms:
@@ -99,16 +99,16 @@ def lagged_frames(flux: Iterable[np.ndarray], settings: RecordingSettings) -> It
 def automatic_gain(
     raw: np.ndarray, closed: np.ndarray, good: np.ndarray, settings: RecordingSettings
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames of 8 bits of an automatic gain control, which follows the contrast slowly and not that of the shutter.
+    """8-bit frames of an automatic gain control, which follows the contrast slowly and ignores the shutter.
 
     Args:
         raw: (N, H, W), counts.
         closed: (N,) bool, frames of the closed shutter.
-        good: (H, W) bool, pixels that the control looks at.
+        good: (H, W) bool, pixels that the control uses.
         settings: Frame rate.
 
     Returns:
-        Frames (N, H, W), uint8, and the gain (N,) and the offset (N,) by which they come from counts.
+        Frames (N, H, W), uint8, and the gain (N,) and offset (N,) that map counts to grey levels.
     """
     kept = np.exp(-1 / (settings.frame_rate * AGC_TIME_CONSTANT))
     ends, state = np.empty((len(raw), 2)), None
@@ -126,7 +126,11 @@ def automatic_gain(
 
 
 def compress(frames: np.ndarray, settings: RecordingSettings) -> np.ndarray:
-    """Frames (N, H, W), uint8, after a lossy codec; their grey is its luminance, in the full range.
+    """Frames after a lossy codec, with their grey as its luminance, in the full range.
+
+    Args:
+        frames: (N, H, W), uint8.
+        settings: Codec and bit rate.
 
     Raises:
         DataError: PyAV is not installed.

@@ -1,4 +1,4 @@
-"""How the camera of a recording moves: its place and its direction at each instant.
+"""Position and direction of a recording's camera at each instant.
 
 The world has x to the right, y down and z ahead, in metres; the ground is at y = 0. A camera looks along its own z.
 """
@@ -40,7 +40,7 @@ def camera_path(settings: RecordingSettings, rng: np.random.Generator) -> Camera
 
     Args:
         settings: Kind, frames, rates.
-        rng: Draws speed, vibration and turns.
+        rng: Random stream of speed, vibration and turns.
 
     Returns:
         The poses of all instants; every `substeps`-th is that of a frame.
@@ -75,7 +75,18 @@ def camera_path(settings: RecordingSettings, rng: np.random.Generator) -> Camera
 
 
 def wander(rng: np.random.Generator, times: np.ndarray, rms: float, low: float, high: float) -> np.ndarray:
-    """A smooth random course (I,) with frequencies from `low` to `high` Hz; rms as that of its whole ensemble."""
+    """A smooth random course.
+
+    Args:
+        rng: Random stream.
+        times: (I,), s.
+        rms: Root mean square over the ensemble.
+        low: Lowest frequency, Hz.
+        high: Highest frequency, Hz.
+
+    Returns:
+        (I,).
+    """
     rate = 2 * np.pi * np.exp(rng.uniform(np.log(low), np.log(high), WANDER_WAVES))
     parts = rng.standard_normal((2, WANDER_WAVES)) * rms / np.sqrt(WANDER_WAVES)
     angle = rate * times[:, None]

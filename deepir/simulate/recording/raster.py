@@ -1,4 +1,4 @@
-"""Loops of the renderer: each fine sample looks up where its ray meets a surface."""
+"""Kernels of the renderer: each fine sample looks up where its ray meets a surface."""
 
 from __future__ import annotations
 
@@ -101,10 +101,10 @@ def paint_surface(
     moving: np.ndarray,
     through: np.ndarray,
 ) -> None:
-    """Paint a surface where it is nearer than what is opaque there.
+    """Paint a surface where it is nearer than the opaque surfaces so far.
 
-    An opaque one (no `cover`) writes to `near`, the inverse of the depth. What is cut out goes behind what has been
-    painted before it: `through` is the share of each sample that is still free.
+    An opaque one (no `cover`) writes to `near`, the inverse of the depth. A cut-out is painted behind earlier cut-outs:
+    `through` is the uncovered fraction of each sample.
     """
     for i in range(box[0], box[1]):
         v = first[1] + i * step
@@ -142,7 +142,7 @@ def paint_backdrop(
     seen: np.ndarray,
     near: np.ndarray,
 ) -> None:
-    """Paint the backdrop at infinity where there is nothing before it; it begins at azimuth and elevation `start`."""
+    """Paint the backdrop at infinity behind everything; it begins at azimuth and elevation `start`."""
     for i in range(seen.shape[0]):
         v = first[1] + i * step
         for j in range(seen.shape[1]):

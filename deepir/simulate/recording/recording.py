@@ -1,4 +1,4 @@
-"""A recording and its truth."""
+"""A simulated recording and its truth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEFAULT_RECORDING = RecordingSettings()
 
 @dataclass(frozen=True)
 class RecordingTruth:
-    """What made a recording, in counts: `agc_gain (gain scene + offset + noise) + agc_offset`."""
+    """Everything that made a recording, counts: `agc_gain (gain scene + offset + noise) + agc_offset`."""
 
     #: What pixels without pattern and noise would show of each frame, pedestal and lag included.
     scene: np.ndarray  # (N, H, W), float32
@@ -47,7 +47,7 @@ class RecordingTruth:
 
 @dataclass(frozen=True)
 class Recording:
-    """Frames (N, H, W), uint16 counts or uint8 grey levels, their times, and what made them."""
+    """Frames (N, H, W), uint16 counts or uint8 grey levels, their times, and their truth."""
 
     frames: np.ndarray
     times: np.ndarray  # (N,), s
@@ -74,14 +74,11 @@ class Recording:
 def simulate_recording(settings: RecordingSettings = DEFAULT_RECORDING, *, seed: int = 0) -> Recording:
     """Record a world through which a camera moves.
 
-    Path, world, pattern, drift and noise have random streams of their own: with another noise the path stays.
+    Path, world, pattern, drift and noise have independent random streams: another noise leaves the path unchanged.
 
     Args:
         settings: The camera, its motion, and how frames are stored.
         seed: The same seed gives the same recording.
-
-    Returns:
-        Frames with their truth.
 
     Raises:
         DataError: Frames are to be compressed, and PyAV is not installed.
@@ -129,7 +126,7 @@ def simulate_recording(settings: RecordingSettings = DEFAULT_RECORDING, *, seed:
 def _flux(
     seen: World, path: CameraPath, closed: np.ndarray, moving: np.ndarray, settings: RecordingSettings
 ) -> Iterator[np.ndarray]:
-    """What falls on the pixels at each instant, counts; writes `moving` of each frame."""
+    """Flux on the pixels at each instant, counts; fills `moving` of each frame."""
     for k, time in enumerate(path.times):
         frame, first = divmod(k, settings.substeps)
         # The instants between two frames belong to the later one.

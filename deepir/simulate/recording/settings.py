@@ -1,4 +1,4 @@
-"""What can be asked of a simulated recording."""
+"""Settings of a simulated recording."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FRAME_SIDE_LIMITS = (16, 2048)  # least and largest height and width of a frame,
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """The camera, how it moves and how its frames are stored; a zero turns an effect off.
+    """The camera, its motion, and how frames are stored; zero turns an effect off.
 
     Magnitudes are those of 14-bit microbolometers. "Range" is `contrast`, the counts between scene values 0 and 1.
     """
@@ -102,7 +102,7 @@ class RecordingSettings:
         return self.pedestal + self.contrast / 2
 
     def sensor(self, offset: float = 1.0) -> Settings:
-        """The same sensor in the words of a burst; `offset` is a factor of its offset's sigmas."""
+        """The same sensor as `Settings` of a burst; `offset` is a factor of its offset's sigmas."""
         same = ("shape", "gain_pixel", "gain_column", "gain_row", "gain_shading", "read_noise", "dead_pixels")
         scaled = ("offset_pixel", "offset_column", "offset_row", "shading")
         return Settings(

@@ -1,4 +1,4 @@
-"""Flat textured things of a world, and what a camera sees of them: true parallax, integrated over each pixel."""
+"""Flat textured surfaces of a world, rendered with true parallax and integrated over each pixel."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Texture:
 
 @dataclass(frozen=True)
 class Surface:
-    """A rectangle at `corner + velocity t`; its texture is mirrored where it is larger than that."""
+    """A rectangle at `corner + velocity t`; a texture smaller than it is mirrored."""
 
     textures: Sequence[Texture]  # shown in turn, `rate` a second
     corner: np.ndarray  # (3,), m, where the texture's first texel begins
@@ -43,12 +43,12 @@ class Surface:
 
     @property
     def cut(self) -> bool:
-        """Whether it is cut out, and what is behind it shows."""
+        """True for a cut-out, through which surfaces behind it show."""
         return bool(self.textures[0].cover.size)
 
     @property
     def moving(self) -> bool:
-        """Whether it moves by itself."""
+        """True if it moves by itself."""
         return bool(self.velocity.any())
 
 
@@ -63,7 +63,13 @@ class World:
 
 
 def texture(picture: np.ndarray, texel: float, cover: np.ndarray | None = None) -> Texture:
-    """A texture of a picture (height, width), float; `cover`: how opaque it is, in [0, 1], already in the picture."""
+    """A texture of a picture.
+
+    Args:
+        picture: (height, width).
+        texel: Side of a texel, m.
+        cover: (height, width), opacity in [0, 1], already multiplied into the picture; None: opaque.
+    """
     values, covers, levels, start = [], [], [], 0
     layers = [np.asarray(picture, np.float32)]
     layers += [np.asarray(cover, np.float32)] if cover is not None else []
@@ -86,7 +92,7 @@ def _halved(layer: np.ndarray) -> np.ndarray:
 
 
 def cut_out(seed: int, shape: tuple[int, int], draw: Callable[[Canvas], None], texel: float) -> Texture:
-    """What `draw` paints on a canvas, and nothing around it."""
+    """A cut-out with the painting of `draw` on a canvas."""
     canvas = Canvas(seed, shape)
     # Painting is linear: the imaginary part keeps how much of what is behind shows.
     canvas.image = np.full(shape, 1j)
@@ -97,7 +103,11 @@ def cut_out(seed: int, shape: tuple[int, int], draw: Callable[[Canvas], None], t
 def homography(
     surface: Surface, position: np.ndarray, rotation: np.ndarray, time: float
 ) -> np.ndarray | None:
-    """From rays (x, y, 1) of the camera to a surface's (s, t, 1), in m, over their depth; None: it is seen edge-on."""
+    """Homography from rays (x, y, 1) of the camera to points (s, t, 1) of a surface, m, over their depth.
+
+    Returns:
+        (3, 3); None if the surface is seen edge-on.
+    """
     reach = surface.corner + surface.velocity * time - position
     frame = np.stack([surface.along, surface.down, reach], axis=1)
     if abs(np.linalg.det(frame)) < 1e-9:
@@ -114,22 +124,22 @@ def render_view(
     psf_sigma: float = 0.0,
     time: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a camera sees of a world.
+    """Render a world.
 
-    Rays through `SAMPLES_PER_PIXEL` x `SAMPLES_PER_PIXEL` points of each pixel meet the surfaces exactly; the texture
-    is averaged over what lies between the points, then blurred by the optics and averaged over the pixel.
+    Rays through `SAMPLES_PER_PIXEL` x `SAMPLES_PER_PIXEL` points of each pixel meet the surfaces exactly. The texture
+    is averaged between the points, then blurred by the optics and averaged over the pixel.
 
     Args:
-        world: What there is to see.
+        world: The world.
         position: (3,), m.
         rotation: (3, 3), from the camera's axes to the world's.
         focal: Focal length, px.
         shape: Height and width of the frame, px.
         psf_sigma: Gaussian blur of the optics, px.
-        time: Of things that move, s.
+        time: Time of moving surfaces, s.
 
     Returns:
-        Scene values (H, W), float32, and where things that move are seen, (H, W) bool.
+        Scene values (H, W), float32, and pixels of moving surfaces, (H, W) bool.
     """
     margin = SAMPLES_PER_PIXEL * int(np.ceil(3 * psf_sigma))
     height, width = (SAMPLES_PER_PIXEL * n + 2 * margin for n in shape)
@@ -176,7 +186,7 @@ def _box(
     step: float,
     shape: tuple[int, int],
 ) -> tuple[int, int, int, int] | None:
-    """First and last row and column in which a surface may be seen; None: it is not."""
+    """First and last row and column in which a surface may be visible; None if it is not."""
     start = surface.corner + surface.velocity * time - position
     sides = surface.along * surface.size[0], surface.down * surface.size[1]
     corners = np.array([start + i * sides[0] + j * sides[1] for i in (0, 1) for j in (0, 1)]) @ rotation

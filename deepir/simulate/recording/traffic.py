@@ -1,4 +1,4 @@
-"""What moves in the worlds of recordings: cars and people, each at a steady speed."""
+"""Moving objects of recordings: cars and people, each at a constant speed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FEET_POSITIONS = (0.24, 0.34)
 def cars_ahead(
     settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
 ) -> list[Surface]:
-    """One car before the camera in its lane, the others on the opposite one, met at times spread over the recording."""
+    """One car ahead in the lane of the camera, the others oncoming, distributed over the duration."""
     found = []
     for k in range((settings.objects + 1) // 2):
         speed = CAMERA_SPEEDS["drive"] if k == 0 else -ONCOMING_SPEED
@@ -39,7 +39,7 @@ def cars_ahead(
 def people(
     settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
 ) -> list[Surface]:
-    """People on the pavements who cross the street before the camera or walk along it."""
+    """People on the pavements who cross the street or walk along it."""
     found = []
     for k in range(settings.objects // 2):
         side, meets = (-1) ** k, duration * (k + rng.uniform(0.2, 0.8)) / max(settings.objects // 2, 1)
@@ -62,9 +62,15 @@ def people_across(
     reach: float,
     tall: float,
 ) -> list[Surface]:
-    """People who pass before a camera that stays where it is, at azimuths within `reach` to either side, rad.
+    """People who pass before a camera at rest.
 
-    Their feet are on the ground of a backdrop that is `tall` times as high as it is away.
+    Args:
+        settings: Number of people, kind.
+        seed: Of their looks.
+        rng: Random stream of their motion.
+        duration: Of the recording, s.
+        reach: Largest azimuth to either side, rad.
+        tall: Height of the backdrop, on whose ground they walk, over its distance.
     """
     found = []
     for k in range(settings.objects):
@@ -104,7 +110,15 @@ def box(
     wall: Texture,
     velocity: np.ndarray | None = None,
 ) -> list[Surface]:
-    """A roof on four walls; `place` is x and z of its middle, `size` along x, z and up, m."""
+    """A roof on four walls.
+
+    Args:
+        place: x and z of its middle, m.
+        size: Along x, z and up, m.
+        roof: Texture of the roof.
+        wall: Texture of the walls.
+        velocity: (3,), m/s; None: at rest.
+    """
     (x, z), (wide, deep, tall) = place, size
     low, high = np.array([x - wide / 2, -tall, z - deep / 2]), np.array([x + wide / 2, -tall, z + deep / 2])
     speed = np.zeros(3) if velocity is None else velocity

@@ -1,4 +1,4 @@
-"""What the camera of each kind of recording looks at."""
+"""The worlds of the kinds of recordings."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> W
 
     Args:
         settings: Kind, frames and their size.
-        seed: Of all that is drawn.
-        rng: Places what stands and moves there.
+        seed: Of the drawn textures.
+        rng: Random stream of the objects' places.
 
     Returns:
         Surfaces and backdrop, in scene values from 0 to about 1.
@@ -50,7 +50,7 @@ def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> W
 def _surrounded(
     surfaces: list[Surface], settings: RecordingSettings, seed: int, reach: float, street: bool = False
 ) -> World:
-    """Surfaces before a picture that is seen as far as a camera turns, `reach` to either side, rad."""
+    """Surfaces before a backdrop that covers a pan of `reach` to either side, rad."""
     texel = 1 / (BACKDROP_RESOLUTION * settings.focal)
     wide = 2 * (reach + np.deg2rad(settings.field_of_view))
     rows, columns = (
@@ -77,7 +77,7 @@ def _tall(settings: RecordingSettings) -> float:
 def _ground(
     picture: Texture, corner: tuple[float, float, float], size: tuple[float, float], layer: int = 0
 ) -> Surface:
-    """Something flat that lies; x of its texture is the world's, y runs ahead."""
+    """A horizontal surface; x of its texture is the world's, y runs ahead."""
     return Surface((picture,), np.array(corner), RIGHT, AHEAD, size, layer=layer)
 
 

@@ -1,4 +1,4 @@
-"""Drawing with soft edges on a picture of radiant flux: what the built-in scenes are made with."""
+"""Drawing with soft edges on a picture of radiant flux, for the built-in scenes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ Point = tuple[float, float]
 def fractal_noise(
     rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0
 ) -> np.ndarray:
-    """Noise of unit variance, amplitude ~ 1 / frequency**slope, features `stretch` times longer along x."""
+    """Noise of unit variance with amplitude ~ 1 / frequency**slope.
+
+    Args:
+        rng: Random stream.
+        shape: Height and width.
+        slope: Exponent of the amplitude.
+        stretch: Length of the features along x over that along y.
+    """
     height, width = (fft.next_fast_len(int(1.1 * n), real=True) for n in shape)  # larger: it must not wrap
     fy = fft.fftfreq(height)[:, None] * shape[0]  # cycles per picture height
     fx = fft.rfftfreq(width)[None, :] * shape[0] * stretch
@@ -25,7 +32,7 @@ def fractal_noise(
 
 
 class Canvas:
-    """A picture being painted; lengths are in picture heights: x in [0, aspect] right, y in [0, 1] down."""
+    """A picture that is painted; lengths are in picture heights: x in [0, aspect] right, y in [0, 1] down."""
 
     def __init__(self, seed: int, shape: tuple[int, int]) -> None:
         self.rng, texture = np.random.default_rng(seed).spawn(2)  # the layout knows nothing of the shape
@@ -42,7 +49,7 @@ class Canvas:
     def _window(
         self, points: Sequence[Point], margin: float
     ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
-        """The part of the array round some points (only this is painted), and its coordinates x and y."""
+        """The part of the array around some points, which is painted, and its coordinates x and y."""
         low = (np.min(points, axis=0) - margin) * self.shape[0] - 1
         high = (np.max(points, axis=0) + margin) * self.shape[0] + 2
         (x0, y0), (x1, y1) = np.maximum(low, 0).astype(int), np.maximum(high, 0).astype(int)
@@ -58,7 +65,7 @@ class Canvas:
     def polygon(
         self, points: Sequence[Point], value: float, *, warmer: float = 0.0, rough: float = 0.01
     ) -> None:
-        """A convex polygon, `warmer` by so much at its lower end than at its upper."""
+        """A convex polygon, `warmer` at its lower end than at its upper."""
         at, x, y = self._window(points, 0)
         p, q = np.asarray(points, float), np.roll(np.asarray(points, float), -1, axis=0)
         turn = np.sign(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]))
@@ -76,7 +83,7 @@ class Canvas:
     def rod(
         self, p: Point, q: Point, r: float, value: float, *, taper: float = 1.0, limb: float = 0.0
     ) -> None:
-        """A line with round ends, `taper` x as thick at q; `limb` colder at its rim, as a pipe looks."""
+        """A line with round ends, `taper` times as thick at q; `limb` colder at its rim, like a pipe."""
         at, x, y = self._window([p, q], r * max(1.0, taper))
         dx, dy = q[0] - p[0], q[1] - p[1]
         along = np.clip(((x - p[0]) * dx + (y - p[1]) * dy) / max(dx * dx + dy * dy, 1e-12), 0, 1)
@@ -99,20 +106,20 @@ class Canvas:
         self._cover(at, (radius - 1 + ragged * self.rough[at]) * min(rx, ry), value, 0.06)
 
     def glow(self, x: float, y: float, rx: float, ry: float, warmer: float) -> None:
-        """Heat that spreads without an edge."""
+        """A Gaussian spot of heat."""
         at, along, down = self._window([(x - rx, y - ry), (x + rx, y + ry)], 2 * max(rx, ry))
         self.image[at] += warmer * np.exp(-(((along - x) / rx) ** 2) - ((down - y) / ry) ** 2)
 
     def ground(
         self, edge: float, value: float, *, hills: float = 0.0, warmer: float = 0.0, rough: float = 0.03
     ) -> None:
-        """All that lies under a (hilly) skyline at height `edge`; rougher and `warmer` towards the viewer."""
+        """Ground below a (hilly) skyline at height `edge`, rougher and `warmer` towards the viewer."""
         skyline = edge + hills * self.soft[int(self.vary(0, self.shape[0]))]
         depth = self.y[:, None] - skyline
         near = np.clip(depth / (1 - edge), 0, 1)
         self._cover(np.s_[:, :], -depth, value + warmer * near + rough * (0.4 + near) * self.soft, rough)
 
     def sky(self, zenith: float, horizon: float, height: float, clouds: float) -> None:
-        """Cold overhead, warmer towards the horizon, where one looks through more air."""
+        """A sky: cold overhead, warmer towards the horizon, where the path through air is longer."""
         self.image[:] = zenith + (horizon - zenith) * np.clip(self.y[:, None] / height, 0, 1) ** 2
         self.image += clouds * np.maximum(self.soft, -0.3)

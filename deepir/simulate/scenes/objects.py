@@ -1,4 +1,4 @@
-"""What stands in the drawn scenes: people, animals, trees, houses, cars."""
+"""Objects of the drawn scenes: people, animals, trees, houses, cars."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the simulated camera looks at, by name."""
+"""Scenes of the simulated camera, by name."""
 
 from __future__ import annotations
 
@@ -24,14 +24,18 @@ Scene = np.ndarray[Any, Any] | Callable[[tuple[int, int]], np.ndarray[Any, Any]]
 
 
 def load_picture(name: str) -> Scene | list[Scene]:
-    """A grey picture (height, width), its range stretched to [0, 1], or a function that draws one of a given size.
+    """A scene by name.
 
     Args:
-        name: A file, `procedural:SEED`, `sky:SEED`, or a picture of scikit-image: `camera`. Several, with commas
-            between them, make a list.
+        name: A file, `procedural:SEED`, `sky:SEED`, or a picture of scikit-image: `camera`. Several, separated by
+        commas,
+            make a list.
+
+    Returns:
+        A grey picture (height, width), its range stretched to [0, 1], or a function that draws one of a given shape.
 
     Raises:
-        DataError: There is none of that name, or it is no picture.
+        DataError: There is none of that name, or it is not a picture.
     """
     if "," in name and not Path(name).exists():
         return [each for part in name.split(",") if not isinstance(each := load_picture(part.strip()), list)]

@@ -1,4 +1,4 @@
-"""Built-in procedural scenes that look like white-hot thermal pictures: nothing to download, no noise."""
+"""Procedural scenes that resemble white-hot thermal pictures: no download, no noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from deepir.simulate.scenes.objects import car, deer, house, person, tree, windo
 def procedural(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray:
     """Draw a thermal-looking picture with smooth regions, fine texture and sharp edges.
 
-    The seed chooses the kind, `KINDS[seed % 4]` (street, house front, machinery, landscape), and its layout,
+    The seed chooses the kind, `SCENE_PAINTERS[seed % 4]` (street, house front, machinery, landscape), and its layout,
     which scales with the picture's height; only the texture depends on the number of pixels. Edges are
     anti-aliased.
 
@@ -28,10 +28,10 @@ def procedural(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray
 
 
 def sky(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray:
-    """Draw a sky: smooth but for faint clouds, a few birds, and a strip of land with a mast at the bottom.
+    """Draw a sky: smooth except for faint clouds, a few birds, and a strip of land with a mast at the bottom.
 
-    Little in it tells the motion, and nothing but smooth gradients tells the pattern: the hard case of a camera
-    that looks up. Arguments and result are those of `procedural`; land and mast span the upper half of the range.
+    The hard case of a camera that looks up: few edges for the registration, and smooth gradients only for the pattern.
+    Land and mast span the upper half of the range. Arguments and result are those of `procedural`.
     """
     c = Canvas(seed, shape)
     c.sky(0.05, c.vary(0.35, 0.45), 0.88, 0.015)
@@ -185,4 +185,5 @@ def _landscape(c: Canvas) -> None:
     person(c, 0.86 * c.aspect, 0.92, 0.26, 0.1)
 
 
+#: Painters of the kinds of scenes; the seed chooses one.
 SCENE_PAINTERS = (_street, _front, _machinery, _landscape)
