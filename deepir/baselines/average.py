@@ -22,8 +22,7 @@ Array = np.ndarray[Any, Any]
 #: Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
 Registration = tuple[torch.Tensor | None, Array, list[str]]
 
-MIN_GAIN = 0.2  # gain of a usable pixel, in medians of all gains
-MAX_GAIN = 5.0  # the same, at most
+GAIN_LIMITS = (0.2, 5.0)  # least and largest gain of a usable pixel, in medians of all gains
 
 
 def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
@@ -157,11 +156,11 @@ def correct_and_average(
         registration: The result of `register_burst`, if it is known.
 
     Returns:
-        The average, gain and offset; pixels with a gain outside `MIN_GAIN` to `MAX_GAIN` medians are bad.
+        The average, gain and offset; pixels with a gain outside `GAIN_LIMITS` are bad.
     """
     registration = registration or register_burst(burst, config)
     gain = gain / np.median(gain[~burst.bad_pixels])
-    good = ~burst.bad_pixels & (gain > MIN_GAIN) & (gain < MAX_GAIN)
+    good = ~burst.bad_pixels & (gain > GAIN_LIMITS[0]) & (gain < GAIN_LIMITS[1])
     gain = np.where(good, gain, 1.0)
     burst = dataclasses.replace(burst, bad_pixels=~good)
     result = average_frames(burst, config, (burst.frames - offset) / gain, registration)

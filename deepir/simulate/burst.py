@@ -96,8 +96,8 @@ def simulate(
 
     Args:
         scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a given
-        shape,
-            twice as fine as the truth's scene. None: `procedural(seed)`. With `own_scenes` one for each frame, or None.
+            shape, twice as fine as the truth's scene. None: `procedural(seed)`. With `own_scenes` one for each frame,
+            or None.
         settings: The camera and its motion.
         seed: The same seed gives the same burst.
 

@@ -14,9 +14,7 @@ from deepir.paths import expanded
 #: Axes over which medians are taken.
 REPEAT_AXES = ("seed", "data.simulate.seed")
 BURST_AXIS = "burst"  # key of the axis of bursts
-OPENING_BRACKETS = "[{("
-CLOSING_BRACKETS = "]})"
-QUOTES = "\"'"
+BRACKETS = {"[": 1, "{": 1, "(": 1, "]": -1, "}": -1, ")": -1}  # change of the depth of nesting
 
 
 @dataclass(frozen=True)
@@ -60,9 +58,9 @@ def split_at_commas(text: str) -> list[str]:
     for letter in text:
         if quote:
             quote = "" if letter == quote else quote
-        elif letter in QUOTES:
+        elif letter in ("'", '"'):
             quote = letter
-        depth += (not quote) * ((letter in OPENING_BRACKETS) - (letter in CLOSING_BRACKETS))
+        depth += (not quote) * BRACKETS.get(letter, 0)
         if letter == "," and depth <= 0 and not quote:
             parts.append("")
         else:

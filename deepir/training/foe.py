@@ -19,15 +19,14 @@ from deepir.operators.bspline import image
 from deepir.priors.penalties.foe import Experts, counted
 from deepir.registry import register
 from deepir.simulate.scenes.procedural import procedural, sky
+from deepir.training.pictures import FIRST_SCENE_SEED
 from deepir.training.training import Training
 
 #: Pictures of scikit-image on which constants are tuned; none of them is in a benchmark.
 FOE_PHOTOGRAPHS = ("camera", "astronaut", "gravel")
-FIRST_SCENE_SEED = 1000  # seed of the first drawn scene; smaller seeds are for tuning and benchmarks
-SCENE_COUNT = 12  # drawn scenes
-SKY_COUNT = 4  # drawn skies
+DRAWN_COUNTS = {procedural: 12, sky: 4}  # drawn scenes by kind
 SCENE_SHAPE = (432, 540)  # height and width of a drawn scene, px
-BURSTS_PER_ITERATION = 10
+BURSTS_PER_ITERATION = 10  # bursts of a gradient
 FRAME_SIDE = 40  # px of a frame
 SCENE_MARGIN = 4  # px of the scene around a frame
 PICTURE_SCALES = (2, 5)  # picture px per frame px, from and below
@@ -39,6 +38,7 @@ PENALTY_SMOOTHING = 0.09  # smoothing of the experts at zero, in standard deviat
 LBFGS_ITERATIONS = 40  # iterations to the minimum
 CG_ITERATIONS = 25  # products of conjugate gradients; more follow directions that are not quite convex
 START_ITERATIONS = 15  # iterations of L-BFGS to the start
+#: The cubic B-spline on [-2, 2].
 CUBIC_BSPLINE = BSpline.basis_element(range(-2, 3), extrapolate=False)
 #: Weight of total variation at the start, while the scene's smoothness is measured.
 START_TV_WEIGHT = 0.05 / 1.6
@@ -68,9 +68,12 @@ class FieldsOfExperts(Training):
     def __init__(self, rng: np.random.Generator) -> None:
         super().__init__(rng)
         self.noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
-        drawn = [procedural(FIRST_SCENE_SEED + i, SCENE_SHAPE) for i in range(SCENE_COUNT)]
-        skies = [sky(FIRST_SCENE_SEED + i, SCENE_SHAPE) for i in range(SKY_COUNT)]
-        self.pictures = [torch.from_numpy(each).float() for each in 4 * _photographs() + drawn + skies]
+        drawn = [
+            draw(FIRST_SCENE_SEED + i, SCENE_SHAPE)
+            for draw, count in DRAWN_COUNTS.items()
+            for i in range(count)
+        ]
+        self.pictures = [torch.from_numpy(each).float() for each in 4 * _photographs() + drawn]
 
     def network(self) -> nn.Module:
         """Filters and their weights."""

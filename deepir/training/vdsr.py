@@ -36,7 +36,7 @@ class SuperResolution(Training):
         """Mean absolute error over that of the enlarged crops; a network without effect has one."""
         fine = self.pictures.crops(BATCH_SIZE, CROP_SIDE)
         coarse = torch.stack([self._coarse(each) for each in fine])
-        with torch.autocast("cpu", enabled=False):  # what is lost is finer than bfloat16 tells
+        with torch.autocast("cpu", enabled=False):  # lost detail is finer than bfloat16
             error = (network(coarse) - fine).abs()
         lost = (coarse - fine).abs().mean((1, 2, 3))
         return (error.mean((1, 2, 3)) / lost.clamp(min=MIN_LOST_DETAIL)).mean()

@@ -99,5 +99,5 @@ def test_gain_and_bias_are_found():
 
 def test_without_a_sensor_it_is_refused():
     frames = np.random.default_rng(0).random((3, 24, 32))
-    with pytest.raises(ConfigError, match="wants the stage 'sensor' last"):
+    with pytest.raises(ConfigError, match="needs the stage 'sensor' last"):
         deepir.run("nuc", "physics.sensor=null", "problem=generic", frames=frames, method="hardie_droege2007")

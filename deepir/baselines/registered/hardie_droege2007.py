@@ -23,7 +23,7 @@ from deepir.problems.initial_estimate import start_scene
 from deepir.registry import register
 from deepir.result import Result, neutral, to_gauge
 
-GAUSS_NEWTON_STEPS = 3
+GAUSS_NEWTON_STEPS = 3  # steps of the scene, gain and bias eliminated
 MAX_CG_ITERATIONS = 60  # iterations of conjugate gradients in each Gauss-Newton step
 CG_TOLERANCE = 1e-3  # norm of the preconditioned residual, relative to its start, at which they stop
 PRIOR_WIDTH_RATIO = 2.0  # prior deviation of D z over its root mean square, which edges and texture share
@@ -68,7 +68,7 @@ def hardie_droege2007(
     problem, geometry = build(config, kept, None if motion is None else motion[used])
     *optics, (_, last) = problem.operator.named()
     if not isinstance(last, Sensor):
-        raise ConfigError("physics: method 'hardie_droege2007' wants the stage 'sensor' last")
+        raise ConfigError("physics: method 'hardie_droege2007' needs the stage 'sensor' last")
     problem = problem.double()
     start_scene(problem)
     with torch.no_grad():

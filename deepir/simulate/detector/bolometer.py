@@ -9,13 +9,15 @@ import numpy as np
 
 from deepir.simulate.settings import Settings
 
-# Relative standard deviations from pixel to pixel.
-ABSORPTION_SIGMA = 0.01  # of the absorption
-COEFFICIENT_SIGMA = 0.005  # of the temperature coefficient of the resistance
-RESISTANCE_SIGMA = 0.01  # of the resistance
-CONDUCTANCE_SIGMA = 0.02  # of the thermal conductance
-CAPACITY_SIGMA = 0.01  # of the heat capacity
-CURRENT_SIGMA = 0.01  # of the bias current, from column to column
+#: Relative standard deviations of the constants from pixel to pixel; of the bias current, from column to column.
+CONSTANT_SIGMAS = {
+    "absorption": 0.01,
+    "temperature coefficient": 0.005,
+    "resistance": 0.01,
+    "conductance": 0.02,
+    "capacity": 0.01,
+    "current": 0.01,
+}
 PIXEL_EMISSION = 0.5  # flux that a pixel emits itself, above that of scene value 0, in ranges
 LENS_SHARE = 0.2  # share of a pixel's view that is lens, at f/1
 CORNER_ANGLE = 20.0  # degrees from the axis to the frame's corner
@@ -32,12 +34,12 @@ def bolometer_pixels(
         Gain, offset (data units) and time constants over their mean, (H, W) each.
     """
 
-    def drawn(sigma: float) -> np.ndarray:
-        return np.maximum(1 + sigma * rng.standard_normal(settings.shape), 0.05)
+    def relative(name: str) -> np.ndarray:
+        return np.maximum(1 + CONSTANT_SIGMAS[name] * rng.standard_normal(settings.shape), 0.05)
 
-    alpha, beta, resistance = drawn(ABSORPTION_SIGMA), drawn(COEFFICIENT_SIGMA), drawn(RESISTANCE_SIGMA)
-    conductance, capacity = drawn(CONDUCTANCE_SIGMA), drawn(CAPACITY_SIGMA)
-    current = 1 + CURRENT_SIGMA * rng.standard_normal((1, settings.shape[1]))
+    alpha, beta, resistance = relative("absorption"), relative("temperature coefficient"), relative("resistance")
+    conductance, capacity = relative("conductance"), relative("capacity")
+    current = 1 + CONSTANT_SIGMAS["current"] * rng.standard_normal((1, settings.shape[1]))
     gain = current * alpha * beta * resistance / conductance
     gain, slowness = gain / gain.mean(), capacity / conductance
     own = PIXEL_EMISSION * settings.range + (settings.pedestal if settings.counts else 0.0)

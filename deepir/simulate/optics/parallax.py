@@ -10,7 +10,7 @@ from deepir.simulate.settings import Settings
 HILL_COUNT = 8  # hills of the relief
 HILL_WIDTHS = (0.08, 0.2)  # least and largest sigma of a hill, in shorter sides of the frame
 MAX_PARALLAX = 0.05  # in shorter sides of the frame; above, hills hide each other
-MAX_FIXED_POINT_ITERATIONS = 60
+MAX_FIXED_POINT_ITERATIONS = 60  # iterations of the nearness at a frame's pixels
 
 
 def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:

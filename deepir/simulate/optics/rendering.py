@@ -30,11 +30,12 @@ def render(
     area by Gauss-Legendre quadrature, so that the data come from no grid of a reconstruction.
 
     Args:
-        picture: (height, width); its centre is the centre of frame 0. motion: (N, 3, 3), pull homographies in
-        detector px, origin at the frame's centre. shape: Height and width of a frame. scale: Picture px per detector
-        px. psf_sigma: Gaussian blur of the optics, detector px; applied before the motion, with which it commutes
-        except for
-            stretch and keystone.
+        picture: (height, width); its centre is the centre of frame 0.
+        motion: (N, 3, 3), pull homographies in detector px, origin at the frame's centre.
+        shape: Height and width of a frame.
+        scale: Picture px per detector px.
+        psf_sigma: Gaussian blur of the optics, detector px. It is applied before the motion, with which it commutes
+            except for stretch and keystone.
         beside: (N, 2, *shape), x and y in detector px, added to the points where pixels look; linear within a pixel.
 
     Returns:

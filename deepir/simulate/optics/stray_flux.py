@@ -54,4 +54,5 @@ def edge(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) ->
     return ndtr((x * np.cos(angle) + y * np.sin(angle) - place) / blur)
 
 
+#: Shapes by their name in the settings.
 STRAY_SHAPES = {"smooth": smooth, "radial": radial, "ring": ring, "edge": edge}

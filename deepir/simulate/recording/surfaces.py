@@ -12,7 +12,8 @@ from deepir.simulate.recording import raster
 from deepir.simulate.recording.raster import SAMPLES_PER_PIXEL
 from deepir.simulate.scenes.drawing import Canvas
 
-RIGHT, DOWN, AHEAD = np.eye(3)  # unit vectors of the world, see `deepir.simulate.recording.paths`
+#: Unit vectors of the world, see `deepir.simulate.recording.paths`.
+RIGHT, DOWN, AHEAD = np.eye(3)
 MIN_DEPTH = 1 / raster.MAX_INVERSE_DEPTH  # least depth that is rendered, m
 MIN_MOVING_COVER = 0.02  # covered share of a sample from which it counts as moving
 
@@ -38,7 +39,7 @@ class Surface:
     size: tuple[float, float]  # along and down, m
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m/s
     rate: float = 0.0  # Hz
-    #: Where depths of middles do not tell it: what is cut out is behind that of a lower layer.
+    #: Order of cut-outs: one of a higher layer is behind all of a lower layer, whatever their depths.
     layer: int = 0
 
     @property

@@ -28,8 +28,7 @@ def load_picture(name: str) -> Scene | list[Scene]:
 
     Args:
         name: A file, `procedural:SEED`, `sky:SEED`, or a picture of scikit-image: `camera`. Several, separated by
-        commas,
-            make a list.
+            commas, make a list.
 
     Returns:
         A grey picture (height, width), its range stretched to [0, 1], or a function that draws one of a given shape.

@@ -47,7 +47,7 @@ def read(path: Path, key: str | None) -> Array:
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Page after page, `(h, w)`; or, where all lie in one piece, that piece as it is on the disk, `(N, h, w)`."""
+    """Page after page (h, w); if all are contiguous, a memory map (N, h, w)."""
     with _open(path) as tiff:
         for part in _series(tiff, path):
             if part.dataoffset is not None:
@@ -61,10 +61,10 @@ def radiometry(path: Path) -> Radiometry | None:
     """As deepir wrote it into the description, see `deepir.io.radiometry.unit_metadata`."""
     with _open(path) as tiff:
         try:
-            said = json.loads(tiff.pages.first.description)
-            if said.get("unit") == "K":
+            description = json.loads(tiff.pages.first.description)
+            if description.get("unit") == "K":
                 return KELVIN
-            return resolve_radiometry(None, schema.Radiometry(**said["radiometry"]))
+            return resolve_radiometry(None, schema.Radiometry(**description["radiometry"]))
         except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
             return None
 
@@ -116,7 +116,7 @@ def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
 
 
 def _stack(pixels: Array, axes: str, path: Path) -> Array:
-    # Samples in planes of their own are frames: so tifffile saves a burst of three or four unless told.
+    # Samples in separate planes are frames: the default of tifffile for a burst of three or four.
     if axes.endswith("S"):
         pixels = to_grey(pixels, path)
     return pixels.reshape(-1, *pixels.shape[-2:])
