@@ -2,18 +2,18 @@
 
 A reader is a module in one of the sub-folders `arrays`, `pictures` and `thermal`, or in this folder, with
 
-    SUFFIXES: tuple[str, ...]                       what its files are usually called
-    def sniff(head: bytes, path: Path) -> bool      is it mine? by its first 64 bytes, not its name
-    def read(path: Path, key: str | None) -> Array  the array as it is stored, of any shape and type
+    SUFFIXES: tuple[str, ...]                       usual suffixes of its files
+    def sniff(head: bytes, path: Path) -> bool      recognises a file by its first 64 bytes, not its name
+    def read(path: Path, key: str | None) -> Array  the stored array, of any shape and type
 
-and nothing else has to know of it. It may also have
+It needs no registration. It may also have
 
-    def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in pieces of many
-    def radiometry(path: Path) -> Radiometry | None             what its files say a count is in kelvin
+    def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in larger pieces
+    def radiometry(path: Path) -> Radiometry | None             conversion of counts to kelvin
 
-for recordings larger than the memory, and for radiometric ones. A reader of something general sets `GENERIC = True`
-and is asked last, so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything
-on a damaged file: `decoding` turns it into a `DataError`.
+for recordings larger than the memory, and for radiometric ones. A reader of a general format sets `GENERIC = True`
+and is tried last, so that a radiometric JPEG is recognised before a plain one. A reader may raise any exception on a
+damaged file: `decoding` turns it into a `DataError`.
 """
 
 from __future__ import annotations

@@ -37,7 +37,11 @@ def bolometer_pixels(
     def relative(name: str) -> np.ndarray:
         return np.maximum(1 + CONSTANT_SIGMAS[name] * rng.standard_normal(settings.shape), 0.05)
 
-    alpha, beta, resistance = relative("absorption"), relative("temperature coefficient"), relative("resistance")
+    alpha, beta, resistance = (
+        relative("absorption"),
+        relative("temperature coefficient"),
+        relative("resistance"),
+    )
     conductance, capacity = relative("conductance"), relative("capacity")
     current = 1 + CONSTANT_SIGMAS["current"] * rng.standard_normal((1, settings.shape[1]))
     gain = current * alpha * beta * resistance / conductance

@@ -1,4 +1,4 @@
-"""HDF5 and, as such, MATLAB 7.3: named arrays. Needs the extra `hdf5`. Other files are never followed."""
+"""HDF5 and MATLAB 7.3 (an HDF5 file): named arrays. Needs the extra `hdf5`. Links to other files are not followed."""
 
 from __future__ import annotations
 
@@ -23,14 +23,19 @@ MAX_ARRAYS = 10_000  # arrays and groups that are listed
 
 
 def sniff(head: bytes, path: Path) -> bool:
-    """HDF5's signature, or MATLAB's text where it stands before that."""
+    """HDF5's signature, or MATLAB's text before it."""
     return head.startswith((HDF5_SIGNATURE, MATLAB_SIGNATURE))
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The array as it is stored; `key` is its path in the file. MATLAB's (h, w, N) becomes (N, h, w).
+    """The stored array; MATLAB's (h, w, N) becomes (N, h, w).
 
-    Raises `DataError` where several could be meant, and for data kept in other files.
+    Args:
+        path: The file.
+        key: Path of the array in the file.
+
+    Raises:
+        DataError: Several arrays are possible, or the data are in other files.
     """
     with _dataset(path, key) as (data, turned):
         check_size(path, data.nbytes, path.stat().st_size, compressed=True)
@@ -38,7 +43,7 @@ def read(path: Path, key: str | None) -> Array:
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame of the same array."""
+    """Frame after frame (h, w) of the same array."""
     with _dataset(path, key) as (data, turned):
         if data.ndim != 3:
             yield _turned(data[()], turned)
@@ -48,7 +53,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
 
 @contextmanager
 def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
-    """The array that is meant, unread, and whether it is MATLAB's."""
+    """The chosen array, unread, and whether it is MATLAB's."""
     library = import_optional("h5py", "hdf5", str(path))
     with path.open("rb") as stream:
         matlab = stream.read(len(MATLAB_SIGNATURE)) == MATLAB_SIGNATURE
@@ -69,7 +74,7 @@ def _turned(array: Array, matlab: bool) -> Array:
 
 
 def _collect(library: Any, group: Any, prefix: str, found: dict[str, Any]) -> None:
-    """The arrays of numbers below `group` by path; only hard links are followed, and not for ever."""
+    """Collect the arrays of numbers below `group` by path; only hard links are followed, to a limited depth."""
     for name in group:
         if len(found) > MAX_ARRAYS or prefix.count("/") > MAX_GROUP_DEPTH:
             raise DataError(f"{group.file.filename}: more arrays or folders than a recording has")

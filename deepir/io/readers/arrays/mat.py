@@ -1,4 +1,4 @@
-"""MATLAB's `.mat`, versions 5 to 7: named arrays whose last axis counts the frames. Version 7.3 is HDF5."""
+"""MATLAB's `.mat`, versions 5 to 7: named arrays whose last axis is that of the frames. Version 7.3 is HDF5."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ BYTES_PER_VALUE = {"single": 4, "double": 8} | {
 
 
 def sniff(head: bytes, path: Path) -> bool:
-    """The text at the head of MATLAB's, Octave's and SciPy's files."""
+    """The text at the head of files of MATLAB, Octave and SciPy."""
     return head.startswith(b"MATLAB 5.0 MAT-file")
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The array, `(h, w)` or `(N, h, w)`; MATLAB keeps it as (h, w, N).
+    """The array, (h, w) or (N, h, w); MATLAB stores (h, w, N).
 
-    Raises `DataError` where it is no array of numbers, or several could be meant.
+    Raises:
+        DataError: It is not an array of numbers, or several are possible.
     """
     with path.open("rb") as file:
         known = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(file)}

@@ -1,4 +1,4 @@
-"""NumPy's `.npy`: one array. Nothing is ever unpickled."""
+"""NumPy's `.npy`: one array. Nothing is unpickled."""
 
 from __future__ import annotations
 
@@ -24,20 +24,24 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The array as it is stored. Raises `DataError` for pickled objects and for a wrong length."""
+    """The stored array.
+
+    Raises:
+        DataError: It holds pickled objects, or has a wrong length.
+    """
     with path.open("rb") as file:
         return read_stream(file, path, path.stat().st_size)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """The array as it lies on the disk, in one piece."""
+    """A memory map of the stored array."""
     with path.open("rb") as file:
         _check(file, path, path.stat().st_size, at_once=False)
     yield np.load(path, mmap_mode="r", allow_pickle=False)
 
 
 def read_header(stream: IO[bytes], path: Path) -> Header:
-    """Shape, whether the order is Fortran's, and type; `stream` is left at the first byte of the data."""
+    """Shape, Fortran order and type; `stream` then stands at the first byte of the data."""
     version = npy_format.read_magic(stream)
     # Version 3 only adds the names of record fields outside Latin-1, and records are no frames.
     readers = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
@@ -47,7 +51,13 @@ def read_header(stream: IO[bytes], path: Path) -> Header:
 
 
 def read_stream(stream: IO[bytes], path: Path, size: int) -> Array:
-    """One array from `stream`, which is `size` bytes long and at its beginning; `path` is for messages."""
+    """One array from a stream.
+
+    Args:
+        stream: At its beginning.
+        path: The file, for messages.
+        size: Length of the stream, bytes.
+    """
     shape, fortran, dtype = _check(stream, path, size)
     declared = math.prod(shape) * dtype.itemsize
     # To the end, not only `declared` bytes: a zip checks its checksum there.
@@ -58,7 +68,7 @@ def read_stream(stream: IO[bytes], path: Path, size: int) -> Array:
 
 
 def stream_frames(stream: IO[bytes], path: Path, size: int) -> Iterator[Array]:
-    """One array from `stream`, as `read_stream` has it: frame after frame where it is `(N, h, w)`."""
+    """Frame after frame (h, w) of an array (N, h, w) from a stream, else the array; arguments as in `read_stream`."""
     begin = stream.tell()
     shape, fortran, dtype = _check(stream, path, size, at_once=False)
     if fortran or len(shape) != 3:
@@ -71,7 +81,7 @@ def stream_frames(stream: IO[bytes], path: Path, size: int) -> Iterator[Array]:
 
 
 def _check(stream: IO[bytes], path: Path, size: int, *, at_once: bool = True) -> Header:
-    """The header, once what it says can be; `stream` is left at the first byte of the data."""
+    """The header, checked for plausibility; `stream` then stands at the first byte of the data."""
     shape, fortran, dtype = read_header(stream, path)
     if dtype.hasobject:
         raise DataError(f"{path}: holds pickled Python objects, which are never loaded; save plain numbers")

@@ -1,4 +1,4 @@
-"""NumPy's `.npz`: named arrays in a zip archive. Nothing is ever unpickled."""
+"""NumPy's `.npz`: named arrays in a zip archive. Nothing is unpickled."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The array `key`, or the one that `choose` takes for the frames."""
+    """The array `key`, or the one that `choose_array` selects."""
     with zipfile.ZipFile(path) as archive:
         return _read_member(archive, _chosen(archive, path, key), path)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame of the same array."""
+    """Frame after frame (h, w) of the same array."""
     with zipfile.ZipFile(path) as archive:
         info = _chosen(archive, path, key, at_once=False)
         with archive.open(info) as member:

@@ -24,9 +24,10 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The frames `(N, h, w)` of all pictures; a file of several pages gives several frames.
+    """Frames (N, h, w) of all pictures; a file of several pages gives several frames.
 
-    Raises `DataError` where there are none, or they differ in size or type.
+    Raises:
+        DataError: There are none, or they differ in size or type.
     """
     stacks: list[Array] = []
     files, total = burst_files(path), 0
@@ -43,21 +44,24 @@ def read(path: Path, key: str | None) -> Array:
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """File after file."""
+    """Frame after frame, file after file."""
     for file in burst_files(path):
         yield from readers.stream(file, key)
 
 
 def radiometry(path: Path) -> Radiometry | None:
-    """As the first picture says."""
+    """Radiometry of the first picture."""
     return readers.radiometry(burst_files(path)[0])
 
 
 def burst_files(path: Path) -> list[Path]:
-    """The files that `path` stands for, in natural order: frame2 before frame10. Hidden files are left out.
+    """Files of a folder or a glob, in natural order (frame2 before frame10), without hidden files.
 
-    Of a folder these are the pictures: recognised by their contents, or called like one (so that a damaged
-    one is an error and not a missing frame). A glob means all its files.
+    A folder's files are those recognised by their contents, or with a known suffix, so that a damaged file is an error
+    and not a missing frame. A glob stands for all its files.
+
+    Raises:
+        DataError: There are none.
     """
     if path.is_dir():
         entries = [file for file in path.iterdir() if _is_picture(file)]

@@ -21,7 +21,11 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The picture `(h, w)`, uint8. Raises `DataError` for a picture in colour."""
+    """The picture (h, w), uint8.
+
+    Raises:
+        DataError: It is in colour.
+    """
     with Image.open(path, formats=PILLOW_FORMATS) as image:
         check_size(path, 3 * image.width * image.height, path.stat().st_size, compressed=True)
         return to_grey(np.asarray(image.convert("RGB")), path)

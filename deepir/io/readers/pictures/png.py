@@ -20,13 +20,17 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The picture `(h, w)`, uint8 or uint16. Raises `DataError` for a picture in colour."""
+    """The picture (h, w), uint8 or uint16.
+
+    Raises:
+        DataError: It is in colour.
+    """
     pixels = decode(path.read_bytes(), path)
     return pixels if pixels.ndim == 2 else to_grey(pixels, path)
 
 
 def decode(data: bytes, path: Path) -> Array:
-    """The pixels of a PNG, `(h, w)` or `(h, w, C)`; `path` is for messages."""
+    """Pixels of a PNG, (h, w) or (h, w, C); `path` is for messages."""
     width, height, depth, colour = struct.unpack(">IIBB", data[16:26])
     check_size(path, width * height * CHANNELS[colour] * depth // 8, len(data), compressed=True)
     pixels: Array = imagecodecs.png_decode(data)

@@ -32,9 +32,10 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """All pages of full size, `(N, h, w)`.
+    """All pages of full size, (N, h, w).
 
-    Raises `DataError` where pages differ in size, lie outside the file, or are in colour.
+    Raises:
+        DataError: Pages differ in size, lie outside the file, or are in colour.
     """
     with _open(path) as tiff:
         series = _series(tiff, path)
@@ -58,7 +59,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
 
 
 def radiometry(path: Path) -> Radiometry | None:
-    """As deepir wrote it into the description, see `deepir.io.radiometry.unit_metadata`."""
+    """Radiometry that deepir wrote into the description, see `deepir.io.radiometry.unit_metadata`."""
     with _open(path) as tiff:
         try:
             description = json.loads(tiff.pages.first.description)
@@ -85,7 +86,7 @@ def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:
 
 
 def _check(part: Any, path: Path) -> None:
-    """Refuse what tifffile would fill up with zeros: data outside the file, and missing pages."""
+    """Refuse data that tifffile would fill with zeros: outside the file, or of missing pages."""
     page, size = part.keyframe, path.stat().st_size
     if page.photometric == PALETTE_PHOTOMETRIC:
         raise DataError(f"{path}: a palette picture carries no radiometry. Export raw 16-bit data instead.")
@@ -104,7 +105,7 @@ def _check(part: Any, path: Path) -> None:
 
 
 def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
-    """Refuse a chain of pages that breaks off: tifffile would only log that there were more."""
+    """Refuse a broken chain of pages, which tifffile would only log."""
     layout, page = tiff.tiff, tiff.pages[-1]
     with path.open("rb") as file:
         file.seek(page.offset)

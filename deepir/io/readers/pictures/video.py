@@ -26,12 +26,16 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """All frames `(N, h, w)`, uint8 or uint16. Raises `DataError` for a film in colour."""
+    """All frames (N, h, w), uint8 or uint16.
+
+    Raises:
+        DataError: The film is in colour.
+    """
     return stack_frames(stream(path, key), path)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame `(h, w)`."""
+    """Frame after frame (h, w)."""
     av = import_optional("av", "video", str(path))
     with path.open("rb") as file, av.open(file) as container:
         if not container.streams.video:

@@ -1,6 +1,6 @@
 """CPTV, the Cacophony Project's thermal video: Lepton frames as packed differences, in one gzip.
 
-Layout after the public specification, https://github.com/TheCacophonyProject/go-cptv/blob/master/SPEC.md.
+Source: the public specification, https://github.com/TheCacophonyProject/go-cptv/blob/master/SPEC.md.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Fields = dict[bytes, bytes]
 
 
 def sniff(head: bytes, path: Path) -> bool:
-    """A gzip that holds CPTV's mark."""
+    """A gzip of a CPTV stream."""
     if not head.startswith(b"\x1f\x8b"):
         return False
     try:
@@ -35,12 +35,12 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """All frames `(N, h, w)`, uint16 counts."""
+    """All frames (N, h, w), uint16 counts."""
     return stack_frames(stream(path, key), path)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame `(h, w)`; the camera's own picture of the background is left out."""
+    """Frame after frame (h, w), without the camera's background picture."""
     with gzip.open(path) as file:
         if file.read(4) != CPTV_MAGIC or file.read(1) not in (b"\1", b"\2"):
             raise DataError(f"{path}: not a CPTV of version 1 or 2")
@@ -57,7 +57,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
 
 
 def _fields(file: gzip.GzipFile, kind: bytes, path: Path) -> Fields:
-    """A section's fields by their letter: each is a length, a letter and a value."""
+    """Fields of a section by their letter."""
     if (found := file.read(1)) != kind:
         raise DataError(f"{path}: damaged: a section {found!r} where {kind!r} is due")
     fields = {}
@@ -80,7 +80,7 @@ def _number(value: bytes) -> int:
 
 
 def _differences(packed: bytes, bits: int, count: int, path: Path) -> Array:
-    """The first value, then `count` - 1 signed differences of so many bits each, most significant bit first."""
+    """The first value and `count` - 1 signed differences of `bits` bits, most significant bit first."""
     if not 0 < bits <= MAX_DIFFERENCE_BITS or len(packed) < 4 + ((count - 1) * bits + 7) // 8:
         raise DataError(f"{path}: damaged: {len(packed)} bytes for {count} pixels of {bits} bits")
     digits = np.unpackbits(np.frombuffer(packed, np.uint8, offset=4), count=(count - 1) * bits)
@@ -90,7 +90,7 @@ def _differences(packed: bytes, bits: int, count: int, path: Path) -> Array:
 
 
 def _unfolded(frame: Array) -> Array:
-    """Rows are stored there and back: every other one is turned round."""
+    """Rows are stored in alternating directions: every second one is reversed."""
     frame = frame.copy()
     frame[1::2] = frame[1::2, ::-1]
     return frame

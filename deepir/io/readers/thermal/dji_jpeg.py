@@ -1,4 +1,4 @@
-"""DJI's R-JPEG: the raw plane in its APP3 segments. How to make kelvin of it only DJI's own SDK knows."""
+"""DJI's R-JPEG: the raw plane in its APP3 segments. Its radiometry is in DJI's own SDK only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The raw plane `(h, w)`, uint16 counts. Raises `DataError` where its size fits no detector."""
+    """The raw plane (h, w), uint16 counts.
+
+    Raises:
+        DataError: Its size fits no detector.
+    """
     data = _plane(path)
     with path.open("rb") as file:
         shown = jpeg.picture_size(file) or DETECTOR_SHAPES[0]

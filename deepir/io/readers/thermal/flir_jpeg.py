@@ -1,4 +1,4 @@
-"""FLIR's radiometric JPEG: the raw counts that it holds beside the coloured picture."""
+"""FLIR's radiometric JPEG: the raw counts beside the coloured picture."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path, key: str | None) -> Array:
-    """The raw plane `(h, w)`, uint16 counts."""
+    """The raw plane (h, w), uint16 counts."""
     return fff.read_raw_plane(_records(path), path)
 
 
 def radiometry(path: Path) -> Radiometry | None:
-    """Planck's law with the camera's constants, and what its user set: emissivity, distance ..."""
+    """Planck's law with the camera's constants and the user's settings: emissivity, distance ..."""
     return fff.read_radiometry(_records(path))
 
 
 def _records(path: Path) -> fff.Records:
-    """FLIR's records, put together from the numbered segments."""
+    """FLIR's records, joined from the numbered segments."""
     parts = _parts(path)
     numbers = [part[6] for part in parts]
     if numbers != list(range(parts[0][7] + 1)):

@@ -15,23 +15,27 @@ SUFFIXES = (".seq", ".csq", ".fff")
 
 
 def sniff(head: bytes, path: Path) -> bool:
-    """FLIR's mark for such a file."""
+    """First bytes of an FFF."""
     return head.startswith(fff.FFF_MAGIC)
 
 
 def read(path: Path, key: str | None) -> Array:
-    """All frames `(N, h, w)`, uint16 counts. Raises `DataError` where they differ in size."""
+    """All frames (N, h, w), uint16 counts.
+
+    Raises:
+        DataError: They differ in size.
+    """
     return stack_frames(stream(path, key), path)
 
 
 def radiometry(path: Path) -> Radiometry | None:
-    """As the first frame says."""
+    """Radiometry of the first frame."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         return fff.read_radiometry(fff.read_records(data, path)[0])
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame `(h, w)`."""
+    """Frame after frame (h, w)."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         start = 0
         while start != -1:
