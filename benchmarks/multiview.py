@@ -21,7 +21,7 @@ from deepir.metrics import scores
 from deepir.report.panels import write_panels
 from deepir.result import Result
 from deepir.simulate import Settings, Simulation, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 PICTURES = "coffee,rocket,coins,brick,chelsea,clock,cell,retina,immunohistochemistry,stereo_motorcycle"
 SEEDS = (101, 102, 103)
@@ -95,7 +95,7 @@ def burst(more: dict[str, float | bool], seed: int) -> Simulation:
         "dead_pixels": 0.0,
         "own_scenes": True,
     } | more
-    return simulate(picture(PICTURES), Settings(**settings), seed=seed)
+    return simulate(load_picture(PICTURES), Settings(**settings), seed=seed)
 
 
 def likeness(result: Result, sim: Simulation) -> tuple[float, float]:

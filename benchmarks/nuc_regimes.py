@@ -16,7 +16,7 @@ from skimage.color import rgb2gray
 from skimage.transform import downscale_local_mean
 
 from deepir.simulate import Settings
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
 
 SEEDS = {"A": (101, 102, 103), "B": (201, 202, 203)}
 PICTURE_SIZE = (430, 500)  # px of the scenes that are drawn: twice as fine as the frames

@@ -21,7 +21,7 @@ from skimage.io import imread
 from written import write
 
 import deepir
-from deepir.config import priors
+from deepir.config import prior_names
 from deepir.metrics import scores
 
 ROWS, COLUMNS = slice(150, 310), slice(130, 322)
@@ -111,7 +111,7 @@ def named(protocol: tuple[int, int, int]) -> str:
 
 def unpublished() -> list[str]:
     """The priors with settings of our own, total variation first."""
-    names = [name for name in priors() if not name.endswith(("_official", "_2021"))]
+    names = [name for name in prior_names() if not name.endswith(("_official", "_2021"))]
     return sorted(names, key=lambda name: name != "tv")
 
 

@@ -22,7 +22,7 @@ from nuc_store import burst, code
 from written import write
 
 import deepir
-from deepir.config import Config, load, priors
+from deepir.config import Config, load, prior_names
 from deepir.metrics import align
 from deepir.report.panels import write_panels
 from deepir.simulate import Simulation
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--panels", type=Path, help="write a picture of a burst's errors here")
     parser.add_argument("--output", type=Path, help="write the tables to this file too")
     options = parser.parse_args()
-    names = options.prior or [name for name in priors() if options.published or not published(name)]
+    names = options.prior or [name for name in prior_names() if options.published or not published(name)]
     names = ["tv", *(name for name in names if name != "tv")]
     nuc = [
         ("nuc", regime, n, seed) for seed in SEEDS["A"][: options.seeds] for regime in CHOSEN for n in FRAMES

@@ -19,7 +19,7 @@ import deepir
 from deepir.cli.signals import Interrupted, Interruptible
 from deepir.registry import load_plugin
 from deepir.simulate import Settings, simulate
-from deepir.sweep.axes import BURST, Axis
+from deepir.sweep.axes import BURST_AXIS, Axis
 from deepir.sweep.cells import Cell
 from deepir.sweep.sweep import Sweep, prepare
 
@@ -73,7 +73,7 @@ def cells(protocol: Protocol, group: Group) -> list[Cell]:
                 {k: [each.replace("STEM", str(stem)) for each in v] for k, v in group.methods.items()},
             ),
             Axis("data.frames", {str(n): [f"data.frames={n}"] for n in group.frames}),
-            Axis(BURST, {burst: protocol.bursts[burst].written(stem)}),
+            Axis(BURST_AXIS, {burst: protocol.bursts[burst].written(stem)}),
         ]
         found += prepare(group.config, ["threads=1"], axes, folder=folder).cells
     return found
@@ -81,7 +81,7 @@ def cells(protocol: Protocol, group: Group) -> list[Cell]:
 
 def run(sweep: Sweep) -> int:
     """Finish the cells, and keep what went wrong; the exit status."""
-    if todo := len(sweep.todo()):
+    if todo := len(sweep.unfinished()):
         compile_loops()
     start, done = time.monotonic(), 0
     print(f"{todo} of {len(sweep.cells)} runs are to be done", file=sys.stderr, flush=True)

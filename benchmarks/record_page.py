@@ -13,9 +13,9 @@ from record_panels import write_methods
 from record_protocol import Protocol
 from record_tables import FRAMES, Found, margins, table, with_gaps
 
-from deepir.sweep.axes import BURST
+from deepir.sweep.axes import BURST_AXIS
 from deepir.sweep.cells import Cell
-from deepir.sweep.table import rows
+from deepir.sweep.table import make_rows
 
 HERE = f"{Path(__file__).parent.parent}/"
 
@@ -81,16 +81,16 @@ def write_page(
 def found(protocol: Protocol, cells: Sequence[Cell], errors: Mapping[str, str]) -> Found:
     """A protocol's cells as rows, with their gaps to the oracle."""
     of_cells = {cell.name: errors.get(f"{protocol.key}/{cell.name}", "") for cell in cells}
-    every = rows(cells, of_cells)
+    every = make_rows(cells, of_cells)
     for cell, row in zip(cells, every, strict=True):
-        if cell.values[BURST] == "a65" and isinstance(row.metrics, dict) and row.metrics:
+        if cell.values[BURST_AXIS] == "a65" and isinstance(row.metrics, dict) and row.metrics:
             row.metrics.update(record_real.measured(cell.folder.path))
     return Found(protocol, with_gaps(every))
 
 
 def _title(each: Found, n: str) -> str:
     """The burst, where there is only one, and the number of frames."""
-    bursts = list(dict.fromkeys(row.values[BURST] for row in each.rows if row.values[FRAMES] == n))
+    bursts = list(dict.fromkeys(row.values[BURST_AXIS] for row in each.rows if row.values[FRAMES] == n))
     count = n if n.isdecimal() else str(n.count(",") + 1)
     alone = f"{bursts[0]}, " if len(bursts) == 1 else ""
     return f"({each.protocol.key}) {alone}{count} frame{'s' * (count != '1')}"
@@ -125,7 +125,7 @@ def _missing(each: Found) -> Iterator[str]:
 def _record(everything: Mapping[str, Found], cells: Mapping[str, Sequence[Cell]]) -> Iterator[str]:
     """Machines, versions, and each burst's seed and digest."""
     records = [
-        (key, cell.values[BURST], cell.folder.record()) for key, each in cells.items() for cell in each
+        (key, cell.values[BURST_AXIS], cell.folder.record()) for key, each in cells.items() for cell in each
     ]
     for name in ("machine", "versions"):
         for what, count in Counter(_said(record[name]) for *_, record in records if name in record).items():

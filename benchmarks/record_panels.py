@@ -11,9 +11,9 @@ from record_tables import FRAMES, QUALITY
 
 from deepir.metrics import align
 from deepir.report.panels import Panel, write_panels
-from deepir.sweep.axes import BURST
+from deepir.sweep.axes import BURST_AXIS
 from deepir.sweep.cells import Cell
-from deepir.sweep.table import rows
+from deepir.sweep.table import make_rows
 
 COLUMNS = 4
 LEFT_OUT = ("oracle",)  # it is told nearly all
@@ -21,7 +21,7 @@ LEFT_OUT = ("oracle",)  # it is told nearly all
 
 def write_methods(path: Path, cells: Sequence[Cell], burst: str, n: str) -> bool:
     """Panels of all methods that are finished; whether there are any."""
-    wanted = [cell for cell in cells if (cell.values[BURST], cell.values[FRAMES]) == (burst, n)]
+    wanted = [cell for cell in cells if (cell.values[BURST_AXIS], cell.values[FRAMES]) == (burst, n)]
     panels = list(_panels(wanted))
     if panels:
         write_panels(path, panels, rows=-(-len(panels) // COLUMNS))
@@ -29,7 +29,9 @@ def write_methods(path: Path, cells: Sequence[Cell], burst: str, n: str) -> bool
 
 
 def _panels(cells: Sequence[Cell]) -> Iterator[Panel]:
-    done = [(cell, row) for cell, row in zip(cells, rows(cells, {}), strict=True) if QUALITY in row.metrics]
+    done = [
+        (cell, row) for cell, row in zip(cells, make_rows(cells, {}), strict=True) if QUALITY in row.metrics
+    ]
     shown = [each for each in done if each[1].values["method"] not in LEFT_OUT]
     truth = None
     for cell, row in sorted(shown, key=lambda each: each[1].metrics[QUALITY]):

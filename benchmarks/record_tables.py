@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from record_protocol import DEFAULT, TOLD, Protocol
 
-from deepir.sweep.axes import BURST
+from deepir.sweep.axes import BURST_AXIS
 from deepir.sweep.table import Row
 
 FRAMES = "data.frames"
@@ -86,7 +86,7 @@ def with_gaps(rows: Sequence[Row]) -> list[Row]:
 
 
 def _case(row: Row) -> tuple[str, str]:
-    return row.values[BURST], row.values[FRAMES]
+    return row.values[BURST_AXIS], row.values[FRAMES]
 
 
 def table(found: Found, n: str) -> Iterator[str]:

@@ -24,7 +24,7 @@ from deepir.errors import DeepIRError
 from deepir.multiview.held_out_pattern import Judge, Left
 from deepir.result import Result
 from deepir.simulate.recording import Recording, RecordingSettings, residual_map, simulate_recording
-from deepir.simulate.recording.settings import KINDS
+from deepir.simulate.recording.settings import RECORDING_KINDS
 
 SCRIPT = "benchmarks/recordings.py"
 DATA = Path(os.environ.get("DEEPIR_DATA", "../shared/data"))
@@ -247,7 +247,7 @@ def simulated() -> Iterator[str]:
     yield f"| recording | stored | raw | true maps | {' | '.join(METHODS_OF_SCENES)} | given up by multiview_nuc |"
     yield "|---|---|---|---|" + "---|" * (len(METHODS_OF_SCENES) + 1)
     used = np.linspace(0, CAMERA.n_frames - 1, TAKEN).astype(int)
-    for kind in KINDS:
+    for kind in RECORDING_KINDS:
         for name, stored in STORED.items():
             recording = simulate_recording(replace(CAMERA, kind=kind, **stored), seed=SIMULATED_SEED)
             truth = recording.truth

@@ -12,7 +12,7 @@ import statistics
 import tempfile
 from pathlib import Path
 
-from deepir.sweep.axes import listed
+from deepir.sweep.axes import parse_axes
 from deepir.sweep.sweep import prepare
 
 
@@ -33,7 +33,7 @@ def main() -> None:
 def throughput(workers: int, cells: int) -> float:
     """Runs in a second: 5 x 160 x 192, one thread each."""
     seeds = ",".join(map(str, range(cells)))
-    fixed, axes = listed(["data.simulate={counts: true}", "threads=1", f"seed={seeds}"])
+    fixed, axes = parse_axes(["data.simulate={counts: true}", "threads=1", f"seed={seeds}"])
     with tempfile.TemporaryDirectory() as folder:
         sweep = prepare("nuc", fixed, axes, folder=Path(folder), workers=workers)
         sweep.run(lambda cell, error: None, None, ())

@@ -13,28 +13,34 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_frames, read_mask, read_truth, validate
-from deepir.io.checks import empty, lost
-from deepir.io.display_range import cut_off, is_stretched
-from deepir.io.frames import frames_beside, select_frames, to_float32
-from deepir.io.frames import stack as stacked
-from deepir.io.radiometry import Radiometry, chosen
-from deepir.io.saturated_samples import saturated_samples
-from deepir.io.telemetry import telemetry, telemetry_message
+from deepir.io.frames import select_frames, to_float32, unselected_pairs
+from deepir.io.frames import to_stack as stacked
+from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
+from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
+from deepir.io.inspection.saturated_samples import saturated_samples
+from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
+from deepir.io.radiometry import Radiometry, resolve_radiometry
 
 Array = np.ndarray[Any, Any]
-#: Of a truth, what it has for each frame.
-BY_FRAME = ("motion", "level")
+PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame
 
 
 @dataclass(frozen=True)
 class Burst:
-    """Frames (N, h, w) float32, what may be used of them, and where they are from.
+    """Frames, their usable samples, and their origin.
 
-    `valid` (N, h, w) is false for samples that are not finite; `bad_pixels` (h, w) is true for pixels without use,
-    masked ones among them. `truth` holds what is known of the scene (h, w), or (N, h, w) if each frame has its own, of
-    gain, offset, motion ... by name, and `radiometry` makes kelvin of counts. `clipped` (N, h, w) is 1 or -1 for
-    samples that are cut off at an end of the range, else 0; None if none is. `beside` are pairs of frames (2 M, h, w)
-    of the same recording that are not in the burst, to judge its correction by. `messages` say what was left out.
+    Attributes:
+        frames: (N, h, w), float32, in the data's units.
+        valid: (N, h, w) bool, finite samples.
+        bad_pixels: (h, w) bool, pixels without use, masked ones included.
+        source: File or origin, for messages.
+        sha256: Digest of the file.
+        truth: Known arrays by name: scene (h, w) or (N, h, w), gain, offset, motion ...
+        radiometry: Conversion to kelvin.
+        stretched: True if each frame may have a contrast of its own (automatic gain control).
+        clipped: (N, h, w), 1 or -1 for samples cut off at the top or bottom of the range, else 0; None: no such sample.
+        beside: (2 M, h, w), pairs of frames of the same recording outside the burst, by which its correction is scored.
+        messages: Warnings on what was left out.
     """
 
     frames: Array
@@ -51,19 +57,26 @@ class Burst:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(h, w)."""
+        """Height and width of a frame."""
         return self.frames.shape[1], self.frames.shape[2]
 
 
 def load(
     data: Data, *, frames: Array | None = None, needs: int = 1, seed: int = 0, ordered: bool = False
 ) -> Burst:
-    """Read or simulate and check what `data` names; `frames`, (N, h, w), stands in for its file.
+    """Read or simulate the data, and check them.
 
-    Frames that show nothing are left out where enough others do, unless all are wanted, in their order.
+    Frames without content are left out where enough others remain, unless `ordered`.
+
+    Args:
+        data: The section `data` of a configuration.
+        frames: (N, h, w), in place of the file.
+        needs: Least number of frames.
+        seed: Of a simulated burst.
+        ordered: True: all frames are needed, in their order.
 
     Raises:
-        DataError: Whatever is wrong with the files or the frames, and where.
+        DataError: The files or the frames are wrong; the message says where.
         ConfigError: There are two sources, or `data.simulate` or `data.radiometry` is wrong.
     """
     truth: dict[str, Array] = {}
@@ -75,7 +88,7 @@ def load(
         whole = stacked(_array(frames), source)
         stack, beside = (
             to_float32(select_frames(whole, data.frames, source)),
-            frames_beside(whole, data.frames),
+            unselected_pairs(whole, data.frames),
         )
     elif data.path is not None:
         read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
@@ -85,13 +98,13 @@ def load(
         stack, source, digest, truth = _simulated(data, seed)
     else:
         raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
-    kelvin = chosen(found, data.radiometry)
+    kelvin = resolve_radiometry(found, data.radiometry)
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
     truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
     if data.frames is not None and len(scene := truth.get("scene", stack)) > len(stack) and scene.ndim == 3:
         truth["scene"] = select_frames(scene, data.frames, "data.truth")
     if data.frames is not None:
-        by_frame = {name: truth[name] for name in BY_FRAME if len(truth.get(name, stack)) > len(stack)}
+        by_frame = {name: truth[name] for name in PER_FRAME_TRUTH if len(truth.get(name, stack)) > len(stack)}
         truth |= {name: select_frames(array, data.frames, "data.truth") for name, array in by_frame.items()}
     if data.crop is not None:
         size = mask.shape
@@ -99,19 +112,19 @@ def load(
         beside = None if beside is None else crop(beside, data.crop)
         # Motion is about another centre then.
         truth = {k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"}
-    nothing = {} if ordered else lost(stack)
+    nothing = {} if ordered else unusable_frames(stack)
     messages: tuple[str, ...] = ()
     if nothing and len(stack) - len(nothing) >= needs:
         stack, truth, messages = _without(nothing, stack, truth)
     valid = validate(stack, source, needs=needs)
-    if rows := telemetry(stack):
+    if rows := telemetry_rows(stack):
         valid[:, rows] = False
         messages = (*messages, telemetry_message(rows, mask.shape))
     stack = np.where(valid, stack, np.nan)
-    stretched = is_stretched(stack)
-    valid &= ~empty(stack)
+    stretched = is_contrast_stretched(stack)
+    valid &= ~unrecorded_samples(stack)
     if stretched:
-        valid &= ~cut_off(stack)
+        valid &= ~clipped_samples(stack)
     bad = ~valid.any(0)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
@@ -128,7 +141,7 @@ def _without(
     by_frame = {
         name: array[rest]
         for name, array in truth.items()
-        if len(array) == len(stack) and (name in BY_FRAME or (name == "scene" and array.ndim == 3))
+        if len(array) == len(stack) and (name in PER_FRAME_TRUTH or (name == "scene" and array.ndim == 3))
     }
     messages = tuple(
         f"frame {k} is left out: it is {why}. Frames are counted without it" for k, why in nothing.items()
@@ -152,9 +165,9 @@ def _array(frames: Any) -> Array:
 
 def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:
     """Frames that are selected of a simulated burst, their source, digest and truth."""
-    from deepir.simulate.recorded import recorded, truth
+    from deepir.simulate.recorded import simulate_from_config, truth_arrays
 
-    simulation = recorded(data.simulate or {}, seed)
+    simulation = simulate_from_config(data.simulate or {}, seed)
     if data.fps not in (None, simulation.settings.fps):
         raise ConfigError(
             f"data.fps={data.fps:g}, but data.simulate.fps={simulation.settings.fps:g}: they must agree"
@@ -165,7 +178,7 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
             f"data.frames={data.frames!r}: frame 0, on which the truth of a simulated burst lies, goes first"
         )
     stack = to_float32(select_frames(simulation.frames, data.frames, source))
-    return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth(simulation)
+    return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth_arrays(simulation)
 
 
 def _cropped(truth: Array, box: list[int], size: tuple[int, ...]) -> Array:

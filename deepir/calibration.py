@@ -1,4 +1,4 @@
-"""A camera's pattern as maps: from flat frames, or from a run, and what takes it out of a recording."""
+"""A camera's fixed pattern as correction maps: from flat frames or from a run."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from scipy import ndimage
 
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
-from deepir.io.describe import FULL_SCALE
-from deepir.io.readers import npz
+from deepir.io.inspection.describe import FULL_SCALE_COUNTS
+from deepir.io.readers.arrays import npz
 
-RESPONSE = 0.5
-"""A pixel whose gain is farther from the median pixel's than this share of it is no sensor."""
-
-MOST_BAD = 0.5
-"""Share of the pixels that answer unlike the others, from which these are no flats."""
-
-FEW = 0.25
-"""Share of pixels at an end of the range from which it is the surface that is too cold or too hot."""
-
+MAX_GAIN_DEVIATION = 0.5  # deviation from the median gain, as a share of it, from which a pixel is bad
+MAX_BAD_SHARE = 0.5  # share of deviating pixels from which the recordings are not flat
+#: Share of pixels at an end of the range from which the surface is too cold or too hot.
+MAX_SATURATED_SHARE = 0.25
 Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
-class Maps:
-    """Gain, offset and bad pixels of a detector, each (h, w): frame = gain scene + offset.
+class CorrectionMaps:
+    """Gain, offset and bad pixels of a detector: frame = gain scene + offset.
 
     `result.npz` of a run holds such maps too.
+
+    Attributes:
+        gain: (h, w).
+        offset: (h, w), in the data's units.
+        bad_pixels: (h, w) bool.
     """
 
     gain: Array
@@ -40,26 +40,37 @@ class Maps:
     bad_pixels: Array
 
     def save(self, path: Path) -> None:
-        """Write an `.npz`."""
+        """Write the maps to an `.npz`."""
         write_npz(path, {"gain": self.gain, "offset": self.offset, "bad_pixels": self.bad_pixels})
 
     def correct(self, frames: Array) -> Array:
-        """Frames (..., h, w) of any type without the pattern, float32; bad pixels are as their neighbours.
+        """Correct frames; bad pixels take the mean of their neighbours.
 
-        NaN stays NaN. Raises `DataError` for frames of another size.
+        Args:
+            frames: (..., h, w), of any type; NaN stays NaN.
+
+        Returns:
+            (..., h, w), float32.
+
+        Raises:
+            DataError: The frames are of another size.
         """
         self.check(frames)
         scale, shift = self._factors
         scene: Array = np.ma.filled(frames.astype(np.float32), np.nan)
         scene *= scale
         scene += shift
-        bad, sources, weights = self._around
+        bad, sources, weights = self._neighbours
         flat = scene.reshape(*scene.shape[:-2], -1)
         flat[..., bad] = (flat[..., sources] * weights).sum(-1)
         return scene
 
     def check(self, frames: Array, source: str = "") -> None:
-        """Raise `DataError`, which says where they come from, for frames (..., h, w) of another size."""
+        """Check the size of frames (..., h, w).
+
+        Raises:
+            DataError: It is another than that of the maps; the message names `source`.
+        """
         if frames.shape[-2:] != self.gain.shape:
             sizes = [" x ".join(map(str, shape)) for shape in (frames.shape[-2:], self.gain.shape)]
             where = source and f"{source}: "
@@ -67,13 +78,13 @@ class Maps:
                 f"{where}the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
             )
 
-    def roughens(self, frame: Array) -> float:
-        """How many times as much a frame (h, w) differs from pixel to pixel without the pattern as with it."""
+    def roughness_ratio(self, frame: Array) -> float:
+        """Median difference between neighbouring pixels of a frame (h, w), after correction over before."""
         known = np.ma.filled(frame.astype(np.float32), np.nan)
         before, after = (np.abs(np.diff(each, axis=1)) for each in (known, self.correct(frame)))
-        told = np.isfinite(before) & np.isfinite(after)
-        rough = np.median(before[told]) if told.any() else 0.0
-        return float(np.median(after[told]) / rough) if rough > 0 else 1.0
+        valid = np.isfinite(before) & np.isfinite(after)
+        rough = np.median(before[valid]) if valid.any() else 0.0
+        return float(np.median(after[valid]) / rough) if rough > 0 else 1.0
 
     @functools.cached_property
     def _factors(self) -> tuple[Array, Array]:
@@ -81,33 +92,34 @@ class Maps:
         return (1 / gain).astype(np.float32), (-self.offset / gain).astype(np.float32)
 
     @functools.cached_property
-    def _around(self) -> tuple[Array, Array, Array]:
-        """Bad pixels (B,), the pixels that each is made of (B, 9) and their shares: good neighbours, or the nearest."""
+    def _neighbours(self) -> tuple[Array, Array, Array]:
+        """Bad pixels (B,), the pixels that replace each (B, 9), and their weights: good neighbours, or the nearest."""
         height, width = self.gain.shape
         y, x = np.nonzero(self.bad_pixels)
         dy, dx = np.mgrid[-1:2, -1:2].reshape(2, 9)
         near_y, near_x = y[:, None] + dy, x[:, None] + dx
         inside = (near_y >= 0) & (near_y < height) & (near_x >= 0) & (near_x < width)
         near_y, near_x = near_y.clip(0, height - 1), near_x.clip(0, width - 1)
-        shares = (inside & ~self.bad_pixels[near_y, near_x]).astype(np.float32)
-        lonely = ~shares.any(axis=1)
-        if lonely.any():
+        weights = (inside & ~self.bad_pixels[near_y, near_x]).astype(np.float32)
+        isolated = ~weights.any(axis=1)
+        if isolated.any():
             nearest = ndimage.distance_transform_edt(
                 self.bad_pixels, return_distances=False, return_indices=True
             )
-            near_y[lonely], near_x[lonely] = (each[y, x][lonely, None] for each in nearest)
-            shares[lonely] = 1
-        return y * width + x, near_y * width + near_x, shares / shares.sum(axis=1, keepdims=True)
+            near_y[isolated], near_x[isolated] = (each[y, x][isolated, None] for each in nearest)
+            weights[isolated] = 1
+        return y * width + x, near_y * width + near_x, weights / weights.sum(axis=1, keepdims=True)
 
 
-def read(path: Path) -> Maps:
-    """Maps from an `.npz` with `gain` and `offset`, or from the folder of a run.
+def read_maps(path: Path) -> CorrectionMaps:
+    """Read maps from an `.npz` with `gain` and `offset`, or from the folder of a run.
 
-    Raises `DataError` where they are missing, differ in size or cannot be divided by.
+    Raises:
+        DataError: They are missing, differ in size, or no pixel has a positive gain.
     """
     file = path / "result.npz" if path.is_dir() else path
-    with readers.guarded(file):
-        if readers.find(file) is not npz:
+    with readers.decoding(file):
+        if readers.find_reader(file) is not npz:
             raise DataError(f"{file}: maps are an .npz with gain and offset, or the folder of a run")
         found = npz.read_all(file)
     if missing := [name for name in ("gain", "offset") if name not in found]:
@@ -125,11 +137,15 @@ def read(path: Path) -> Maps:
     bad |= ~np.isfinite(gain) | ~np.isfinite(offset) | (gain <= 0)
     if bad.all():
         raise DataError(f"{file}: not one pixel has a gain above zero")
-    return Maps(gain, np.where(bad, 0, offset), bad)
+    return CorrectionMaps(gain, np.where(bad, 0, offset), bad)
 
 
-def mean(frames: Iterable[Array], source: str) -> Array:
-    """The mean (h, w) of a recording of something uniform, float64; NaN for a pixel that has no value."""
+def mean_frame(frames: Iterable[Array], source: str) -> Array:
+    """Mean (h, w) of the frames of a uniform surface, float64; NaN for pixels without a value.
+
+    Raises:
+        DataError: There are no frames; the message names `source`.
+    """
     total, count = None, 0
     for frame in frames:
         values = np.ma.filled(frame.astype(np.float64), np.nan)
@@ -140,13 +156,19 @@ def mean(frames: Iterable[Array], source: str) -> Array:
     return total / count
 
 
-def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
-    """Maps from mean frames (h, w) of uniform surfaces, each of another temperature.
+def maps_from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> CorrectionMaps:
+    """Maps from mean frames of uniform surfaces at different temperatures.
 
-    One gives the offset alone, the gain is one; more give both, by least squares over the flats' mean values. Gain and
-    offset are in the gauge of all of deepir: mean one and mean zero over good pixels. Raises `DataError` where
-    the flats differ in size (by their `sources`), or not in temperature, or are none: no pixel has a value in all, or
-    most answer unlike the others.
+    One flat gives the offset, with gain one; more give both, by least squares over the flats' mean values. Over good
+    pixels the gain has mean one and the offset mean zero.
+
+    Args:
+        flats: Mean frames, (h, w) each.
+        sources: Their names, for messages.
+
+    Raises:
+        DataError: The flats differ in size or have the same temperature; no pixel has a value in all; or most pixels
+            deviate from the others.
     """
     import torch  # not above: `deepir --help` and `deepir apply` do without
 
@@ -162,36 +184,36 @@ def from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Maps:
     known = np.isfinite(stack).all(axis=0)
     if not known.any():
         raise DataError("no pixel has a value in all of the flat frames")
-    known &= ~_at_an_end(stack)
+    known &= ~_saturated(stack)
     stack = np.where(known, stack, np.median(stack[:, known], axis=1)[:, None, None])
     levels = np.median(stack, axis=(1, 2))
     gain = np.ones(stack.shape[1:])
     if len(flats) > 1:
-        around = levels - levels.mean()
-        spread = (around**2).sum()
-        if spread <= (1e-3 * np.abs(levels).max()) ** 2:
+        deviations = levels - levels.mean()
+        variance = (deviations**2).sum()
+        if variance <= (1e-3 * np.abs(levels).max()) ** 2:
             raise DataError(
                 f"the flat frames are at {levels[0]:g} and {levels[-1]:g}: two temperatures are needed"
             )
-        gain = np.tensordot(around, stack - stack.mean(axis=0), 1) / spread
+        gain = np.tensordot(deviations, stack - stack.mean(axis=0), 1) / variance
     offset = stack.mean(axis=0) - gain * levels.mean()
-    bad = ~known | (np.abs(gain - 1) > RESPONSE)
+    bad = ~known | (np.abs(gain - 1) > MAX_GAIN_DEVIATION)
     for each in (gain, offset):
         pattern, good = (torch.from_numpy(array)[None, None] for array in (each, ~bad))
         bad = bad | pattern_outliers(pattern, good).numpy()[0, 0]
-    if bad.mean() > MOST_BAD:
+    if bad.mean() > MAX_BAD_SHARE:
         raise DataError(
             f"{100 * bad.mean():.0f}% of the pixels answer unlike the others: flat recordings show something uniform, "
             "such as a shutter or a wall; of a scene that moves, give one burst with --burst"
         )
     scale = gain[~bad].mean()
     gain, shift = gain / scale, offset[~bad].mean()
-    return Maps(gain.astype(np.float32), (offset - shift * gain).astype(np.float32), bad)
+    return CorrectionMaps(gain.astype(np.float32), (offset - shift * gain).astype(np.float32), bad)
 
 
-def _at_an_end(flats: Array) -> Array:
-    """Pixels (h, w), bool, that are zero or at full scale in all flats (N, h, w), where few are: they see nothing."""
-    ends = {0, *FULL_SCALE} & {np.nanmin(flats), np.nanmax(flats)}
+def _saturated(flats: Array) -> Array:
+    """Pixels (h, w), bool, that are zero or at full scale in all flats (N, h, w), where these are a minority."""
+    ends = {0, *FULL_SCALE_COUNTS} & {np.nanmin(flats), np.nanmax(flats)}
     found = [(flats == end).all(axis=0) for end in ends]
-    few = [each for each in found if each.mean() < FEW]
+    few = [each for each in found if each.mean() < MAX_SATURATED_SHARE]
     return np.logical_or.reduce(few) if few else np.zeros(flats.shape[1:], bool)

@@ -1,4 +1,4 @@
-"""A result beside the truth of its burst: all figures of it."""
+"""Errors of a result against the truth of its burst."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from deepir.operators.geometry import scaled
 from deepir.result import Result
 
 
-def compared(result: Result, burst: Burst) -> dict[str, float | None]:
-    """The scene's scores and the errors of gain, offset, stray flux and motion, as far as the burst's truth has them.
+def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:
+    """Scores of the scene and errors of gain, offset, stray flux and motion, as far as the truth has them.
 
-    Errors are root mean squares, those of maps over good pixels, in the data's units. A motion's is in px of a frame.
-    With a radiometry there is `radiometric_rmse_mk`, the scene's error after one level in mK. A scene of
-    another shape than the truth's is not compared, with a message.
+    Returns:
+        Root mean square errors by name: of maps over good pixels, in the data's units; of the motion in px of a frame.
+        With a radiometry, `radiometric_rmse_mk` is the scene's error without its mean, mK. Empty, with a message of the
+        result, if the scene's shape differs from the truth's.
     """
     truth = burst.truth
     if "scene" not in truth:

@@ -1,4 +1,4 @@
-"""The one family of errors that a user may see."""
+"""The errors that a user may see."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class DeepIRError(Exception):
-    """The user can mend this: the message says what is wrong, where, and what to do (exit code 2)."""
+    """An error that the user can fix: the message says what is wrong, where, and what to do (exit code 2)."""
 
 
 class ConfigError(DeepIRError):
@@ -19,11 +19,11 @@ class DataError(DeepIRError):
 
 
 class SolverError(DeepIRError):
-    """The solve failed on its own (NaN, divergence); the last good state is kept (exit code 1)."""
+    """The solve failed (NaN, divergence); the last good state is kept (exit code 1)."""
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
-    """`"did you mean 'tv'? Allowed: ..."` for a misspelt name.
+    """A hint on a misspelt name: the closest allowed one, and all that are allowed.
 
     >>> nearest("tvv", ["tv", "ridge"])
     "did you mean 'tv'? Allowed: ridge, tv"

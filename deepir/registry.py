@@ -17,8 +17,8 @@ from deepir.errors import ConfigError, nearest
 
 T = TypeVar("T")
 
-#: Kind of component -> the modules and packages that hold deepir's own; every module of a package is looked at.
-HOMES = {
+#: Modules and packages with deepir's components, by kind; all modules of a package are imported.
+COMPONENT_MODULES = {
     "operator": ["deepir.operators"],
     "field": ["deepir.fields", "deepir.fields.psf", "deepir.priors.networks"],
     "penalty": ["deepir.priors.penalties"],
@@ -26,17 +26,24 @@ HOMES = {
     "fidelity": ["deepir.likelihoods"],
     "problem": ["deepir.problems"],
     "effect": ["deepir.effects"],
-    "method": ["deepir.pipeline.reconstruct", "deepir.baselines"],
+    "method": [
+        "deepir.pipeline.reconstruct",
+        "deepir.baselines",
+        "deepir.baselines.single_frame",
+        "deepir.baselines.temporal",
+        "deepir.baselines.registered",
+    ],
     "training": ["deepir.training"],
     "camera": ["deepir.cameras"],
 }
-_components: dict[str, dict[str, Any]] = {kind: {} for kind in HOMES}
+_components: dict[str, dict[str, Any]] = {kind: {} for kind in COMPONENT_MODULES}
 
 
 def register(kind: str, name: str) -> Callable[[T], T]:
-    """Class or function decorator: `@register("operator", "blur")`.
+    """Class or function decorator that registers a component: `@register("operator", "blur")`.
 
-    Raises `ValueError` if the kind is unknown, or another component has the name.
+    Raises:
+        ValueError: The kind is unknown, or another component has the name.
     """
     if kind not in _components:
         raise ValueError(f"unknown kind of component {kind!r}: {nearest(kind, _components)}")
@@ -52,7 +59,16 @@ def register(kind: str, name: str) -> Callable[[T], T]:
 
 
 def lookup(kind: str, name: str, where: str = "") -> Any:
-    """The component of that name; `ConfigError` with the nearest spelling if there is none."""
+    """The component of a kind and name.
+
+    Args:
+        kind: Kind of component, such as `"operator"`.
+        name: Its registered name.
+        where: Path in the configuration, for messages.
+
+    Raises:
+        ConfigError: There is none; the message gives the nearest spelling.
+    """
     found = components(kind)
     if name not in found:
         raise ConfigError(f"{where or kind}: no {kind} is called {name!r}; {nearest(name, found)}")
@@ -61,14 +77,18 @@ def lookup(kind: str, name: str, where: str = "") -> Any:
 
 def components(kind: str) -> dict[str, Any]:
     """All components of a kind by name, deepir's own and the plugins'."""
-    for home in HOMES[kind]:
+    for home in COMPONENT_MODULES[kind]:
         _load(home)
     _load_plugins()
     return dict(sorted(_components[kind].items()))
 
 
 def load_plugin(module: str) -> None:
-    """Import a module that registers components; `ConfigError` if it cannot be imported."""
+    """Import a module that registers components.
+
+    Raises:
+        ConfigError: It cannot be imported.
+    """
     try:
         importlib.import_module(module)
     except Exception as error:  # a plugin may raise anything

@@ -1,4 +1,4 @@
-"""What a run gives: the same arrays for every method, and the files that hold them."""
+"""The result of a run: the same arrays for every method, and the files that hold them."""
 
 from __future__ import annotations
 
@@ -11,20 +11,30 @@ import numpy as np
 
 from deepir.config.schema import Config
 from deepir.io import write_json, write_mat, write_npz, write_preview, write_tiff
-from deepir.io.radiometry import KELVIN, Radiometry, unit
+from deepir.io.radiometry import KELVIN, Radiometry, unit_metadata
 
 Array = np.ndarray[Any, Any]
 
 
 @dataclass(eq=False, repr=False)
 class Result:
-    """Scene, sensor and motion in the input's units; what a method does not estimate is neutral.
+    """Scene, sensor and motion in the input's units; estimates that a method does not make are neutral.
 
-    `scene` (H, W) float32 lies on frame 0's grid, `gain` and `offset` (h, w) on the detector's; `motion` (N, 3, 3)
-    holds pull homographies in px of the scene's grid about the frame's centre, NaN for unused frames; `level` (N,).
-    Where each frame has a scene of its own, `scene` is (N, H, W), each on its frame's grid.
-    A dense motion is `extra["flow"]` (N, 2, h, w), from each pixel to where it looks, x and y; `motion` is then the
-    homographies nearest to it.
+    Attributes:
+        scene: (H, W), float32, on frame 0's grid; (N, H, W) where each frame has a scene of its own.
+        gain: (h, w).
+        offset: (h, w).
+        motion: (N, 3, 3), pull homographies in px of the scene's grid about the centre; NaN for unused frames.
+        level: (N,), offset of each frame.
+        bad_pixels: (h, w) bool.
+        frames_used: (N,) bool.
+        metrics: Figures by name.
+        history: One entry for each iteration: stage, loss ...
+        messages: Warnings.
+        extra: Arrays of some problems: stray, psf ...; a dense motion is `flow` (N, 2, h, w), from each pixel to the
+            point where it looks, x and y, px. `motion` is then the nearest homographies.
+        radiometry: Conversion to kelvin; `extra` then holds `scene_kelvin`.
+        uncertainty: Standard deviations of scene, gain and offset.
     """
 
     scene: Array
@@ -37,30 +47,33 @@ class Result:
     metrics: dict[str, Any] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
-    extra: dict[str, Array] = field(default_factory=dict)  # what only some problems have: stray, psf ...
-    radiometry: Radiometry | None = None  # with which `extra` holds `scene_kelvin`
-    uncertainty: dict[str, Array] = field(default_factory=dict)  # standard deviations of scene, gain, offset
+    extra: dict[str, Array] = field(default_factory=dict)
+    radiometry: Radiometry | None = None
+    uncertainty: dict[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        used, said = int(self.frames_used.sum()), "".join(f"\n- {message}" for message in self.messages)
+        used, warnings = int(self.frames_used.sum()), "".join(f"\n- {message}" for message in self.messages)
         return (
             f"Result: scene {' x '.join(map(str, self.scene.shape))} of {used} frames, gain σ {self.gain.std():.3g}, "
-            f"offset σ {self.offset.std():.3g}, {self.bad_pixels.sum()} bad pixels{said}"
+            f"offset σ {self.offset.std():.3g}, {self.bad_pixels.sum()} bad pixels{warnings}"
         )
 
     def arrays(self) -> dict[str, Array]:
-        """All arrays by name, as `result.npz` holds them."""
+        """All arrays by name, as in `result.npz`."""
         names = ("scene", "gain", "offset", "motion", "level", "bad_pixels", "frames_used")
         return {name: getattr(self, name) for name in names} | self.extra
 
     def save(self, folder: Path, example: Array, config: Config) -> None:
-        """Write all files of a finished run that `config.output` asks for; `example` is a raw frame to compare with.
+        """Write all files of a finished run that `config.output` asks for, each atomically.
 
-        Each is replaced whole.
+        Args:
+            folder: The folder of the run.
+            example: (h, w), a raw frame to compare with.
+            config: The configuration of the run.
         """
         from deepir.report.flow import write_flow
         from deepir.report.html import write_report
-        from deepir.report.panels import some
+        from deepir.report.panels import montage
         from deepir.report.summary import write_summary
 
         output = config.output
@@ -69,10 +82,10 @@ class Result:
             write_mat(folder / "result.mat", self.arrays())
         if self.uncertainty:
             write_npz(folder / "uncertainty.npz", self.uncertainty)
-        write_tiff(folder / "scene.tiff", self.scene, unit(self.radiometry))
+        write_tiff(folder / "scene.tiff", self.scene, unit_metadata(self.radiometry))
         if "scene_kelvin" in self.extra:
-            write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit(KELVIN))
-        write_preview(folder / "scene_preview.png", some(self.scene), output.palette, output.tones)
+            write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit_metadata(KELVIN))
+        write_preview(folder / "scene_preview.png", montage(self.scene), output.palette, output.tones)
         write_summary(folder / "summary.png", self, example)
         if "flow" in self.extra:
             write_flow(folder / "flow.png", self.extra["flow"], self.motion)
@@ -81,7 +94,14 @@ class Result:
 
 
 def neutral(scene: Array, n_frames: int, size: tuple[int, int], bad_pixels: Array) -> Result:
-    """A result with gain one, offset zero and no motion."""
+    """A result with gain one, offset zero and no motion.
+
+    Args:
+        scene: (H, W) or (N, H, W).
+        n_frames: Number of frames of the burst.
+        size: Height and width of a frame.
+        bad_pixels: (h, w) bool.
+    """
     return Result(
         scene=scene.astype(np.float32),
         gain=np.ones(size, np.float32),
@@ -94,9 +114,14 @@ def neutral(scene: Array, n_frames: int, size: tuple[int, int], bad_pixels: Arra
 
 
 def to_gauge(result: Result, *, known_gain: bool = False, flux: Sequence[str] = ()) -> None:
-    """Gain mean one, offset and level mean zero, over good pixels and used frames; the prediction does not change.
+    """Fix the gauge: gain mean one, offset and level mean zero, over good pixels and used frames.
 
-    A known gain stays as it is. `flux` names what in `extra` adds to the scene's: mean zero.
+    The prediction does not change.
+
+    Args:
+        result: Is changed in place.
+        known_gain: True: the gain stays as it is.
+        flux: Names in `extra` of fluxes that add to the scene; their means become zero.
     """
     good = ~result.bad_pixels
     mean = 1.0 if known_gain else result.gain[good].mean(dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Run a configuration, in memory or into a folder."""
+"""Run a configuration on data in memory."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import torch
 import deepir
 from deepir import burst as bursts
 from deepir.build.problem import build
-from deepir.comparison import compared
+from deepir.comparison import compare_to_truth
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.kernels import memory, threads
@@ -37,10 +37,14 @@ Callbacks = Sequence[Callable[[Progress], None]]
 
 
 def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> bursts.Burst:
-    """Read the data, and check all that can be checked without solving.
+    """Read the data and check all that can be checked without solving.
+
+    Args:
+        config: The configuration.
+        frames: (N, h, w), in place of `data.path`.
 
     Raises:
-        DeepIRError: Whatever is wrong with the configuration, the files or the frames.
+        DeepIRError: The configuration, the files or the frames are wrong.
     """
     definition = lookup("problem", config.problem, "problem")
     chosen(config)
@@ -60,7 +64,11 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
 
 
 def check_components(config: Config, data: bursts.Burst) -> None:
-    """Build the problem for a camera at rest: what is wrong with a component shows before anything runs."""
+    """Build the problem for a camera at rest, so that errors of components show before a run.
+
+    Raises:
+        ConfigError: A component is wrong, or the problem lacks a stage that it needs.
+    """
     still = torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
     problem, _ = build(config, data, still)
     recipe = make_recipe(config)
@@ -75,7 +83,17 @@ def check_components(config: Config, data: bursts.Burst) -> None:
 def execute(
     config: Config, data: bursts.Burst, *, callbacks: Callbacks = (), checkpoint: Checkpoint | None = None
 ) -> Result:
-    """Run the method on data in memory; adds time, memory and scores to the metrics."""
+    """Run the method on data in memory.
+
+    Args:
+        config: The configuration.
+        data: The burst.
+        callbacks: Called with a `Progress` after each iteration.
+        checkpoint: Where the solver saves its state.
+
+    Returns:
+        The result; its metrics include time, memory and scores.
+    """
     torch.manual_seed(config.seed)
     start = time.perf_counter()
     name, method = chosen(config)
@@ -85,7 +103,7 @@ def execute(
     seconds = time.perf_counter() - start
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
-    quality = {"roughness": roughness(result.scene)} | compared(result, data)
+    quality = {"roughness": roughness(result.scene)} | compare_to_truth(result, data)
     result.metrics = measured | unknown | result.metrics | quality
     if data.radiometry is not None:
         result.radiometry = data.radiometry
@@ -105,13 +123,13 @@ def execute(
 
 
 def peak_memory() -> float:
-    """Most memory that this process has held, MB."""
+    """Peak memory of this process, MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)
 
 
 def machine() -> str:
-    """What seconds depend on: the processor, and how many cores it has."""
+    """The processor and its number of cores, on which timings depend."""
     names = [platform.processor() or platform.machine()]
     with suppress(OSError, UnicodeDecodeError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -120,7 +138,7 @@ def machine() -> str:
 
 
 def versions() -> dict[str, str]:
-    """What a result depends on beside the data and the configuration."""
+    """Versions of deepir, torch and Python, on which results depend."""
     return {"deepir": deepir.__version__, "torch": torch.__version__, "python": platform.python_version()}
 
 

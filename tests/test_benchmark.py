@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.optics import move, reach_of, scale_of
+from deepir.simulate.optics.rendering import picture_scale, random_motion, visible_reach
 
 SMALL = Settings(shape=(48, 56), n_frames=5, max_shift=4.0, shading=0.0, dead_pixels=0.0)
 
@@ -39,8 +39,11 @@ def test_every_regime_fits_its_pictures():
         for half, seeds in SEEDS.items():
             for n, seed in ((n, seed) for n in regime.frames for seed in seeds):
                 settings = regime.settings(n)
-                motion = move(settings, np.random.default_rng(seed).spawn(1)[0])
-                assert scale_of(shapes[regime.picture(half)], reach_of(motion, settings), settings) >= 1.2
+                motion = random_motion(settings, np.random.default_rng(seed).spawn(1)[0])
+                assert (
+                    picture_scale(shapes[regime.picture(half)], visible_reach(motion, settings), settings)
+                    >= 1.2
+                )
 
 
 @pytest.mark.parametrize(
@@ -49,7 +52,7 @@ def test_every_regime_fits_its_pictures():
 def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
     from nuc_oracle import oracle
 
-    from deepir.simulate.scenes import procedural
+    from deepir.simulate.scenes.procedural import procedural
 
     monkeypatch.setattr("nuc_oracle.ITERATIONS", 30)
     scene = procedural(2, (140, 160))
@@ -63,7 +66,7 @@ def test_the_oracle_does_not_mind_what_it_is_told_of(effect, monkeypatch):
 def test_the_oracles_noise_is_that_of_the_frames():
     from nuc_oracle import noise_variance
 
-    from deepir.simulate.scenes import procedural
+    from deepir.simulate.scenes.procedural import procedural
 
     scene = procedural(2, (140, 160))
     camera = dataclasses.replace(SMALL, photons=300.0, max_shift=0.0, counts=True, n_frames=60)

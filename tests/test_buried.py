@@ -7,7 +7,7 @@ import numpy as np
 import deepir
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import sky
+from deepir.simulate.scenes.procedural import sky
 
 RAW = Settings(
     n_frames=6,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir import calibration
-from deepir.calibration import Maps
+from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 
 SHAPE = (48, 64)
@@ -35,7 +35,9 @@ def scene():
 
 def test_two_flats_give_gain_and_offset(camera):
     gain, _, bad, see = camera
-    found = calibration.from_flats([calibration.mean(see(level), "flat") for level in (7000, 9000)])
+    found = calibration.maps_from_flats(
+        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
+    )
     np.testing.assert_array_equal(found.bad_pixels, bad)
     good = ~bad
     assert np.std((found.gain - gain)[good]) < 0.002
@@ -45,14 +47,14 @@ def test_two_flats_give_gain_and_offset(camera):
 
 def test_many_flats_agree_better_than_two(camera):
     gain, _, bad, see = camera
-    means = [calibration.mean(see(level), "flat") for level in (7000, 7000, 7000, 9000, 9000, 9000)]
-    errors = [np.std((calibration.from_flats(flats).gain - gain)[~bad]) for flats in (means[2:4], means)]
+    means = [calibration.mean_frame(see(level), "flat") for level in (7000, 7000, 7000, 9000, 9000, 9000)]
+    errors = [np.std((calibration.maps_from_flats(flats).gain - gain)[~bad]) for flats in (means[2:4], means)]
     assert errors[1] < 0.7 * errors[0]
 
 
 def test_one_flat_takes_away_all_of_the_pattern_at_its_temperature(camera):
     _, _, bad, see = camera
-    found = calibration.from_flats([calibration.mean(see(8000), "flat")])
+    found = calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat")])
     corrected = found.correct(see(8000, 1)[0])
     assert (found.gain == 1).all()
     assert np.std(corrected[~bad]) == pytest.approx(4, rel=0.1)  # the noise
@@ -60,7 +62,7 @@ def test_one_flat_takes_away_all_of_the_pattern_at_its_temperature(camera):
 
 def test_the_recording_is_the_scene_and_noise(camera, scene):
     gain, offset, bad, see = camera
-    corrected = Maps(gain, offset, bad).correct(see(scene))
+    corrected = CorrectionMaps(gain, offset, bad).correct(see(scene))
     assert corrected.dtype == np.float32
     error = corrected - scene
     assert np.std(error[:, ~bad]) == pytest.approx(4, rel=0.05)
@@ -72,7 +74,7 @@ def test_bad_pixels_are_the_mean_of_their_good_neighbours():
     bad[10, 10], bad[0, 0], bad[20:25, 20:25] = True, True, True
     ramp = np.add.outer(np.arange(SHAPE[0]), 100 * np.arange(SHAPE[1])).astype(float)
     seen = np.where(bad, -1e6, ramp)
-    mended = Maps(np.ones(SHAPE), np.zeros(SHAPE), bad).correct(seen)
+    mended = CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), bad).correct(seen)
     assert mended[10, 10] == pytest.approx(ramp[10, 10])
     assert mended[0, 0] == pytest.approx((1 + 100 + 101) / 3)
     assert mended[22, 22] in ramp[19:26, 19:26]  # none is near: the nearest
@@ -82,14 +84,14 @@ def test_bad_pixels_are_the_mean_of_their_good_neighbours():
 def test_markers_without_a_value_stay_without():
     frame = np.ma.masked_array(np.ones(SHAPE, np.uint8), np.zeros(SHAPE, bool))
     frame[3, 4] = np.ma.masked
-    corrected = Maps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(frame)
+    corrected = CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(frame)
     assert np.argwhere(np.isnan(corrected)).tolist() == [[3, 4]]
 
 
 def test_maps_come_back_from_their_file(tmp_path, camera):
     gain, offset, bad, _ = camera
-    Maps(gain.astype(np.float32), offset.astype(np.float32), bad).save(tmp_path / "maps.npz")
-    found = calibration.read(tmp_path / "maps.npz")
+    CorrectionMaps(gain.astype(np.float32), offset.astype(np.float32), bad).save(tmp_path / "maps.npz")
+    found = calibration.read_maps(tmp_path / "maps.npz")
     np.testing.assert_allclose(found.gain, gain, rtol=1e-6)
     np.testing.assert_allclose(found.offset[~bad], offset[~bad], rtol=1e-5)
     np.testing.assert_array_equal(found.bad_pixels, bad)
@@ -99,7 +101,7 @@ def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
     gain, offset = np.ones(SHAPE), np.zeros(SHAPE)
     gain[1, 1], gain[2, 2], offset[3, 3] = 0, np.nan, np.inf
     np.savez(tmp_path / "maps.npz", gain=gain, offset=offset)
-    found = calibration.read(tmp_path / "maps.npz")
+    found = calibration.read_maps(tmp_path / "maps.npz")
     assert np.argwhere(found.bad_pixels).tolist() == [[1, 1], [2, 2], [3, 3]]
     assert np.isfinite(found.correct(np.ones(SHAPE))).all()
 
@@ -115,27 +117,27 @@ def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
 def test_maps_that_are_none_are_refused(tmp_path, arrays, message):
     np.savez(tmp_path / "maps.npz", **arrays)
     with pytest.raises(DataError, match=message):
-        calibration.read(tmp_path / "maps.npz")
+        calibration.read_maps(tmp_path / "maps.npz")
 
 
 def test_maps_of_another_camera_are_refused():
     with pytest.raises(DataError, match="the frames are 9 x 9 px, the maps 48 x 64 px"):
-        Maps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(np.ones((9, 9)))
+        CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(np.ones((9, 9)))
 
 
 def test_flats_of_one_temperature_give_no_gain(camera):
     _, _, _, see = camera
     with pytest.raises(DataError, match="two temperatures are needed"):
-        calibration.from_flats([calibration.mean(see(8000), "flat") for _ in range(2)])
+        calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat") for _ in range(2)])
 
 
 def test_a_pixel_without_a_value_in_one_flat_is_bad(camera):
     _, _, bad, see = camera
-    flats = [calibration.mean(see(level), "flat") for level in (7000, 9000)]
+    flats = [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
     flats[1][7, 7] = np.nan
-    assert np.argwhere(calibration.from_flats(flats).bad_pixels & ~bad).tolist() == [[7, 7]]
+    assert np.argwhere(calibration.maps_from_flats(flats).bad_pixels & ~bad).tolist() == [[7, 7]]
     with pytest.raises(DataError, match="no pixel has a value"):
-        calibration.from_flats([np.full(SHAPE, np.nan)])
+        calibration.maps_from_flats([np.full(SHAPE, np.nan)])
 
 
 @pytest.mark.parametrize("end", [0, 2**14 - 1])
@@ -146,7 +148,7 @@ def test_what_is_at_an_end_of_the_range_in_all_flats_is_bad(end):
         8000 * (1 + 0.17 * rng.standard_normal((4, *SHAPE))[:1]) + rng.standard_normal((4, *SHAPE))
     ).round()
     frames[:, 5::9, 3::11] = end
-    found = calibration.from_flats([calibration.mean(frames, "flat")]).bad_pixels
+    found = calibration.maps_from_flats([calibration.mean_frame(frames, "flat")]).bad_pixels
     assert found[5::9, 3::11].all()
     assert found.sum() <= found[5::9, 3::11].size + 1
 
@@ -161,12 +163,14 @@ def test_maps_of_a_run_hold_its_stray_flux(tmp_path):
     np.savez(tmp_path / "result.npz", gain=gain, offset=offset, stray=stray)
     flux = 8000 + 300 * rng.random(SHAPE)
     seen = gain * (flux + stray) + offset
-    np.testing.assert_allclose(calibration.read(tmp_path).correct(seen), flux, atol=0.01)
+    np.testing.assert_allclose(calibration.read_maps(tmp_path).correct(seen), flux, atol=0.01)
 
 
 def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene):
     _, _, _, see = camera
-    found = calibration.from_flats([calibration.mean(see(level), "flat") for level in (7000, 9000)])
+    found = calibration.maps_from_flats(
+        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
+    )
     frame = see(scene, 1)[0]
     assert found.roughens(frame) < 0.3
     assert found.roughens(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3
@@ -179,4 +183,4 @@ def test_frames_of_a_scene_are_no_flats():
     rng = np.random.default_rng(8)
     scenes = [8000 + 300 * rng.standard_normal(SHAPE) for _ in range(2)]
     with pytest.raises(DataError, match=r"\d+% of the pixels answer unlike the others.*--burst"):
-        calibration.from_flats([scenes[0], scenes[1] + 100])
+        calibration.maps_from_flats([scenes[0], scenes[1] + 100])

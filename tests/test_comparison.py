@@ -7,7 +7,7 @@ import pytest
 
 import deepir
 from deepir.burst import Burst, load
-from deepir.comparison import compared
+from deepir.comparison import compare_to_truth
 from deepir.config import Data
 from deepir.io.radiometry import Linear
 from deepir.result import neutral
@@ -39,7 +39,7 @@ def told(burst):
 
 
 def test_the_truth_is_right_in_every_respect(told, burst):
-    found = compared(told, burst)
+    found = compare_to_truth(told, burst)
     assert found["psnr"] > 90
     errors = {name: value for name, value in found.items() if name.endswith("rmse") or "residual" in name}
     assert {"gain_rmse", "offset_rmse", "stray_rmse", "motion_rmse", "radiometric_rmse"} < set(errors)
@@ -49,17 +49,19 @@ def test_the_truth_is_right_in_every_respect(told, burst):
 @pytest.mark.parametrize(("name", "off"), [("gain", 0.01), ("offset", 3.0)])
 def test_a_column_that_is_off_is_a_columns_share_of_the_error(told, burst, name, off):
     getattr(told, name)[:, -1] += off
-    assert compared(told, burst)[f"{name}_rmse"] == pytest.approx(off / burst.size[1] ** 0.5, rel=1e-3)
+    assert compare_to_truth(told, burst)[f"{name}_rmse"] == pytest.approx(
+        off / burst.size[1] ** 0.5, rel=1e-3
+    )
 
 
 def test_a_motion_is_judged_in_px_of_a_frame(told, burst):
     told.motion[1:, 0, 2] += 1.0
-    assert compared(told, burst)["motion_rmse"] == pytest.approx(1 / SMALL.factor, rel=1e-3)
+    assert compare_to_truth(told, burst)["motion_rmse"] == pytest.approx(1 / SMALL.factor, rel=1e-3)
 
 
 def test_where_counts_are_kelvin_the_error_is_in_mk(told, burst):
     told.scene = told.scene + np.float32(5) * (np.indices(told.scene.shape).sum(0) % 2)
-    found = compared(told, dataclasses.replace(burst, radiometry=Linear(0.01)))
+    found = compare_to_truth(told, dataclasses.replace(burst, radiometry=Linear(0.01)))
     assert found["radiometric_rmse_mk"] == pytest.approx(25, rel=0.02)  # ± 2.5 counts of 10 mK
 
 
@@ -74,4 +76,4 @@ def test_without_a_truth_there_is_roughness_only():
     assert metrics["roughness"] > 0
     assert not {"psnr", "gain_rmse", "motion_rmse"} & metrics.keys()
     blank = Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool))
-    assert compared(neutral(frames[0], 4, (40, 48), blank.bad_pixels), blank) == {}
+    assert compare_to_truth(neutral(frames[0], 4, (40, 48), blank.bad_pixels), blank) == {}

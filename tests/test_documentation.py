@@ -13,9 +13,9 @@ from pydantic import BaseModel
 
 from deepir.burst import Burst
 from deepir.cli import app
-from deepir.config import SHIPPED, load
+from deepir.config import SHIPPED_CONFIGS, load
 from deepir.config.schema import Config
-from deepir.report.components import page as components_page
+from deepir.report.components import components_page
 from deepir.runner import check_components
 from deepir.simulate import Settings
 
@@ -89,7 +89,7 @@ def test_the_composed_form_finds_the_scene(burst, tmp_path, monkeypatch, one_thr
     "page", [page for page in PAGES if page not in APART and blocks(page, "yaml")], ids=ids
 )
 def test_yaml_blocks_make_problems(page):
-    shipped = yaml.safe_load((SHIPPED / "nuc.yaml").read_text())
+    shipped = yaml.safe_load((SHIPPED_CONFIGS / "nuc.yaml").read_text())
     frames = np.random.default_rng(0).random((3, 24, 32)).astype(np.float32)
     burst = Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool))
     for _, text in blocks(page, "yaml"):
@@ -100,7 +100,7 @@ def test_yaml_blocks_make_problems(page):
 
 
 def test_the_configuration_that_is_shown_is_the_one_that_is_shipped():
-    shipped = yaml.safe_load((SHIPPED / "nuc.yaml").read_text())
+    shipped = yaml.safe_load((SHIPPED_CONFIGS / "nuc.yaml").read_text())
     for page in (README, CONFIGURATION):
         assert yaml.safe_load(blocks(page, "yaml")[0][1]) == shipped
 
@@ -169,10 +169,10 @@ def test_every_command_is_documented():
 
 
 def test_every_file_of_a_run_is_documented():
-    from deepir.storage.folder import FILES
+    from deepir.storage.folder import RUN_FILES
 
     text = (ROOT / "docs/cli.md").read_text()
-    assert [name for name in FILES if f"`{name}`" not in text] == ["checkpoint.part"]
+    assert [name for name in RUN_FILES if f"`{name}`" not in text] == ["checkpoint.part"]
 
 
 def test_the_table_of_components_is_current():

@@ -21,7 +21,7 @@ from deepir.errors import ConfigError
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.registry import load_plugin
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 from deepir.testing import check_operator
 
 PAGE = ROOT / "docs/extending.md"
@@ -72,7 +72,9 @@ def outside(tmp_path, monkeypatch, picture):
 @pytest.fixture
 def plugin(outside, monkeypatch):
     """The plugin in this process; forgotten afterwards."""
-    known = {kind: registry.components(kind) for kind in registry.HOMES}  # all are loaded before any is added
+    known = {
+        kind: registry.components(kind) for kind in registry.COMPONENT_MODULES
+    }  # all are loaded before any is added
     monkeypatch.setattr(registry, "_components", known)
     monkeypatch.syspath_prepend(outside)
     load_plugin(PACKAGE)
@@ -116,7 +118,7 @@ def test_an_installed_plugin_is_found_and_listed(outside):
     listed = command("list", path=outside)
     for line in ("  mask ", "  cosines ", "  curvature ", "  box ", "  inpaint ", "  warp "):
         assert line in listed
-    assert "in order; problem inpaint" in command("check", "inpaint.yaml", "problem=inpaint", path=outside)
+    assert "is valid; problem inpaint" in command("check", "inpaint.yaml", "problem=inpaint", path=outside)
 
 
 def test_the_operator_is_what_it_says_it_is(plugin):
@@ -220,7 +222,9 @@ def test_options_of_a_component_need_no_keyword_marker(monkeypatch):
     from deepir.config.components import make
     from deepir.priors.penalties.base import Penalty
 
-    monkeypatch.setattr(registry, "_components", {kind: registry.components(kind) for kind in registry.HOMES})
+    monkeypatch.setattr(
+        registry, "_components", {kind: registry.components(kind) for kind in registry.COMPONENT_MODULES}
+    )
 
     @registry.register("penalty", "plain")
     class Plain(Penalty):

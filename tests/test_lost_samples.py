@@ -5,7 +5,7 @@ import numpy as np
 import deepir
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 TONES = Settings(shape=(96, 128), n_frames=5, shading=0.0, dead_pixels=0.0, photons=1000.0, read_noise=0.002)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.config import priors, shipped_names
+from deepir.config import prior_names, shipped_names
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(n_frames=4, shape=(40, 48), max_shift=4.0, shading=0.0, dead_pixels=0.0)
 PROBLEMS = [name for name in shipped_names() if not name.startswith("paper/")]
@@ -25,7 +25,7 @@ def frames(shared):
     return bursts[0] if shared else np.stack([burst[0] for burst in bursts])
 
 
-@pytest.mark.parametrize("prior", priors())
+@pytest.mark.parametrize("prior", prior_names())
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_a_prior_runs_on_a_problem(problem, prior):
     shared = problem != "multiview_nuc"

@@ -8,7 +8,7 @@ import tifffile
 
 from deepir import run
 from deepir.io import read_frames, write_tiff
-from deepir.io.radiometry import Linear, unit
+from deepir.io.radiometry import Linear, unit_metadata
 from deepir.simulate import Settings, simulate
 
 SCALE = 0.04  # K a count: 288 to 308 K
@@ -19,7 +19,7 @@ CAMERA = Settings(n_frames=6, shape=(64, 80), counts=True, pedestal=7200.0, cont
 def corrected(request, tmp_path_factory):
     burst = simulate(None, CAMERA, seed=request.param)
     folder = tmp_path_factory.mktemp("radiometric")
-    write_tiff(folder / "burst.tif", burst.frames, unit(Linear(SCALE)))
+    write_tiff(folder / "burst.tif", burst.frames, unit_metadata(Linear(SCALE)))
     result = run("nuc", data={"path": folder / "burst.tif"}, output={"dir": folder / "run"})
     return burst, result, folder / "run"
 

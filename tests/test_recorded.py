@@ -9,7 +9,7 @@ from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.runner import prepare
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 SMALL = {"counts": True, "shape": [40, 48], "max_shift": 4, "motion": "shift"}
 
@@ -77,9 +77,9 @@ def test_an_interrupted_run_of_a_simulated_burst_is_resumed(tmp_path):
 
 def test_a_picture_is_stretched_to_its_range(tmp_path):
     Image.fromarray(np.linspace(50, 200, 90 * 120).reshape(90, 120).astype(np.uint8)).save(tmp_path / "a.png")
-    found = picture(str(tmp_path / "a.png"))
+    found = load_picture(str(tmp_path / "a.png"))
     assert (found.shape, found.min(), found.max()) == ((90, 120), 0, 1)
-    assert picture("coffee").shape == (400, 600)
+    assert load_picture("coffee").shape == (400, 600)
 
 
 def test_a_drawn_scene_is_the_same_place_whatever_the_seed():
@@ -92,4 +92,4 @@ def test_a_drawn_scene_is_the_same_place_whatever_the_seed():
 @pytest.mark.parametrize(("name", "says"), [("moom", "did you mean 'moon'"), ("none.png", "no such file")])
 def test_a_picture_that_is_not_there(name, says):
     with pytest.raises(DataError, match=says):
-        picture(name)
+        load_picture(name)

@@ -6,7 +6,7 @@ import pytest
 
 from deepir import registry
 from deepir.errors import ConfigError
-from deepir.registry import HOMES, components, load_plugin, lookup, register, summary
+from deepir.registry import COMPONENT_MODULES, components, load_plugin, lookup, register, summary
 
 
 @pytest.fixture
@@ -47,12 +47,12 @@ def test_each_kind_has_its_components():
         "training": {"denoiser"},
         "camera": {"boson", "v4l2"},
     }
-    assert HOMES.keys() == wanted.keys()
+    assert COMPONENT_MODULES.keys() == wanted.keys()
     for kind, names in wanted.items():
         assert names <= components(kind).keys()
 
 
-@pytest.mark.parametrize("kind", HOMES)
+@pytest.mark.parametrize("kind", COMPONENT_MODULES)
 def test_every_component_says_in_a_line_what_it_is(kind):
     for name, component in components(kind).items():
         line = summary(component)

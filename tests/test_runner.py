@@ -97,7 +97,7 @@ def test_a_folder_is_written_when_it_is_named(frames, tmp_path):
     result = deepir.run("nuc", frames=frames, output={"dir": tmp_path / "mine"}, **QUICK)
     assert np.array_equal(np.load(tmp_path / "mine/result.npz")["scene"], result.scene)
     assert json.loads((tmp_path / "mine/metrics.json").read_text())["stop_reason"]
-    with pytest.raises(ConfigError, match="holds another run"):
+    with pytest.raises(ConfigError, match="already contains a run"):
         deepir.run("nuc", frames=frames, output={"dir": tmp_path / "mine"}, **QUICK)
     deepir.run("nuc", frames=frames, output={"dir": tmp_path / "mine"}, overwrite=True, **QUICK)
 

@@ -66,16 +66,18 @@ def test_nothing_is_learnt_from_pictures_that_are_kept_for_judging():
     from deepir.training import pictures
 
     assert set(PHOTOGRAPHS) == {"brick", "cell", "chelsea", "coffee", "hubble_deep_field", "retina"}
-    assert pictures.FIRST >= 1000
+    assert pictures.FIRST_SCENE_SEED >= 1000
 
 
 def test_no_rival_learns_from_what_rivals_are_judged_by(monkeypatch):
-    from deepir.training.pictures import JUDGES_OF_RIVALS
+    from deepir.training.pictures import BENCHMARK_PHOTOGRAPHS
 
     monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
     record = importlib.import_module("record_protocols")
-    assert set(JUDGES_OF_RIVALS) == set(PHOTOGRAPHS) & set(record.PICTURES)
-    everything, fewer = (Pictures(np.random.default_rng(0), without) for without in ((), JUDGES_OF_RIVALS))
+    assert set(BENCHMARK_PHOTOGRAPHS) == set(PHOTOGRAPHS) & set(record.PICTURES)
+    everything, fewer = (
+        Pictures(np.random.default_rng(0), without) for without in ((), BENCHMARK_PHOTOGRAPHS)
+    )
     assert (
         len(everything.photographs) - len(fewer.photographs) == 2 * 3 * 3
     )  # two of three colours in three sizes

@@ -1,7 +1,9 @@
-"""Over how many px, and for how many frames, a non-uniformity is like itself.
+"""Correlation lengths and stability of a fixed pattern.
 
-After Saragadam et al. 2021, "How much should we jitter the camera?": the autocorrelation of the pattern says how far
-the camera must move, and its temporal autocorrelation how many frames share one pattern.
+The autocorrelation of the pattern gives the motion that a burst needs, its temporal autocorrelation the number of
+frames that share one pattern.
+
+Source: Saragadam et al. 2021, "How much should we jitter the camera?".
 """
 
 from __future__ import annotations
@@ -15,19 +17,26 @@ from deepir.arrays.autocorrelation import autocorrelation
 
 Array = np.ndarray[Any, Any]
 
-ALIKE = 0.1  # autocorrelation below which two pixels are strangers (the paper's)
-HOLDS = 0.8  # autocorrelation down to which a pattern is the same (the paper's)
-STRIPES = 0.05  # share of the variance from which lines are worth mentioning
+#: Autocorrelation at which the correlation length is read; Saragadam et al. 2021.
+CORRELATION_LENGTH_LEVEL = 0.1
+#: Temporal autocorrelation down to which a pattern is unchanged; Saragadam et al. 2021.
+STABILITY_LEVEL = 0.8
+MIN_REPORTED_SHARE = 0.05  # share of the pattern's variance from which a component is reported
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """What is known of a pattern.
+    """Statistics of a fixed pattern.
 
-    `pattern` (h, w) in the data's units, mean zero; `correlation` (2 L + 1, 2 L + 1), its autocorrelation less its
-    shading, no lag in the middle; `lengths` (x, y), how far a motion must go, px; `columns`, `rows` and `shading`,
-    their shares of the variance; `in_time` (K,), the autocorrelation from frame to frame, and `holds`, for how many
-    frames the pattern is the same: None where it was seen once, infinite where it never changes.
+    Attributes:
+        pattern: (h, w), in the data's units, mean zero.
+        correlation: (2 L + 1, 2 L + 1), autocorrelation of the pattern without its shading; lag zero in the middle.
+        lengths: Correlation lengths along x and y, px.
+        columns: Share of the variance that is constant along columns.
+        rows: Share of the variance that is constant along rows.
+        shading: Share of the variance that is a quadratic polynomial.
+        temporal: (K,), autocorrelation from frame to frame; None if the pattern was seen once.
+        stable_frames: Frames for which the pattern is unchanged, infinite if it never changes; None as above.
     """
 
     pattern: Array
@@ -36,61 +45,72 @@ class Statistics:
     columns: float
     rows: float
     shading: float
-    in_time: Array | None = None
-    holds: float | None = None
+    temporal: Array | None = None
+    stable_frames: float | None = None
 
     def at(self, shifts: Array) -> Array:
-        """The autocorrelation at shifts (..., 2), (x, y) in px, by the nearest lag."""
+        """Autocorrelation at shifts (..., 2), x and y in px, by the nearest lag."""
         farthest = len(self.correlation) // 2
         x, y = np.moveaxis(np.rint(shifts).astype(int).clip(-farthest, farthest), -1, 0)
         return np.asarray(self.correlation[farthest + y, farthest + x])
 
 
-def of_map(pattern: Array, good: Array | None = None, twin: Array | None = None) -> Statistics:
-    """Statistics of a pattern (h, w) that is known once; `good` (h, w) bool: where.
+def map_statistics(pattern: Array, good: Array | None = None, twin: Array | None = None) -> Statistics:
+    """Statistics of a pattern that was seen once.
 
-    `twin` is the same pattern with other noise: products of the two are free of it.
+    Args:
+        pattern: (h, w), in the data's units.
+        good: (h, w) bool, usable pixels; None: all.
+        twin: (h, w), the same pattern with independent noise; products with it are free of noise.
     """
     good = np.ones(pattern.shape, bool) if good is None else good
     twin = pattern if twin is None else twin
-    rough, other = (np.where(good, each - smooth(each, good), 0.0) for each in (pattern, twin))
+    rough, other = (np.where(good, each - quadratic_fit(each, good), 0.0) for each in (pattern, twin))
     level = pattern[good].mean()
-    total, left = (
+    total, without_shading = (
         (a * b)[good].mean() for a, b in ((pattern - level, twin - twin[good].mean()), (rough, other))
     )
     correlation = autocorrelation(rough, other, good)
     middle = len(correlation) // 2
     along_x, along_y = correlation[middle, middle:], correlation[middle:, middle]
     rows, columns = plateau(along_x), plateau(along_y)
-    lengths = (length((along_x - rows) / (1 - rows)), length((along_y - columns) / (1 - columns)))
-    share = max(0.0, 1 - left / total) if total > 0 else 0.0
+    lengths = (
+        correlation_length((along_x - rows) / (1 - rows)),
+        correlation_length((along_y - columns) / (1 - columns)),
+    )
+    shading = max(0.0, 1 - without_shading / total) if total > 0 else 0.0
     return Statistics(
         np.where(good, pattern - level, 0),
         correlation,
         lengths,
-        columns * (1 - share),
-        rows * (1 - share),
-        share,
+        columns * (1 - shading),
+        rows * (1 - shading),
+        shading,
     )
 
 
-def of_flat(frames: Array, good: Array | None = None) -> Statistics:
-    """Statistics of frames (N, h, w), N > 1, of a uniform source, one after the other."""
+def flat_statistics(frames: Array, good: Array | None = None) -> Statistics:
+    """Statistics of successive frames of a uniform source.
+
+    Args:
+        frames: (N, h, w), N > 1, in the data's units.
+        good: (h, w) bool, usable pixels; None: all.
+    """
     frames = frames.astype(np.float64)
     good = np.ones(frames.shape[1:], bool) if good is None else good
-    once = of_map(frames[::2].mean(0), good, frames[1::2].mean(0))
+    once = map_statistics(frames[::2].mean(0), good, frames[1::2].mean(0))
     mean = frames.mean(0)
-    in_time = over_time(frames, good)
+    temporal = temporal_autocorrelation(frames, good)
     return replace(
         once,
         pattern=np.where(good, mean - mean[good].mean(), 0),
-        in_time=in_time,
-        holds=length(in_time, HOLDS),
+        temporal=temporal,
+        stable_frames=correlation_length(temporal, STABILITY_LEVEL),
     )
 
 
-def smooth(pattern: Array, good: Array) -> Array:
-    """The shading: the quadratic polynomial that is nearest to a map (h, w) where it is good."""
+def quadratic_fit(pattern: Array, good: Array) -> Array:
+    """Quadratic polynomial (h, w) fitted to a map (h, w) by least squares where `good` (h, w)."""
     y, x = (np.linspace(-1, 1, side) for side in pattern.shape)
     y, x = np.broadcast_arrays(y[:, None], x)
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
@@ -99,25 +119,40 @@ def smooth(pattern: Array, good: Array) -> Array:
 
 
 def plateau(along: Array) -> float:
-    """Where an autocorrelation ends up over far lags: the share of lines, which are like themselves all along."""
+    """Autocorrelation (L + 1,) at large lags: the share of lines, which are fully correlated along themselves."""
     return float(np.clip(np.median(along[len(along) // 2 :]), 0, 0.99))
 
 
-def length(along: Array, least: float = ALIKE) -> float:
-    """The lag at which an autocorrelation first falls below `least`, on a line between lags; infinite if none."""
-    below = np.flatnonzero(along < least)
+def correlation_length(along: Array, level: float = CORRELATION_LENGTH_LEVEL) -> float:
+    """Lag at which an autocorrelation first falls below a level, by linear interpolation.
+
+    Args:
+        along: (L + 1,), from lag zero on.
+        level: The level.
+
+    Returns:
+        The lag; infinite if the autocorrelation stays above.
+    """
+    below = np.flatnonzero(along < level)
     if not below.size:
         return float("inf")
     k = int(below[0])
-    return float(k) if k == 0 else k - 1 + float((along[k - 1] - least) / (along[k - 1] - along[k]))
+    return float(k) if k == 0 else k - 1 + float((along[k - 1] - level) / (along[k - 1] - along[k]))
 
 
-def over_time(frames: Array, good: Array) -> Array:
-    """Autocorrelation of the pattern of frames (N, h, w) from frame to frame, noise left out, up to half of the frames.
+def temporal_autocorrelation(frames: Array, good: Array) -> Array:
+    """Autocorrelation of the pattern from frame to frame, free of noise.
 
-    Noise is in the products of a frame with itself only: lag zero is where the line through lags one and two leads.
+    Noise is in the products of a frame with itself only: lag zero is extrapolated from lags one and two.
+
+    Args:
+        frames: (N, h, w), of a uniform source.
+        good: (h, w) bool, usable pixels.
+
+    Returns:
+        (K,), from lag zero to half the number of frames.
     """
-    flat = np.stack([frame[good] - smooth(frame, good)[good] for frame in frames])
+    flat = np.stack([frame[good] - quadratic_fit(frame, good)[good] for frame in frames])
     products = flat @ flat.T / flat.shape[1]
     found = np.array([np.diagonal(products, k).mean() for k in range(1, max(2, len(frames) // 2 + 1))])
     start = 2 * found[0] - found[1] if len(found) > 1 else found[0]

@@ -1,4 +1,4 @@
-"""Whether a burst suffices to tell a pattern from the scene, in words."""
+"""Whether a burst suffices to separate a pattern from the scene."""
 
 from __future__ import annotations
 
@@ -7,50 +7,63 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepir.analysis.statistics import HOLDS, STRIPES, Array, Statistics
+from deepir.analysis.statistics import MIN_REPORTED_SHARE, STABILITY_LEVEL, Array, Statistics
 from deepir.operators.geometry import MIN_MOTION_SPAN
 
-SHARED = 1.5  # px, across a line, below which a burst moves along one line
-LOOKS = 3.0  # independent looks at the pattern that are wanted
-WEAK = 1.5  # median standard deviations of the scene from which a pixel is weakly determined
-FRAMES = (5, 20)  # that are recommended: fewer cost more than 1 dB, more are seldom worth their time
-PLACES = (-1 / 3, 0.0, 1 / 3)  # of the frame's sides, at which the motion is taken
+MIN_LATERAL_MOTION = 1.5  # px across a line; a burst that moves less across a line moves along that line only
+MIN_INDEPENDENT_LOOKS = 3.0  # independent views of the pattern that a burst needs
+UNCERTAIN_PIXEL_RATIO = 1.5  # scene deviation over its median from which a pixel is weakly determined
+#: Fewest and most frames; fewer cost over 1 dB, more are seldom worth their time.
+RECOMMENDED_FRAMES = (5, 20)
+MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at which the motion is evaluated
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of a burst: what it lacks; `left`, the share of the pattern's deviation that its registered average keeps."""
+    """What a burst makes of the pattern.
 
-    moves: Array  # (places, N, 2): where each frame looks, less where the first does, (x, y) in px
-    left: float
+    Attributes:
+        displacements: (P, N, 2), motion of each frame relative to the first at P points, x and y in px.
+        residual_share: Deviation of the pattern in the registered average, over that in a frame.
+        flags: What the burst lacks, in words.
+    """
+
+    displacements: Array
+    residual_share: float
     flags: list[str] = field(default_factory=list)
 
     @property
-    def looks(self) -> float:
-        """How many independent patterns would leave as much."""
-        return 1 / max(self.left, 1e-3) ** 2
+    def independent_looks(self) -> float:
+        """Number of independent patterns whose average would have the same residual."""
+        return 1 / max(self.residual_share, 1e-3) ** 2
 
 
-def judge(statistics: Statistics, motion: Array) -> Verdict:
-    """What a burst with this motion, (N, 3, 3) pull homographies in px of the detector, makes of the pattern.
+def assess(statistics: Statistics, motion: Array) -> Verdict:
+    """What a burst with a given motion makes of the pattern.
 
-    Registered and averaged, frames that look at pixels d_k keep, of the pattern's variance,
-    `1 / N^2 sum_pq r(d_p - d_q)` (Saragadam et al. 2021, the variance of the estimate), r its autocorrelation.
+    In the average of N registered frames that look at pixels d_k, the variance of the pattern is
+    `1 / N^2 sum_pq r(d_p - d_q)`, with its autocorrelation r.
+
+    Args:
+        statistics: Of the pattern.
+        motion: (N, 3, 3), pull homographies in px of the detector.
+
+    Source: Saragadam et al. 2021, the variance of the estimate.
     """
     height, width = statistics.pattern.shape
-    places = np.array([(x * width, y * height, 1) for y in PLACES for x in PLACES])
+    places = np.array([(x * width, y * height, 1) for y in MOTION_POINTS for x in MOTION_POINTS])
     at = np.einsum("nij,pj->pni", motion, places)
-    moves = at[..., :2] / at[..., 2:] - places[:, None, :2]
-    apart = moves[:, :, None] - moves[:, None]
-    left = math.sqrt(max(float(statistics.at(apart).mean()), 0.0))
-    verdict = Verdict(moves, left)
-    verdict.flags.extend([*_too_little(statistics, moves), *_too_few(verdict, len(motion))])
+    displacements = at[..., :2] / at[..., 2:] - places[:, None, :2]
+    apart = displacements[:, :, None] - displacements[:, None]
+    residual_share = math.sqrt(max(float(statistics.at(apart).mean()), 0.0))
+    verdict = Verdict(displacements, residual_share)
+    verdict.flags.extend([*_too_little(statistics, displacements), *_too_few(verdict, len(motion))])
     return verdict
 
 
-def _too_little(statistics: Statistics, moves: Array) -> list[str]:
-    """The axes along which the burst does not move far enough, and the line along which it moves."""
-    spans = np.ptp(moves, axis=1).mean(0)
+def _too_little(statistics: Statistics, displacements: Array) -> list[str]:
+    """Axes along which the burst moves too little, and the line along which it moves."""
+    spans = np.ptp(displacements, axis=1).mean(0)
     found = []
     for axis, across, span, want in zip("xy", "yx", spans, statistics.lengths, strict=True):
         if span < 1:
@@ -61,27 +74,33 @@ def _too_little(statistics: Statistics, moves: Array) -> list[str]:
             )
         elif span < max(want, MIN_MOTION_SPAN):
             found.append(f"the burst moves by {span:.1f} px along {axis}: {_px(want)} are wanted")
-    across_it = np.linalg.svd(moves - moves.mean(1, keepdims=True), full_matrices=False)
-    beside = np.ptp(np.einsum("pnj,pj->pn", moves, across_it[2][:, -1]), axis=1).mean()
-    if not found and moves.shape[1] > 2 and beside < SHARED:
+    across_it = np.linalg.svd(displacements - displacements.mean(1, keepdims=True), full_matrices=False)
+    beside = np.ptp(np.einsum("pnj,pj->pn", displacements, across_it[2][:, -1]), axis=1).mean()
+    if not found and displacements.shape[1] > 2 and beside < MIN_LATERAL_MOTION:
         found.append(f"the burst moves along one line, slanted, and {beside:.1f} px across it")
     return found
 
 
 def _too_few(verdict: Verdict, n: int) -> list[str]:
     if n < 3:
-        return [f"too few frames: {n}; take {FRAMES[0]} or more"]
-    if verdict.looks < min(LOOKS, 0.9 * n):
+        return [f"too few frames: {n}; take {RECOMMENDED_FRAMES[0]} or more"]
+    if verdict.independent_looks < min(MIN_INDEPENDENT_LOOKS, 0.9 * n):
         return [
-            f"too few frames so close together: {n} are worth {verdict.looks:.1f} independent looks at the pattern"
+            f"too few frames so close together: {n} give {verdict.independent_looks:.1f} independent looks "
+            "at the pattern"
         ]
     return []
 
 
-def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array | None = None) -> list[str]:
-    """The answer, in lines: how far, in which directions, how many frames, for how long; and whether this suffices.
+def report_lines(
+    statistics: Statistics, verdict: Verdict | None = None, scene_deviation: Array | None = None
+) -> list[str]:
+    """The result in lines: needed motion and frames, stability of the pattern, whether the burst suffices.
 
-    `doubt` (H, W) is the standard deviation of the scene, where it is known.
+    Args:
+        statistics: Of the pattern.
+        verdict: Of the burst, if there is one.
+        scene_deviation: (H, W), standard deviation of the scene, if it is known.
     """
     x, y = statistics.lengths
     lines = [
@@ -90,34 +109,41 @@ def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array |
     ]
     if max(x, y) == math.inf:
         lines.append(
-            "the pattern is alike over as far as it was looked at: no jitter tells it from the scene"
+            "the pattern is correlated over all lags that were measured: no jitter separates it from the scene"
         )
     if statistics.shading > 0.5:
         lines.append(
-            "most of it is shading, which jitter tells from the scene in part only: take a flat frame too"
+            "most of it is shading, which jitter separates from the scene only in part: take a flat frame too"
         )
-    if statistics.holds is None:
+    if statistics.stable_frames is None:
         lines.append(
-            "for how long it holds, a burst does not say: give frames of a uniform source, with --flat"
+            "a burst does not show how long the pattern is stable: give frames of a uniform source, with --flat"
         )
-    elif statistics.holds == math.inf and statistics.in_time is not None:
-        seen = len(statistics.in_time) - 1
-        lines.append(f"the pattern holds for longer than the {seen} frames over which it can be seen")
+    elif statistics.stable_frames == math.inf and statistics.temporal is not None:
+        seen = len(statistics.temporal) - 1
+        lines.append(f"the pattern is stable for longer than the {seen} frames over which it was measured")
     else:
-        lines.append(f"the pattern holds (autocorrelation above {HOLDS}) for {statistics.holds:.0f} frames")
-    most = FRAMES[1] if statistics.holds is None else max(2, int(min(FRAMES[1], statistics.holds)))
-    few = "" if most >= FRAMES[0] else ", few for a good burst: raise the frame rate"
-    lines.append(f"take {min(FRAMES[0], most)} to {most} frames{few}")
-    if verdict is not None:
-        n = verdict.moves.shape[1]
         lines.append(
-            f"this burst: {n} frames; averaged, they keep {100 * verdict.left:.0f} % of the pattern's deviation "
-            f"({100 / n**0.5:.0f} % at best)"
+            f"the pattern is stable (autocorrelation above {STABILITY_LEVEL}) for {statistics.stable_frames:.0f} frames"
         )
-        if doubt is not None:
-            weak = 100 * float((doubt > WEAK * np.median(doubt)).mean())
+    most = (
+        RECOMMENDED_FRAMES[1]
+        if statistics.stable_frames is None
+        else max(2, int(min(RECOMMENDED_FRAMES[1], statistics.stable_frames)))
+    )
+    few = "" if most >= RECOMMENDED_FRAMES[0] else ", few for a good burst: raise the frame rate"
+    lines.append(f"take {min(RECOMMENDED_FRAMES[0], most)} to {most} frames{few}")
+    if verdict is not None:
+        n = verdict.displacements.shape[1]
+        lines.append(
+            f"this burst: {n} frames; averaged, they keep {100 * verdict.residual_share:.0f} % of the pattern's "
+            f"deviation ({100 / n**0.5:.0f} % at best)"
+        )
+        if scene_deviation is not None:
+            weak = 100 * float((scene_deviation > UNCERTAIN_PIXEL_RATIO * np.median(scene_deviation)).mean())
             lines.append(
-                f"{weak:.0f} % of the scene's pixels are weakly determined (over {WEAK:g} times the median)"
+                f"{weak:.0f} % of the scene's pixels are weakly determined "
+                f"(over {UNCERTAIN_PIXEL_RATIO:g} times the median)"
             )
         lines += verdict.flags or ["this burst suffices"]
     return lines
@@ -126,10 +152,10 @@ def words(statistics: Statistics, verdict: Verdict | None = None, doubt: Array |
 def _shares(statistics: Statistics) -> str:
     found = {name: getattr(statistics, name) for name in ("shading", "columns", "rows")}
     found["pixels"] = 1 - sum(found.values())
-    kept = {name: each for name, each in found.items() if each >= STRIPES}
+    kept = {name: each for name, each in found.items() if each >= MIN_REPORTED_SHARE}
     return ", ".join(f"{name} {100 * each:.0f} %" for name, each in kept.items())
 
 
 def _px(value: float) -> str:
-    """A motion that is wanted: what registration and interpolation want at least."""
+    """A motion that is needed, in words; at least what registration and interpolation need."""
     return "any number of px" if value == math.inf else f"{math.ceil(max(value, MIN_MOTION_SPAN)):.0f} px"

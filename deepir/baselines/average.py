@@ -1,4 +1,4 @@
-"""Register and average: what everyone does first, and what the rivals do last."""
+"""Register and average: the simplest method, and the last step of the other baselines."""
 
 from __future__ import annotations
 
@@ -19,21 +19,28 @@ from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 
 Array = np.ndarray[Any, Any]
-#: Motion (N, 3, 3) of each frame, which frames are used, and messages: see `deepir.pipeline.register.registered`.
-Found = tuple[torch.Tensor | None, Array, list[str]]
+#: Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
+Registration = tuple[torch.Tensor | None, Array, list[str]]
 
-LEAST, MOST = 0.2, 5.0  # gains, in medians, beyond which a pixel is a bad one
+GAIN_LIMITS = (0.2, 5.0)  # least and largest gain of a usable pixel, in medians of all gains
 
 
-def pulled_back(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
-    """The mean of frames (N, h, w) on a grid `ratio` times as fine as frame 0's, by cubic spline interpolation.
+def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
+    """Mean of registered frames on frame 0's grid or a finer one, by cubic spline interpolation.
 
-    What no frame shows is filled in.
+    Args:
+        frames: (N, h, w), in the data's units.
+        valid: (N, h, w) bool.
+        motion: (N, 3, 3), pull homographies in px about the frame's centre.
+        ratio: Grid points per px along an axis.
+
+    Returns:
+        (ratio h, ratio w), float64; points that no frame shows take the nearest value.
     """
     height, width = (round(ratio * side) for side in frames.shape[1:])
     total, count = np.zeros((2, height, width))
-    for frame, good, back in zip(whole(frames, valid), valid, np.linalg.inv(motion), strict=True):
-        at = indices(places(back, (height, width), ratio), frame.shape)
+    for frame, good, back in zip(fill_invalid(frames, valid), valid, np.linalg.inv(motion), strict=True):
+        at = to_indices(sampling_points(back, (height, width), ratio), frame.shape)
         seen = ndimage.map_coordinates(good.astype(np.float32), at, order=1, cval=0) > 0.99
         total += seen * ndimage.map_coordinates(frame, at, order=3, mode="mirror")
         count += seen
@@ -41,21 +48,47 @@ def pulled_back(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) 
     return nearest_filled(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
 
 
-def places(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
-    """Where the pixels of a grid (h, w), `ratio` times as fine as a frame, look: (y, x) from the centre, (2, h, w)."""
+def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Points of frame 0 at which the pixels of a frame look.
+
+    Args:
+        motion: (3, 3), pull homography in px about the centre.
+        size: Height and width of the grid, grid points.
+        ratio: Grid points per px along an axis.
+
+    Returns:
+        (2, h, w): y and x, px from the centre.
+    """
     y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
     at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
     return np.asarray((at[1::-1] / at[2]).reshape(2, *size))
 
 
-def indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
-    """Indices into an array (h, w), `ratio` times as fine as a frame, of places (2, ...) from the centre."""
+def to_indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Array indices of points.
+
+    Args:
+        places: (2, ...), y and x in px from the centre.
+        shape: Height and width of the array.
+        ratio: Grid points of the array per px.
+
+    Returns:
+        (2, ...): row and column.
+    """
     middle = (np.array(shape) - 1) / 2
     return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
 
 
-def whole(frames: Array, valid: Array) -> Array:
-    """Frames (N, h, w) in which samples that are not valid are like their nearest neighbour that is."""
+def fill_invalid(frames: Array, valid: Array) -> Array:
+    """Frames whose invalid samples take the value of the nearest valid one.
+
+    Args:
+        frames: (N, h, w).
+        valid: (N, h, w) bool.
+
+    Returns:
+        (N, h, w).
+    """
     pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
     return np.stack(
         [nearest_filled(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs]
@@ -65,25 +98,38 @@ def whole(frames: Array, valid: Array) -> Array:
 @register("method", "average")
 def average(burst: Burst, config: Config) -> Result:
     """Register the frames of a scene and average them; gain and offset stay as they are."""
-    return averaged(burst, config, burst.frames)
+    return average_frames(burst, config, burst.frames)
 
 
-def find(burst: Burst, config: Config) -> Found:
-    """Register the burst: the fixed pattern is no obstacle to it."""
+def register_burst(burst: Burst, config: Config) -> Registration:
+    """Register a burst; its fixed pattern does not disturb the registration.
+
+    Returns:
+        Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
+    """
     return register_frames(burst, config, lookup("problem", config.problem, "problem")())
 
 
-def averaged(burst: Burst, config: Config, frames: Array, found: Found | None = None) -> Result:
-    """Register the burst and average `frames`, (N, h, w), which are its frames corrected; gain one, offset zero.
+def average_frames(
+    burst: Burst, config: Config, frames: Array, registration: Registration | None = None
+) -> Result:
+    """Register a burst and average its corrected frames.
 
-    `found` is the registration, where it is known.
+    Args:
+        burst: The burst as recorded, which is registered.
+        config: Its configuration.
+        frames: (N, h, w), its frames after correction.
+        registration: The result of `register_burst`, if it is known.
+
+    Returns:
+        The average as the scene; gain one, offset zero.
     """
-    motion, used, messages = found or find(burst, config)
+    motion, used, messages = registration or register_burst(burst, config)
     kept = dataclasses.replace(burst, frames=frames[used].astype(np.float32), valid=burst.valid[used])
     problem, geometry = build(config, kept, None if motion is None else motion[used])
     if motion is not None:
         good = kept.valid & ~kept.bad_pixels
-        scene = pulled_back(kept.frames, good, motion[used].numpy(), geometry.ratio)
+        scene = registered_mean(kept.frames, good, motion[used].numpy(), geometry.ratio)
     else:
         with torch.no_grad():
             mean, weight = problem.backproject(problem.values())
@@ -97,17 +143,27 @@ def averaged(burst: Burst, config: Config, frames: Array, found: Found | None = 
     return result
 
 
-def corrected(burst: Burst, config: Config, gain: Array, offset: Array, found: Found | None = None) -> Result:
-    """Correct the frames for a sensor's gain and offset, (h, w) in any gauge, then register and average them.
+def correct_and_average(
+    burst: Burst, config: Config, gain: Array, offset: Array, registration: Registration | None = None
+) -> Result:
+    """Correct the frames for gain and offset, then register and average them.
 
-    Pixels that hardly answer to flux, or far too much, become bad ones.
+    Args:
+        burst: The burst as recorded.
+        config: Its configuration.
+        gain: (h, w), in any gauge.
+        offset: (h, w), in the data's units.
+        registration: The result of `register_burst`, if it is known.
+
+    Returns:
+        The average, gain and offset; pixels with a gain outside `GAIN_LIMITS` are bad.
     """
-    found = found or find(burst, config)
+    registration = registration or register_burst(burst, config)
     gain = gain / np.median(gain[~burst.bad_pixels])
-    good = ~burst.bad_pixels & (gain > LEAST) & (gain < MOST)
+    good = ~burst.bad_pixels & (gain > GAIN_LIMITS[0]) & (gain < GAIN_LIMITS[1])
     gain = np.where(good, gain, 1.0)
     burst = dataclasses.replace(burst, bad_pixels=~good)
-    result = averaged(burst, config, (burst.frames - offset) / gain, found)
+    result = average_frames(burst, config, (burst.frames - offset) / gain, registration)
     result.gain, result.offset = gain, offset
     to_gauge(result)
     return result

@@ -1,2 +1,4 @@
-"""Live cameras for `deepir capture`: one driver a file, found by its short name. `deepir.cameras.camera` says what a
-driver is."""
+"""Live cameras for `deepir capture`: one driver a file, found by its registered name.
+
+`deepir.cameras.camera` defines the interface of a driver.
+"""

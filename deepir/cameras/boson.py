@@ -1,4 +1,4 @@
-"""FLIR's Boson, its automatic shutter held by the serial port."""
+"""FLIR's Boson; its automatic shutter is disabled during a capture."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import warnings
 
 from deepir.cameras.camera import Array, Camera
 from deepir.errors import DataError
-from deepir.io.extras import needed
+from deepir.io.extras import import_optional
 from deepir.registry import register
 
 
@@ -14,13 +14,15 @@ from deepir.registry import register
 class Boson(Camera):
     """FLIR's Boson by flirpy: its automatic shutter is held while it is open, and set back.
 
-    number: of its /dev/video, found by itself unless given. port: its serial port, likewise.
+    Args:
+        number: Number of its /dev/video; None: the first Boson.
+        port: Its serial port; None: found by its USB identifier.
     """
 
     correction = "the Boson's automatic shutter is held until the burst is taken"
 
     def __init__(self, *, number: int | None = None, port: str | None = None) -> None:
-        module = needed("flirpy.camera.boson", "boson", "camera 'boson'")
+        module = import_optional("flirpy.camera.boson", "boson", "camera 'boson'")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # flirpy warns of what is raised here
@@ -35,12 +37,12 @@ class Boson(Camera):
         self.automatic = module.FLR_BOSON_AUTO_FFC
 
     def read(self) -> Array | None:
-        """The frame that is taken next: the Boson's driver waits for it."""
+        """The next frame (h, w); the driver waits for it."""
         frame: Array | None = self.camera.grab()
         return frame
 
     def close(self) -> None:
-        """Let the shutter close by itself again, if it did before."""
+        """Restore the automatic shutter, if it was on, and close the camera."""
         if self.before == self.automatic:
             self.camera.set_ffc_auto()
         self.camera.close()

@@ -1,4 +1,4 @@
-"""What a driver of a camera is."""
+"""The interface of a camera driver."""
 
 from __future__ import annotations
 
@@ -11,24 +11,27 @@ Array = np.ndarray[Any, Any]
 
 
 class Camera:
-    """A camera that gives raw frames; opened by its constructor, whose arguments are what a user may set.
+    """A camera that gives raw frames. The constructor opens it; its arguments are the user's settings.
 
-    The constructor raises `DataError` where there is no camera, it is busy or may not be opened, or its library is not
-    installed.
+    The constructor raises `DataError` where the camera is missing, busy or not accessible, or its library is missing.
     """
 
-    #: What the driver did about the camera's own correction, or what is left to do, in one line.
+    #: What the driver did about the camera's own correction, or what the user has to do, in one line.
     correction: ClassVar[str] = ""
 
     def read(self) -> Array | None:
-        """The newest frame (h, w) of whole numbers or float32, or None if there is none yet; it does not wait.
+        """The newest frame, without waiting.
 
-        Raises `DataError` where the camera is gone.
+        Returns:
+            (h, w), integers or float32; None if there is no new frame.
+
+        Raises:
+            DataError: The camera is gone.
         """
         raise NotImplementedError
 
     def close(self) -> None:
-        """Give the camera back as it was found."""
+        """Close the camera and restore its former state."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""A burst from a live camera, frame by frame, and how far the camera has moved so far."""
+"""Capture of a burst from a live camera, with the range of its motion so far."""
 
 from __future__ import annotations
 
@@ -11,74 +11,90 @@ import numpy as np
 from deepir.cameras.camera import Array, Camera
 from deepir.errors import DataError
 
-SIDE = 160  # px: frames are registered at a size of at most this
-FAR = 3.0  # px along an axis that the camera should have moved by at least
-FROZEN = 0.4  # s without a new picture that mean a shutter; cameras for export send nine pictures a second
-PATIENCE = 5.0  # s after which no picture will come any more
-PAUSE = 0.005  # s between two looks at the camera
+MAX_REGISTRATION_SIDE = 160  # px; frames are reduced to at most this side before registration
+MIN_CAPTURE_SPAN = 3.0  # px of motion along each axis that a burst needs
+FREEZE_TIME = 0.4  # s without a new picture that indicate a shutter closure; export cameras send 9 Hz
+FRAME_TIMEOUT = 5.0  # s without a new picture after which the capture fails
+POLL_INTERVAL = 0.005  # s between two reads of the camera
 
 
 @dataclass(frozen=True)
 class Captured:
-    """A burst (N, h, w) as the camera gave it, when each frame came (s after the first), and how long the picture stood
-    still in between, at most (s)."""
+    """A burst as the camera gave it.
+
+    Attributes:
+        frames: (N, h, w).
+        times: (N,), s after the first frame.
+        longest_freeze: Longest time without a new picture between two frames, s.
+    """
 
     frames: Array
     times: Array
-    stood: float
+    longest_freeze: float
 
 
-def capture(camera: Camera, count: int, every: float, tell: Callable[[Sequence[Array]], None]) -> Captured:
-    """Take `count` frames, `every` seconds or more apart; pictures that are the same as the last are passed over.
+def capture(
+    camera: Camera, count: int, every: float, on_frame: Callable[[Sequence[Array]], None]
+) -> Captured:
+    """Take frames from a camera; pictures identical to the last one are skipped.
 
-    `tell` is called with the frames so far after each. Raises `DataError` where no new picture comes for 5 s, or their
-    size changes.
+    Args:
+        camera: The open camera.
+        count: Number of frames.
+        every: Least time between two frames, s.
+        on_frame: Called with all frames so far after each.
+
+    Raises:
+        DataError: No new picture arrives for `FRAME_TIMEOUT`, or the size changes.
     """
     frames: list[Array] = []
     times: list[float] = []
     last: Array | None = None
     waiting: float | None = None  # since when nothing new came
-    stood = 0.0
+    longest_freeze = 0.0
     while len(frames) < count:
         frame, now = camera.read(), time.monotonic()
         if frame is None or (last is not None and np.array_equal(frame, last)):
             waiting = now if waiting is None else waiting
-            if now - waiting > PATIENCE:
+            if now - waiting > FRAME_TIMEOUT:
                 raise DataError(_silence(last))
-            time.sleep(PAUSE)
+            time.sleep(POLL_INTERVAL)
             continue
         if frame.ndim != 2 or (last is not None and frame.shape != last.shape):
             raise DataError(f"the camera gives frames of shape {frame.shape}; one size (h, w) is needed")
         if frames and waiting is not None:
-            stood = max(stood, now - waiting)
+            longest_freeze = max(longest_freeze, now - waiting)
         last, waiting = frame, None
         if not times or now - times[-1] >= every:
             frames.append(frame.copy())
             times.append(now)
-            tell(frames)
-    return Captured(np.stack(frames), np.array(times) - times[0], stood)
+            on_frame(frames)
+    return Captured(np.stack(frames), np.array(times) - times[0], longest_freeze)
 
 
 def _silence(last: Array | None) -> str:
     if last is None:
-        return f"the camera has sent nothing for {PATIENCE:.0f} s: unplug it and plug it in again, and try once more"
+        return (
+            f"the camera has sent nothing for {FRAME_TIMEOUT:.0f} s: unplug it and plug it in again, "
+            "and try once more"
+        )
     return (
-        f"the camera's picture has not changed for {PATIENCE:.0f} s, not even by noise: its shutter is closed, it is "
-        "frozen, or something reduces its noise to nothing"
+        f"the camera's picture has not changed for {FRAME_TIMEOUT:.0f} s, not even by noise: its shutter is closed, "
+        "it is frozen, or something reduces its noise to nothing"
     )
 
 
-def reach(frames: Sequence[Array]) -> tuple[float, float] | None:
-    """How far frames (h, w) lie apart along x and along y, px; None if the last shows another place.
+def motion_span(frames: Sequence[Array]) -> tuple[float, float] | None:
+    """Range of the frames' motion along x and along y, px; None if the last frame shows another place.
 
-    Registered as a run does it, the pattern left out, but by shifts only, and on small frames.
+    The frames (h, w) are registered as in a run, but by shifts only and at a reduced size.
     """
     import torch
 
     from deepir.registration import register
 
     stack = torch.from_numpy(np.stack(frames).astype(np.float32))
-    factor = -(-max(stack.shape[1:]) // SIDE)
+    factor = -(-max(stack.shape[1:]) // MAX_REGISTRATION_SIDE)
     found = register(torch.nn.functional.avg_pool2d(stack, factor), model="shift")
     if not found.used[-1]:
         return None
@@ -88,15 +104,15 @@ def reach(frames: Sequence[Array]) -> tuple[float, float] | None:
 
 
 def advice(span: tuple[float, float] | None) -> str:
-    """What the person with the camera should do next."""
+    """What the person with the camera should do next, given `motion_span`."""
     if span is None:
         return "this frame shows another place: move less at a time"
     x, y = span
     so_far = f"{x:.0f} px along x and {y:.0f} px along y so far"
-    if x < FAR and y < FAR:
+    if x < MIN_CAPTURE_SPAN and y < MIN_CAPTURE_SPAN:
         return f"{so_far}: move the camera, in a small circle"
-    if x < FAR:
+    if x < MIN_CAPTURE_SPAN:
         return f"{so_far}: move it sideways too"
-    if y < FAR:
+    if y < MIN_CAPTURE_SPAN:
         return f"{so_far}: move it up and down too"
     return f"{so_far}: well done, on in a circle"

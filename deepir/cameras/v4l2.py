@@ -1,4 +1,4 @@
-"""Any camera that Linux knows as /dev/videoN and that gives 16-bit grey (Y16): PureThermal, Boson, and others."""
+"""Video4Linux cameras with 16-bit grey frames (Y16): PureThermal, Boson and others."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ from typing import Any
 
 from deepir.cameras.camera import Array, Camera
 from deepir.errors import DataError
-from deepir.io.extras import needed
+from deepir.io.extras import import_optional
 from deepir.registry import register
 
-RAW = "gray16le"
-NONBLOCK = "+4"  # FFmpeg has no name for it: a read does not wait, so that Ctrl-C and silence end one
-OPENING = 10.0  # s until the first frame must have come
+PIXEL_FORMAT = "gray16le"  # FFmpeg's name of 16-bit grey, little-endian (Y16)
+NONBLOCKING_FLAG = "+4"  # AVFMT_FLAG_NONBLOCK, which FFmpeg does not name: Ctrl-C and silence end a read
+OPEN_TIMEOUT = 10.0  # s until the first frame must have arrived
 
 
 @register("camera", "v4l2")
 class V4L2(Camera):
     """Any camera that Linux knows as /dev/videoN and that gives 16-bit grey (Y16), by PyAV.
 
-    device: its file. mode: width and height in px, where the camera has several.
+    Args:
+        device: Its file.
+        mode: Width and height in px, where the camera has several.
     """
 
     correction = (
@@ -29,25 +31,27 @@ class V4L2(Camera):
     )
 
     def __init__(self, *, device: str = "/dev/video0", mode: list[int] | None = None) -> None:
-        self.device, self.av = device, needed("av", "camera", device)
+        self.device, self.av = device, import_optional("av", "camera", device)
         if mode is not None and len(mode) != 2:
             raise ValueError(f"mode is a width and a height, not {mode}")
-        options = {"pixel_format": RAW, "fflags": NONBLOCK}
+        options = {"pixel_format": PIXEL_FORMAT, "fflags": NONBLOCKING_FLAG}
         if mode is not None:
             options["video_size"] = "x".join(map(str, mode))
         try:
-            self.container = self.av.open(device, format="v4l2", options=options, timeout=(OPENING, None))
+            self.container = self.av.open(
+                device, format="v4l2", options=options, timeout=(OPEN_TIMEOUT, None)
+            )
         except (OSError, self.av.FFmpegError) as error:
             raise DataError(f"{device}: {_reason(error)}{_others(device)}") from None
         self.track = self.container.streams.video[0]
-        if self.track.format.name != RAW:
+        if self.track.format.name != PIXEL_FORMAT:
             self.close()
             raise DataError(
                 f"{device}: gives {self.track.format.name} and no raw 16-bit frames (Y16): a webcam?{_others(device)}"
             )
 
     def read(self) -> Array | None:
-        """The newest frame, those before it are dropped."""
+        """The newest frame (h, w); earlier ones are dropped."""
         newest: Array | None = None
         while True:
             try:

@@ -1,4 +1,4 @@
-"""The command line. Commands import what they need when they run, so that `deepir --help` is quick."""
+"""The command line. Commands import heavy modules when they run, so that `deepir --help` is quick."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from typing import Annotated
 import typer
 
 import deepir
-from deepir.cli.analyze import analyze
-from deepir.cli.apply import apply
-from deepir.cli.batch import batch
-from deepir.cli.calibrate import calibrate
-from deepir.cli.capture import capture
-from deepir.cli.check import check
-from deepir.cli.compare import compare
-from deepir.cli.demo import demo
-from deepir.cli.listing import list_components
-from deepir.cli.resume import resume
-from deepir.cli.run import run
-from deepir.cli.simulate import simulate
-from deepir.cli.train import train
+from deepir.cli.commands.analyze import analyze
+from deepir.cli.commands.apply import apply
+from deepir.cli.commands.calibrate import calibrate
+from deepir.cli.commands.capture import capture
+from deepir.cli.commands.check import check
+from deepir.cli.commands.compare import batch, compare
+from deepir.cli.commands.demo import demo
+from deepir.cli.commands.listing import list_components
+from deepir.cli.commands.run import resume, run
+from deepir.cli.commands.simulate import simulate
+from deepir.cli.commands.train import train
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(
@@ -61,10 +59,14 @@ def _options(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; the exit status.
+    """Run the command line.
 
-    0: finished. 1: the solve failed, or something unforeseen. 2: the user can
-    mend it; nothing was written. 130, 143: interrupted, the state is saved.
+    Args:
+        arguments: Its arguments; None: those of the process.
+
+    Returns:
+        The exit status. 0: finished. 1: the solve failed, or an internal error. 2: an error that the user can fix;
+        nothing was written. 130, 143: interrupted by Ctrl-C or SIGTERM, the state is saved.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -78,19 +80,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except Exception as error:
         if hasattr(error, "format_message"):  # typer's own: an unknown command or option
-            return _say(_usage(error.format_message(), given), 2)
+            return _print_error(_usage(error.format_message(), given), 2)
         if isinstance(error, DeepIRError):
-            return _say(str(error), 1 if isinstance(error, SolverError) else 2)
-        return _unforeseen(error)
+            return _print_error(str(error), 1 if isinstance(error, SolverError) else 2)
+        return _report_internal_error(error)
 
 
-def _say(message: str, status: int) -> int:
+def _print_error(message: str, status: int) -> int:
     print(f"deepir: error: {' '.join(message.split())}", file=sys.stderr)
     return status
 
 
 def _usage(message: str, given: Sequence[str]) -> str:
-    """A usage error with what was probably meant."""
+    """A usage error with the likely intention."""
     message = message.rstrip(".")
     if message.startswith("No such option: --") and given[0] in ("run", "check", "compare", "batch"):
         from deepir.config.components import annotation_of
@@ -108,12 +110,16 @@ def _usage(message: str, given: Sequence[str]) -> str:
     return message
 
 
-def _unforeseen(error: Exception) -> int:
+def _report_internal_error(error: Exception) -> int:
     if isinstance(error, MemoryError) or "not enough memory" in str(error) or "out of memory" in str(error):
-        return _say("not enough memory: use a part of the frame (data.crop) or fewer frames (data.frames)", 1)
+        return _print_error(
+            "not enough memory: use a part of the frame (data.crop) or fewer frames (data.frames)", 1
+        )
     if isinstance(error, OSError):
-        return _say(f"{error.filename or 'files'}: {error.strerror or error}", 1)
+        return _print_error(f"{error.filename or 'files'}: {error.strerror or error}", 1)
     if not (notes := getattr(error, "__notes__", [])):  # raised where there is no log
         traceback.print_exception(error)
     what = f"{type(error).__name__}: {error}"
-    return _say(f"unforeseen, please report it: {what}{''.join(f' ({note})' for note in notes)}", 1)
+    return _print_error(
+        f"internal error, please report it: {what}{''.join(f' ({note})' for note in notes)}", 1
+    )

@@ -29,7 +29,14 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is th
 
 
 def load_plugins(modules: Sequence[str] | None) -> list[str]:
-    """Import the modules, from the current folder too; `ConfigError` for one that cannot be."""
+    """Import plugin modules, from the current folder too.
+
+    Returns:
+        Their names.
+
+    Raises:
+        ConfigError: One cannot be imported.
+    """
     from deepir.registry import load_plugin
 
     if modules and (here := str(Path.cwd())) not in sys.path:
@@ -39,18 +46,27 @@ def load_plugins(modules: Sequence[str] | None) -> list[str]:
     return list(modules or ())
 
 
-def parted(what: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Files and settings among the arguments of a command that takes many of both."""
+def split_arguments(what: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Split the arguments of a command that takes many of both into files and settings."""
     settings = [each for each in what if "=" in each and not os.path.exists(each)]  # noqa: PTH110 - however long
     return [each for each in what if each not in settings], settings
 
 
-def recording(file: str, settings: Sequence[str], keys: Sequence[str]) -> Config:
-    """How a file is to be read, and shown; `ConfigError` for settings other than of `keys`."""
+def recording_config(file: str, settings: Sequence[str], keys: Sequence[str]) -> Config:
+    """The configuration for reading and displaying one file.
+
+    Args:
+        file: The file.
+        settings: `KEY=VALUE` of the user.
+        keys: Keys that the command accepts.
+
+    Raises:
+        ConfigError: A setting is none of `keys`.
+    """
     from deepir.config import load
     from deepir.errors import ConfigError
 
     for each in settings:
         if not each.startswith(tuple(f"{key}{end}" for key in keys for end in "=.")):
-            raise ConfigError(f"{each}: of the settings only {', '.join(keys)} are taken here")
+            raise ConfigError(f"{each}: only settings of {', '.join(keys)} are accepted here")
     return load("nuc", [f"data.path={file}", *settings])

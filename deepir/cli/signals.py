@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: a run is stopped where it can be continued."""
+"""Ctrl-C and SIGTERM: a run stops where it can be continued."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from deepir.optim.solve import Progress
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # signals that end a run where it can be continued
 
 
 class Interrupted(BaseException):
-    """The user wants the run to stop; `status` is the exit status."""
+    """The run is to stop; `status` is the exit status."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(f"signal {signum}")
@@ -24,23 +24,23 @@ class Interrupted(BaseException):
 
 
 class Interruptible:
-    """A context in which a signal ends the solve after its iteration; a second one, or an early one, at once.
+    """A context in which a signal ends the solve after its iteration; a second or an early one ends it at once.
 
-    It is also the solve's callback: raised from there, the solver saves its state first.
+    It is also the callback of the solve: if it raises, the solver saves its state first.
     """
 
     def __init__(self) -> None:
         self.solving, self.requested = False, 0
-        self.former: dict[int, Any] = {}
+        self.previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interruptible:
-        self.former = {signum: signal.signal(signum, self._handle) for signum in SIGNALS}
+        self.previous = {signum: signal.signal(signum, self._handle) for signum in HANDLED_SIGNALS}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for signum, handler in self.former.items():
+        for signum, handler in self.previous.items():
             signal.signal(signum, handler)
 
     def __call__(self, progress: Progress) -> None:
@@ -56,8 +56,8 @@ class Interruptible:
         os.write(2, b"\ndeepir: stopping after this iteration; once more stops at once\n")
 
 
-def farewell(error: Interrupted, folder: Path) -> int:
-    """Say how to go on; the exit status."""
+def report_interrupted(error: Interrupted, folder: Path) -> int:
+    """Print how to continue an interrupted run; the exit status."""
     if (folder / "checkpoint.safetensors").exists():
         what = f"interrupted; go on with: deepir resume {folder}"
     elif (folder / "config.yaml").exists():
@@ -68,7 +68,7 @@ def farewell(error: Interrupted, folder: Path) -> int:
     return error.status
 
 
-def stopped(error: Interrupted) -> int:
-    """Say that a command that cannot be continued has left nothing behind; the exit status."""
+def report_aborted(error: Interrupted) -> int:
+    """Print that a command that cannot be continued has written nothing; the exit status."""
     print("deepir: interrupted; nothing was written", file=sys.stderr)
     return error.status

@@ -1,6 +1,17 @@
-"""Configurations: read, merged, checked, before anything runs."""
+"""Configurations: read, merged and checked before anything runs."""
 
-from deepir.config.files import SHIPPED, dump, find, headline, load, priors, read, shipped_names
+from deepir.config.files import SHIPPED_CONFIGS, dump, find, headline, load, prior_names, read, shipped_names
 from deepir.config.schema import Config, Data
 
-__all__ = ["SHIPPED", "Config", "Data", "dump", "find", "headline", "load", "priors", "read", "shipped_names"]
+__all__ = [
+    "SHIPPED_CONFIGS",
+    "Config",
+    "Data",
+    "dump",
+    "find",
+    "headline",
+    "load",
+    "prior_names",
+    "read",
+    "shipped_names",
+]

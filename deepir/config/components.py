@@ -1,4 +1,4 @@
-"""Make components from configuration: the constructor's signature is the schema."""
+"""Make components from a configuration: the constructor's signature is the schema."""
 
 from __future__ import annotations
 
@@ -14,24 +14,37 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from deepir.errors import ConfigError, DeepIRError, nearest
 from deepir.registry import lookup
 
-#: Arguments that the problem, or the run of a method, supplies, never a configuration.
-CONTEXT = frozenset(
+#: Arguments that the problem or the run supplies, never a configuration.
+CONTEXT_ARGUMENTS = frozenset(
     {"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"}
     | {"burst", "config", "callbacks", "checkpoint"}
 )
-WANTED = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
-SIMPLE = frozenset(kind.__name__ for kind in WANTED)
-WANTED_MANY = {int: "whole numbers", float: "numbers", str: "names"}
+#: How messages describe a value of a type.
+TYPE_DESCRIPTIONS = {
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+    bool: "true or false",
+    type(None): "null",
+}
+#: Names that pydantic gives to the branches of a union of scalars.
+SCALAR_TYPE_NAMES = frozenset(kind.__name__ for kind in TYPE_DESCRIPTIONS)
+#: How messages describe the elements of a list.
+ELEMENT_DESCRIPTIONS = {int: "whole numbers", float: "numbers", str: "names"}
 
 
 def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context: Any) -> Any:
-    """The component `name`, with its `options` checked against its signature.
+    """Make the component `name` with its options checked against its signature.
 
-    `where` is the path in the configuration that errors name; `context` holds what the constructor may want
-    of the problem at hand (shape, size, ...).
+    Args:
+        kind: Kind of component, such as `"penalty"`.
+        name: Its registered name.
+        options: Its options from the configuration.
+        where: Path in the configuration, for messages.
+        context: Arguments that the problem at hand supplies (shape, size ...); those that it does not take are dropped.
 
     Raises:
-        ConfigError: Unknown component, unknown option, wrong type or a value that the component refuses.
+        ConfigError: Unknown component, unknown option, wrong type, or a value that the component refuses.
     """
     component = lookup(kind, name, where)
     accepted = _arguments(component)
@@ -45,11 +58,11 @@ def make(kind: str, name: str, options: Mapping[str, Any], where: str, **context
 
 @functools.cache
 def options_schema(component: Any) -> type[BaseModel]:
-    """What a configuration may set: the constructor's arguments less the context, with types and defaults."""
+    """Options that a configuration may set, with types and defaults: the arguments without the context."""
     fields: dict[str, Any] = {
         name: (p.annotation, ... if p.default is p.empty else p.default)
         for name, p in _arguments(component).items()
-        if name not in CONTEXT
+        if name not in CONTEXT_ARGUMENTS
     }
     return create_model(component.__name__, __config__=ConfigDict(extra="forbid"), **fields)
 
@@ -73,9 +86,10 @@ def _arguments(component: Any) -> dict[str, inspect.Parameter]:
 
 
 def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any]:
-    """The options with defaults filled in; `ConfigError` says what is allowed, and the nearest spelling.
+    """Check options and fill in defaults; `auto` stands for a missing one.
 
-    `auto` stands for "not given".
+    Raises:
+        ConfigError: An option is wrong; the message says what is allowed, with the nearest spelling.
     """
     if not isinstance(options, Mapping):
         raise ConfigError(
@@ -91,9 +105,15 @@ def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any
 
 
 def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) -> tuple[str, str]:
-    """The path of the key that is most likely wrong, and what is wrong with it, in one line.
+    """The most likely cause of a validation error.
 
-    `whole` is the configuration, in whose depth a key that is unknown here may be.
+    Args:
+        error: The error of pydantic.
+        schema: The schema.
+        whole: The configuration, in which an unknown key may belong to a deeper level.
+
+    Returns:
+        The path of the key, and one line on the error.
     """
     # A misspelt key explains best; of a union's branches, the one that went deepest is what was meant.
     rank = {"extra_forbidden": 0, "missing": 1}
@@ -112,32 +132,32 @@ def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) 
     elif worst["type"].startswith(("greater", "less")):
         need = worst["msg"].lower().replace("input should", "it must")
     else:
-        need = f"{wanted(steps[-1][1]) if steps else 'a mapping'} is needed"
+        need = f"{describe_type(steps[-1][1]) if steps else 'a mapping'} is needed"
     return path, f"{path} = {worst['input']!r}: {need}"
 
 
-def wanted(annotation: Any) -> str:
-    """What a value of this type is, in words.
+def describe_type(annotation: Any) -> str:
+    """A type in words.
 
-    >>> wanted(int | list[float] | None)
+    >>> describe_type(int | list[float] | None)
     'a whole number or a list [...] of numbers'
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if annotation in WANTED:
-        return WANTED[annotation]
+    if annotation in TYPE_DESCRIPTIONS:
+        return TYPE_DESCRIPTIONS[annotation]
     if origin is Literal:
         return " or ".join(f"'{each}'" for each in arguments)
     if origin in (Union, types.UnionType):
-        return " or ".join(wanted(each) for each in _alternatives(annotation))
+        return " or ".join(describe_type(each) for each in _alternatives(annotation))
     if origin in (list, tuple) and arguments:
-        return f"a list [...] of {WANTED_MANY.get(arguments[0], 'mappings')}"
+        return f"a list [...] of {ELEMENT_DESCRIPTIONS.get(arguments[0], 'mappings')}"
     if names := _keys(annotation):
         return f"a mapping with {', '.join(names)}"
     return "a mapping" if annotation is dict or origin is dict else f"a value of type {annotation}"
 
 
 def annotation_of(schema: type[BaseModel], path: str) -> Any:
-    """The type that a key such as `data.path` has in a schema; None if the schema does not know the key."""
+    """Type of a key such as `data.path` in a schema; None if the schema has no such key."""
     steps = list(_steps(schema, tuple(path.split("."))))
     return steps[-1][1] if len(steps) == path.count(".") + 1 else None
 
@@ -145,7 +165,7 @@ def annotation_of(schema: type[BaseModel], path: str) -> Any:
 def _steps(schema: Any, loc: tuple[int | str, ...]) -> Iterator[tuple[str, Any]]:
     """A path's keys with their types; the names that pydantic gives to a union's branches are left out."""
     for part in loc:
-        if len(_alternatives(schema)) > 1 and (part in SIMPLE or str(part).startswith("dict[")):
+        if len(_alternatives(schema)) > 1 and (part in SCALAR_TYPE_NAMES or str(part).startswith("dict[")):
             return  # pydantic's name of a branch that has no keys of its own
         models = [each for each in _alternatives(schema) if hasattr(each, "model_fields")]
         inner = next((m.model_fields[part].annotation for m in models if part in m.model_fields), None)

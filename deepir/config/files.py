@@ -16,12 +16,14 @@ from pydantic import ValidationError
 from deepir.config import overrides
 from deepir.config.components import explain
 from deepir.config.schema import Config
-from deepir.config.yaml import parse
+from deepir.config.yaml import parse_yaml
 from deepir.errors import ConfigError, nearest
 from deepir.paths import expanded, is_file
 
-PACKED = Path(__file__).parent.parent / "configs"  # in the wheel
-SHIPPED = PACKED if PACKED.is_dir() else Path(__file__).parents[2] / "configs"  # in a checkout
+PACKAGED_CONFIGS = Path(__file__).parent.parent / "configs"  # shipped configurations in the wheel
+SHIPPED_CONFIGS = (
+    PACKAGED_CONFIGS if PACKAGED_CONFIGS.is_dir() else Path(__file__).parents[2] / "configs"
+)  # the same in a checkout
 
 
 def load(
@@ -29,7 +31,7 @@ def load(
     changes: Sequence[str] = (),
     options: Mapping[str, Any] | None = None,
 ) -> Config:
-    """A configuration from a path, a shipped name (`nuc`) or a mapping.
+    """Load a configuration from a path, a shipped name (`nuc`) or a mapping.
 
     Args:
         config: The path, name or mapping.
@@ -45,31 +47,35 @@ def load(
     base = _merge(
         label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {})
     )
-    pairs = overrides.split(changes, Config)
+    pairs = overrides.parse_settings(changes, Config)
     prior = (base | dict(pairs)).get("prior") or Config.model_fields["prior"].default
     whole = _merge(label, _preset(str(prior)), base)
     for key, value in pairs:
-        overrides.apply(whole, key, value)
+        overrides.apply_setting(whole, key, value)
     checked = _check(_merge(label, whole, resolve=True), label, changes)
-    _order(checked, list(base.get("physics") or {}), label)
+    _order_stages(checked, list(base.get("physics") or {}), label)
     return checked
 
 
 def read(path: Path) -> Config:
-    """A configuration that `dump` wrote: complete, so that presets are not looked at."""
+    """Read a configuration that `dump` wrote; it is complete, so presets are not merged."""
     return _check(_read(path), str(path))
 
 
 def dump(config: Config) -> str:
-    """The configuration as YAML that `read` and `load` read back."""
+    """The configuration as YAML for `read` and `load`."""
     return OmegaConf.to_yaml(OmegaConf.create(config.model_dump()))
 
 
 def find(name: str | Path) -> Path:
-    """The file of a configuration, given its path or its shipped name."""
+    """The file of a configuration, by its path or its shipped name.
+
+    Raises:
+        ConfigError: There is none; the message gives the nearest spelling.
+    """
     path = expanded(name)
     if str(name) in shipped_names() and not is_file(path):
-        return SHIPPED / f"{name}.yaml"
+        return SHIPPED_CONFIGS / f"{name}.yaml"
     if path.suffix in (".yaml", ".yml") and is_file(path):
         return path
     if os.path.exists(path):  # noqa: PTH110 - however long
@@ -83,25 +89,28 @@ def find(name: str | Path) -> Path:
 
 
 def shipped_names() -> list[str]:
-    """Names of the shipped configurations, presets of priors left out."""
-    found = (path.relative_to(SHIPPED).with_suffix("").as_posix() for path in SHIPPED.rglob("*.yaml"))
+    """Names of the shipped configurations, without presets of priors."""
+    found = (
+        path.relative_to(SHIPPED_CONFIGS).with_suffix("").as_posix()
+        for path in SHIPPED_CONFIGS.rglob("*.yaml")
+    )
     return sorted(name for name in found if not name.startswith("prior/"))
 
 
-def priors() -> list[str]:
+def prior_names() -> list[str]:
     """Names of the priors' presets."""
-    return sorted(path.stem for path in (SHIPPED / "prior").glob("*.yaml"))
+    return sorted(path.stem for path in (SHIPPED_CONFIGS / "prior").glob("*.yaml"))
 
 
 def headline(path: Path) -> str:
-    """The comment that a configuration's file begins with, in one line."""
+    """The comment in the first line of a configuration's file."""
     lines = path.read_text(encoding="utf-8").splitlines()
     return lines[0].lstrip("# ") if lines and lines[0].startswith("#") else ""
 
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        parsed = parse(path.read_text(encoding="utf-8"))
+        parsed = parse_yaml(path.read_text(encoding="utf-8"))
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: not a text file") from None
     except OSError as error:
@@ -117,23 +126,23 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _merge(label: str, *parts: Mapping[str, Any], resolve: bool = False) -> dict[str, Any]:
     try:
-        merged = OmegaConf.create(functools.reduce(_over, parts, {}))
+        merged = OmegaConf.create(functools.reduce(_overlay, parts, {}))
         return OmegaConf.to_container(merged, resolve=resolve, throw_on_missing=resolve)  # type: ignore[return-value]
     except (OmegaConfBaseException, RecursionError) as error:
         raise ConfigError(f"{label}: {str(error).splitlines()[0]}") from None
 
 
-def _over(under: Any, over: Any, where: str = "") -> Any:
-    """What is `over`, and of mappings what is `under` beside it.
+def _overlay(under: Any, over: Any, where: str = "") -> Any:
+    """The value `over`, merged over `under` where both are mappings.
 
-    `OmegaConf.merge` raises a bare TypeError for some that do not go together; this says where the mistake is.
+    `OmegaConf.merge` raises a bare TypeError for some combinations; this names the key.
     """
     if not isinstance(over, Mapping):
         return over
     if wrong := [key for key in over if not isinstance(key, str)]:
         raise ConfigError(f"{where}{wrong[0]!r}: a key is text")
     below = under if isinstance(under, Mapping) else {}
-    return {**below, **{key: _over(below.get(key), each, f"{where}{key}.") for key, each in over.items()}}
+    return {**below, **{key: _overlay(below.get(key), each, f"{where}{key}.") for key, each in over.items()}}
 
 
 def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) -> Config:
@@ -149,14 +158,14 @@ def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) ->
 
 
 def _preset(name: str) -> dict[str, Any]:
-    """What `prior: name` stands for: a shipped preset, one's own .yaml file, or a field without penalties."""
+    """Configuration of `prior: name`: a shipped preset, a .yaml file, or a field without penalties."""
     own = expanded(name)
-    if name in priors():
-        return _read(SHIPPED / "prior" / f"{name}.yaml")
+    if name in prior_names():
+        return _read(SHIPPED_CONFIGS / "prior" / f"{name}.yaml")
     if own.suffix in (".yaml", ".yml"):
         if not is_file(own):
             raise ConfigError(
-                f"prior: {name}: no such file; give a .yaml file or a name: {', '.join(priors())}"
+                f"prior: {name}: no such file; give a .yaml file or a name: {', '.join(prior_names())}"
             )
         given = _read(own)
         if unknown := next((key for key in given if key not in Config.model_fields), None):
@@ -168,12 +177,12 @@ def _preset(name: str) -> dict[str, Any]:
     if name in components("field"):
         return {"scene": {"type": name, "init": "average"}}
     raise ConfigError(
-        f"prior: no prior is called '{name}'; {nearest(name, priors())}, a field's name or a .yaml file"
+        f"prior: no prior is called '{name}'; {nearest(name, prior_names())}, a field's name or a .yaml file"
     )
 
 
-def _order(config: Config, in_file: list[str], label: str) -> None:
-    """Put stages that say `before` where they belong; one that an override adds must say it."""
+def _order_stages(config: Config, in_file: list[str], label: str) -> None:
+    """Move stages with `before` to their place; a stage that an override adds must have it."""
     stages = config.physics
     for name in list(stages):
         options = stages[name] = dict(stages[name] or {})

@@ -14,15 +14,23 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from deepir.config.components import annotation_of
-from deepir.config.yaml import parse
+from deepir.config.yaml import parse_yaml
 from deepir.errors import ConfigError, nearest
 
-#: Parts of a configuration that name components, whose keys the schema does not know.
-OPEN = ("physics", "scene", "fidelity", "method")
+#: Sections that name components, whose keys the schema does not know.
+COMPONENT_SECTIONS = ("physics", "scene", "fidelity", "method")
 
 
-def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]]:
-    """Keys with their values; `ConfigError` for one that is not `key=value`, or whose value is not YAML."""
+def parse_settings(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]]:
+    """Split `key=value` pairs and parse their values as YAML.
+
+    Args:
+        pairs: The pairs.
+        schema: Schema of the configuration; values of text keys are not parsed.
+
+    Raises:
+        ConfigError: A pair is not `key=value`, or its value is not YAML.
+    """
     found = []
     for pair in pairs:
         if not isinstance(pair, str):
@@ -42,7 +50,7 @@ def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]
             found.append((key, None if text == "null" else text))
             continue
         try:
-            value = parse(text)
+            value = parse_yaml(text)
         except ValueError as error:
             raise ConfigError(f"'{pair}': not a YAML value: {error}") from None
         # A slice without an end, data.frames=2:, is a mapping of YAML.
@@ -50,8 +58,8 @@ def split(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]
     return found
 
 
-def apply(whole: dict[str, Any], key: str, value: Any) -> None:
-    """Make one change in place.
+def apply_setting(whole: dict[str, Any], key: str, value: Any) -> None:
+    """Apply one setting to a configuration in place.
 
     Raises:
         ConfigError: There is nothing at `key` to remove or to change.
@@ -70,11 +78,11 @@ def apply(whole: dict[str, Any], key: str, value: Any) -> None:
 
 
 def _inner(node: Any, part: str, where: str, key: str) -> Any:
-    """What `node` holds under `part`, as something that has keys of its own."""
+    """The value of `node` under `part`, as a mapping or list."""
     step = _index(node, part, key)
     if isinstance(node, dict) and node.get(step) is None:
         node[step] = {}
-    elif isinstance(node[step], str) and where.partition(".")[0] in OPEN:
+    elif isinstance(node[step], str) and where.partition(".")[0] in COMPONENT_SECTIONS:
         node[step] = {"type": node[step]}
     if not isinstance(node[step], dict | list):
         raise ConfigError(f"{key}: {where} is {node[step]!r}, which has no keys")
@@ -92,7 +100,7 @@ def _index(node: Any, part: str, key: str) -> Any:
 def _remove(node: Any, last: Any, key: str) -> None:
     if isinstance(node, list) or last in node:
         del node[last]
-    elif key.partition(".")[0] in OPEN:
+    elif key.partition(".")[0] in COMPONENT_SECTIONS:
         raise ConfigError(f"{key}=null: there is no '{last}' to remove; {nearest(str(last), map(str, node))}")
     else:
         node[last] = None  # for the schema to judge

@@ -1,4 +1,4 @@
-"""What a configuration may hold. What a component may be given, its constructor says: `deepir.config.components`."""
+"""The schema of a configuration; options of components follow from their constructors: `deepir.config.components`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class _Strict(BaseModel):
 
 
 class Raw(_Strict):
-    """How a recording without a header is laid out."""
+    """Layout of a recording without a header."""
 
     width: int = Field(ge=1, le=2**15)  # px
     height: int = Field(ge=1, le=2**15)  # px
@@ -22,7 +22,7 @@ class Raw(_Strict):
 
 
 class Radiometry(_Strict):
-    """Counts to kelvin, see `deepir.io.radiometry`; what is None is as the file says."""
+    """Conversion of counts to kelvin, see `deepir.io.radiometry`; None: as in the file."""
 
     scale: float | None = Field(default=None, gt=0)  # kelvin a count: 0.01 for TLinear
     zero: float | None = None  # kelvin at zero counts
@@ -40,7 +40,7 @@ class Radiometry(_Strict):
 
 
 class Data(_Strict):
-    """Where the frames come from."""
+    """Source of the frames."""
 
     path: str | None = None  # file, folder or glob
     simulate: dict[str, Any] | None = None  # in place of a path; `deepir.simulate.recorded` checks it
@@ -62,7 +62,7 @@ class Noise(_Strict):
 
 
 class StepConfig(_Strict):
-    """A step of a stage, see `deepir.optim.solve.Step`."""
+    """A step of a stage, see `deepir.schedule.Step`."""
 
     group: list[str] = Field(min_length=1)
     method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
@@ -84,7 +84,7 @@ class Fit(_Strict):
 
 
 class StageConfig(_Strict):
-    """A stage of the plan, see `deepir.optim.solve.Stage`."""
+    """A stage of the plan, see `deepir.schedule.Stage`."""
 
     name: str
     steps: list[StepConfig] = Field(min_length=1)
@@ -92,14 +92,14 @@ class StageConfig(_Strict):
 
 
 class Solver(_Strict):
-    """How long, and in which order."""
+    """Iterations and stages of the solve."""
 
     max_iterations: int | None = Field(default=None, ge=0)  # caps each stage
     plan: list[StageConfig] | None = Field(default=None, min_length=1)  # None: the problem's own
 
 
 class Output(_Strict):
-    """Where results go."""
+    """Folder and format of the results."""
 
     dir: str | None = None
     palette: Literal["white-hot", "black-hot", "ironbow", "inferno", "magma", "turbo"] = "white-hot"
@@ -108,7 +108,7 @@ class Output(_Strict):
 
 
 class Config(_Strict):
-    """A whole configuration; `physics`, `scene`, `fidelity` and `method` are checked by the components they name."""
+    """A whole configuration; the components check `physics`, `scene`, `fidelity` and `method`."""
 
     problem: str = "generic"
     method: str | dict[str, Any] = "joint"

@@ -1,4 +1,4 @@
-"""YAML as people mean it: `2:5` is no sexagesimal 125, `1e-3` a number, `no` a word (as in YAML 1.2)."""
+"""YAML with the scalars of version 1.2: `2:5` is text, not a sexagesimal 125; `1e-3` is a number, `no` is text."""
 
 from __future__ import annotations
 
@@ -7,21 +7,24 @@ from typing import Any
 
 import yaml
 
-INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
-NUMBER = re.compile(
+#: Scalars by YAML 1.2: decimal integers, numbers, booleans.
+INTEGER_PATTERN = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
+NUMBER_PATTERN = re.compile(
     r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"
 )
-TRUTH = re.compile(r"(true|True|TRUE|false|False|FALSE)$")
-CHANGED = ("int", "float", "bool", "timestamp")
-#: Far more than a configuration needs, and little enough for what comes after; aliases count as what they stand for.
-LONGEST, MOST, DEEPEST = 100_000, 10_000, 30  # characters, values, levels
+BOOLEAN_PATTERN = re.compile(r"(true|True|TRUE|false|False|FALSE)$")
+#: Tags of YAML 1.1 that `_Loader` drops or replaces.
+REPLACED_TAGS = ("int", "float", "bool", "timestamp")
+MAX_CHARACTERS = 100_000  # length of a YAML text
+MAX_VALUES = 10_000  # values of a YAML text, aliases expanded
+MAX_DEPTH = 30  # levels of nesting
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader (no Python objects) with plainer scalars; a key given twice is an error."""
+    """The safe loader (no Python objects) with these scalars; duplicate keys are errors."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012 - PyYAML's own way
-        first: [each for each in rules if each[0].rpartition(":")[2] not in CHANGED]
+        first: [each for each in rules if each[0].rpartition(":")[2] not in REPLACED_TAGS]
         for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
@@ -37,27 +40,32 @@ class _Loader(yaml.SafeLoader):
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         super().flatten_mapping(node)
-        if len(node.value) > MOST:
-            raise yaml.MarkedYAMLError(problem=f"more than {MOST:,} values", problem_mark=node.start_mark)
+        if len(node.value) > MAX_VALUES:
+            raise yaml.MarkedYAMLError(
+                problem=f"more than {MAX_VALUES:,} values", problem_mark=node.start_mark
+            )
 
 
-_Loader.add_implicit_resolver("tag:yaml.org,2002:int", INTEGER, list("-+0123456789"))
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", NUMBER, list("-+0123456789."))
-_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", TRUTH, list("tTfF"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", INTEGER_PATTERN, list("-+0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", NUMBER_PATTERN, list("-+0123456789."))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", BOOLEAN_PATTERN, list("tTfF"))
 
 
-def parse(text: str) -> Any:
-    """The value of a YAML text; `ValueError` in one line, with the place, if it is none.
+def parse_yaml(text: str) -> Any:
+    """The value of a YAML text.
 
-    >>> parse("{frames: 2:5, weight: 1e-3, jitter: no}")
+    >>> parse_yaml("{frames: 2:5, weight: 1e-3, jitter: no}")
     {'frames': '2:5', 'weight': 0.001, 'jitter': 'no'}
+
+    Raises:
+        ValueError: It is not YAML, or too large; one line, with the place.
     """
-    if len(text) > LONGEST:
-        raise ValueError(f"{len(text):,} characters; at most {LONGEST:,} are read")
+    if len(text) > MAX_CHARACTERS:
+        raise ValueError(f"{len(text):,} characters; at most {MAX_CHARACTERS:,} are read")
     try:
         value = yaml.load(text, Loader=_Loader)
     except RecursionError:
-        raise ValueError(f"nested deeper than {DEEPEST} levels") from None
+        raise ValueError(f"nested deeper than {MAX_DEPTH} levels") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
@@ -69,17 +77,17 @@ def parse(text: str) -> Any:
 
 
 def _check_extent(value: Any) -> None:
-    """Raise `ValueError` for what is too much, too deep, or holds itself."""
+    """Raise `ValueError` for too many values, too deep nesting, or a value that contains itself."""
     level, count = [value], 0
-    for _ in range(DEEPEST):
+    for _ in range(MAX_DEPTH):
         inner: list[Any] = []
         for each in level:
             inner += (
                 [*each, *each.values()] if isinstance(each, dict) else each if isinstance(each, list) else ()
             )
-            if count + len(inner) > MOST:
-                raise ValueError(f"more than {MOST:,} values")
+            if count + len(inner) > MAX_VALUES:
+                raise ValueError(f"more than {MAX_VALUES:,} values")
         count, level = count + len(inner), inner
         if not level:
             return
-    raise ValueError(f"nested deeper than {DEEPEST} levels")
+    raise ValueError(f"nested deeper than {MAX_DEPTH} levels")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.io.display_range import Array
+from deepir.io.inspection.display_range import Array
 
 EQUAL = 0.01  # of the samples: equalised frames have so many of each range of values; others are 0.13 and more off
 

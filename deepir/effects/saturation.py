@@ -12,7 +12,7 @@ from deepir.arrays.median import robust_std
 from deepir.effects.bad_pixels import DEAD_DEVIATION
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
-from deepir.io.saturated_samples import Array
+from deepir.io.inspection.saturated_samples import Array
 from deepir.problem import Problem
 from deepir.registry import register
 

@@ -1,19 +1,19 @@
-"""Files in and out: frames, masks and truths as numpy arrays, checked before anything is solved."""
+"""Files in and out: frames, masks and truths as NumPy arrays, checked before anything is solved."""
 
-from deepir.io.checks import crop, validate
-from deepir.io.describe import describe
 from deepir.io.frames import Frames, read_frames, stream_frames
+from deepir.io.inspection.checks import crop, validate
+from deepir.io.inspection.describe import describe
 from deepir.io.maps import read_mask, read_truth
-from deepir.io.write import replace, write_json, write_mat, write_npz, write_preview, write_tiff
+from deepir.io.output.write import atomic_file, write_json, write_mat, write_npz, write_preview, write_tiff
 
 __all__ = [
     "Frames",
+    "atomic_file",
     "crop",
     "describe",
     "read_frames",
     "read_mask",
     "read_truth",
-    "replace",
     "stream_frames",
     "validate",
     "write_json",

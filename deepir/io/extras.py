@@ -8,8 +8,20 @@ from typing import Any
 from deepir.errors import DataError
 
 
-def needed(library: str, extra: str, what: str) -> Any:
-    """The module `library`; `DataError` that names deepir's `extra` where it is not installed."""
+def import_optional(library: str, extra: str, what: str) -> Any:
+    """Import a library that only some formats need.
+
+    Args:
+        library: Name of the module.
+        extra: Extra of deepir that installs it.
+        what: File or option that needs it, for the message.
+
+    Returns:
+        The module.
+
+    Raises:
+        DataError: It is not installed; the message names the extra.
+    """
     try:
         return importlib.import_module(library)
     except ImportError:

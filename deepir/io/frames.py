@@ -16,23 +16,27 @@ from deepir.errors import DataError
 from deepir.io import raw as headerless
 from deepir.io import readers
 from deepir.io.radiometry import Radiometry
-from deepir.io.readers import Array, folder
+from deepir.io.readers import Array
+from deepir.io.readers.pictures import folder
 from deepir.paths import expanded
 
-#: Pairs of frames beside a burst that are kept to judge its correction, and how many frames they are apart at most.
-PAIRS_BESIDE, FARTHEST_PAIR = 6, 8
+MAX_UNSELECTED_PAIRS = 6  # pairs of frames outside a burst that are kept to score its correction
+MAX_PAIR_GAP = 8  # frames between the two of a pair
 
 Select = str | int | Sequence[int] | None
 
 
 @dataclass(frozen=True)
 class Frames:
-    """A burst as it came from a file.
+    """A burst from a file.
 
-    `frames` is `(N, h, w)` float32 in the data's units, `source` says where it is from, `dtype` is the type
-    it was stored in, `sha256` is that of the file (where there are several, of their digests in order), and
-    `radiometry` makes kelvin of the units, if the file says how. `beside` are pairs of frames that were not selected
-    (2 M, h, w).
+    Attributes:
+        frames: (N, h, w), float32, in the data's units.
+        source: The file, for messages.
+        dtype: Type in which the frames were stored.
+        sha256: Digest of the file; of several files, of their digests in order.
+        radiometry: Conversion to kelvin, if the file has it.
+        beside: (2 M, h, w), pairs of frames that were not selected.
     """
 
     frames: np.ndarray[Any, np.dtype[np.float32]]
@@ -46,44 +50,60 @@ class Frames:
 def read_frames(
     path: str | os.PathLike[str], *, key: str | None = None, select: Select = None, raw: Raw | None = None
 ) -> Frames:
-    """Read `(N, h, w)` frames from a file, a folder of pictures or a glob.
+    """Read frames from a file, a folder of pictures or a glob; the contents decide the format.
 
-    Contents decide the format, not names. `key` names the array where there are several. `select` takes the first
-    n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers. `raw` is the layout of a file without a
-    header. Raises `DataError` for whatever cannot be read or is no burst of numbers.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+        select: The first n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers.
+        raw: Layout of a file without a header.
+
+    Raises:
+        DataError: It cannot be read, or holds no burst of numbers.
     """
     file = expanded(path)
-    stored = stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
+    stored = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
     frames = to_float32(select_frames(stored, select, source))
     kelvin = readers.radiometry(file) if raw is None else None
-    return Frames(frames, source, stored.dtype.name, digest(file), kelvin, frames_beside(stored, select))
+    return Frames(frames, source, stored.dtype.name, digest(file), kelvin, unselected_pairs(stored, select))
 
 
 def stream_frames(
     path: str | os.PathLike[str], *, key: str | None = None, raw: Raw | None = None
 ) -> Iterator[Array]:
-    """Frame after frame `(h, w)`, in the type they are stored in, of a recording that need not fit into memory.
+    """Frame after frame (h, w), in the stored type, of a recording that may be larger than the memory.
 
-    What is given, and what is raised, is as for `read_frames`.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+        raw: Layout of a file without a header.
+
+    Raises:
+        DataError: As `read_frames`.
     """
     file = expanded(path)
     pieces = readers.stream(file, key) if raw is None else headerless.stream(file, raw)
     for piece in pieces:
-        yield from stack(piece, str(file))
+        yield from to_stack(piece, str(file))
 
 
 def digest(path: str | os.PathLike[str]) -> str:
-    """SHA-256 of a burst's file, or of the digests of its pictures in order; `DataError` if it cannot be read."""
+    """SHA-256 of a burst's file, or of the digests of its pictures in order.
+
+    Raises:
+        DataError: It cannot be read.
+    """
     file = expanded(path)
-    with readers.guarded(file):
+    with readers.decoding(file):
         return _sha256(file)
 
 
-def stack(array: Array, source: str) -> Array:
-    """`(N, h, w)` from `(h, w)`, `(N, h, w)`, `(N, 1, h, w)` or `(N, h, w, 1)`.
+def to_stack(array: Array, source: str) -> Array:
+    """Frames (N, h, w) of an array (h, w), (N, h, w), (N, 1, h, w) or (N, h, w, 1).
 
-    Raises `DataError` for other shapes, and for values that are neither integers nor floats.
+    Raises:
+        DataError: The shape is another, or values are neither integers nor floats; the message names `source`.
     """
     if array.dtype.kind not in "uif":
         raise DataError(f"{source}: values of type {array.dtype}; frames are integers or real numbers")
@@ -102,13 +122,17 @@ def stack(array: Array, source: str) -> Array:
 
 
 def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """A float32 copy: exact to 24 bits, infinite beyond float32's range, NaN where the array is masked."""
+    """Copy in float32: exact up to 24 bits, infinite beyond its range, NaN where the array is masked."""
     with np.errstate(over="ignore"):
         return np.ma.filled(array.astype(np.float32), np.nan)
 
 
 def select_frames(frames: Array, select: Select, source: str) -> Array:
-    """The frames that `select` names, see `read_frames`; `DataError` where it does not fit them."""
+    """The selected frames, see `read_frames`.
+
+    Raises:
+        DataError: `select` does not fit the frames; the message names `source`.
+    """
     if select is None:
         return frames
     count = len(frames)
@@ -128,17 +152,24 @@ def select_frames(frames: Array, select: Select, source: str) -> Array:
     return frames[picked]
 
 
-def frames_beside(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
-    """Pairs of frames (2 M, h, w) that `select` leaves out, from about those that it takes; None where there are none.
+def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
+    """Pairs of frames outside the selection, from its neighbourhood.
 
-    Those of a pair are as far apart as half the burst reaches, and `FARTHEST_PAIR` frames at most.
+    The two frames of a pair are half the reach of the burst apart, at most `MAX_PAIR_GAP` frames.
+
+    Args:
+        frames: (N, h, w).
+        select: The selection, see `read_frames`.
+
+    Returns:
+        (2 M, h, w), float32; None if there is no pair.
     """
     if select is None:
         return None
     numbers = np.arange(len(frames))
     taken = numbers[_indices(select)]
     reach = int(np.ptp(taken))
-    gap = int(np.clip(reach // 2, 1, FARTHEST_PAIR))
+    gap = int(np.clip(reach // 2, 1, MAX_PAIR_GAP))
     free = (
         ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
     )
@@ -146,13 +177,13 @@ def frames_beside(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.
     if not len(starts):
         return None
     some = starts[
-        np.unique(np.linspace(0, len(starts) - 1, min(len(starts), PAIRS_BESIDE)).round().astype(int))
+        np.unique(np.linspace(0, len(starts) - 1, min(len(starts), MAX_UNSELECTED_PAIRS)).round().astype(int))
     ]
     return to_float32(frames[np.stack((some, some + gap), 1).ravel()])
 
 
 def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
-    """A slice or a list; `ValueError` where it is neither, or steps by zero."""
+    """A slice or a list of a selection; `ValueError` if it is neither, or has a step of zero."""
     if isinstance(select, str) and ":" in select:
         bounds = [int(part) if part.strip() else None for part in select.split(":")]
         if len(bounds) > 3 or (len(bounds) == 3 and bounds[2] == 0):
@@ -172,7 +203,7 @@ def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
 
 def _sha256(path: Path) -> str:
     if folder.sniff(b"", path):
-        digests = "".join(_sha256(file) for file in folder.members(path))
+        digests = "".join(_sha256(file) for file in folder.burst_files(path))
         return hashlib.sha256(digests.encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""What every reader checks: that a file's claims are plausible, and that its colours carry numbers."""
+"""Checks of all readers: plausible sizes, and colours that carry numbers."""
 
 from __future__ import annotations
 
@@ -10,41 +10,44 @@ import numpy as np
 
 from deepir.errors import DataError
 
-GIB = 2**30
-MOST_BYTES = 8 * GIB
-"""The largest array that is read at once."""
-
-MOST_COMPRESSED = 3000
-"""Bytes out of one byte: deflate reaches 1032, LZW about 2700."""
-
-SMALL = GIB // 4
-"""Below this a wrong claim does no harm, and a very empty mask may really be that compressible."""
+GIB = 2**30  # bytes
+MAX_ARRAY_BYTES = 8 * GIB  # largest array that is read at once
+MAX_COMPRESSION_RATIO = 3000  # bytes out of one byte: deflate reaches 1032, LZW about 2700
+UNCHECKED_BYTES = GIB // 4  # size up to which a claim is not checked: an empty mask may be that compressible
 
 
 def check_size(
     path: Path, declared: int, stored: int, *, compressed: bool = False, at_once: bool = True
 ) -> None:
-    """Refuse, before memory is taken, an array of `declared` bytes that `stored` bytes of file cannot hold.
+    """Refuse implausible sizes before memory is allocated.
 
-    Raises `DataError` where the claim is negative, more than the file can hold, or, of what is read `at_once`,
-    more than 8 GiB.
+    Args:
+        path: The file, for messages.
+        declared: Bytes of data that the file declares.
+        stored: Bytes of the file.
+        compressed: True: the data may be larger than the file.
+        at_once: True: the data are read at once, and may not exceed `MAX_ARRAY_BYTES`.
+
+    Raises:
+        DataError: The file cannot hold the data, or they are too large.
     """
-    most = max(SMALL, MOST_COMPRESSED * stored) if compressed else stored
+    most = max(UNCHECKED_BYTES, MAX_COMPRESSION_RATIO * stored) if compressed else stored
     if not 0 <= declared <= most:
         raise DataError(
             f"{path}: damaged or truncated: it declares {declared:,} bytes of data but holds {stored:,}"
         )
-    if at_once and declared > MOST_BYTES:
+    if at_once and declared > MAX_ARRAY_BYTES:
         raise DataError(
-            f"{path}: {declared / GIB:.1f} GiB of data; at most {MOST_BYTES // GIB} GiB are read at once. "
+            f"{path}: {declared / GIB:.1f} GiB of data; at most {MAX_ARRAY_BYTES // GIB} GiB are read at once. "
             "Split the file."
         )
 
 
-def collect(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[Any, Any]:
-    """Frames `(h, w)` of the file `path` as `(N, h, w)`.
+def stack_frames(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[Any, Any]:
+    """Frames (N, h, w) of single frames (h, w) of a file.
 
-    Raises `DataError` where there are none, they differ in size, or are more than the file can hold.
+    Raises:
+        DataError: There are none, they differ in size, or exceed what the file can hold.
     """
     found: list[np.ndarray[Any, Any]] = []
     stored, total = path.stat().st_size, 0
@@ -59,12 +62,18 @@ def collect(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[An
     return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
 
-def grey(pixels: np.ndarray[Any, Any], path: Path) -> np.ndarray[Any, Any]:
+def to_grey(pixels: np.ndarray[Any, Any], path: Path) -> np.ndarray[Any, Any]:
     """The one channel of a grey picture that was stored in colour.
 
-    `pixels` is `(..., C)` with C = 1 to 4; alpha (C = 2 or 4) is dropped. Up to 1 % of coloured pixels are a
-    marker or text drawn into the picture: they have no value, and the result `(...)` is masked there.
-    Raises `DataError` where more of the picture is coloured.
+    Args:
+        pixels: (..., C), C = 1 to 4; alpha (C = 2 or 4) is dropped.
+        path: The file, for messages.
+
+    Returns:
+        (...); masked where up to 1 % of the pixels are coloured (a marker or text).
+
+    Raises:
+        DataError: More pixels are coloured.
     """
     channels = pixels.shape[-1]
     first = pixels[..., 0]

@@ -1,4 +1,4 @@
-"""What goes with frames: a mask of pixels to ignore, and a known truth to compare with."""
+"""Files beside the frames: a mask of pixels to ignore, and a known truth."""
 
 from __future__ import annotations
 
@@ -10,24 +10,29 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.checks import Mask
-from deepir.io.frames import stack, to_float32
-from deepir.io.readers import npz
+from deepir.io.frames import to_float32, to_stack
+from deepir.io.inspection.checks import Mask
+from deepir.io.readers.arrays import npz
 from deepir.paths import expanded
 
 Shape = tuple[int, int]
 
 
 def read_mask(path: str | os.PathLike[str], shape: Shape) -> Mask:
-    """A mask `(h, w)` of pixels to ignore (True), from anything but zero in an array or a picture.
+    """Mask (h, w) of pixels to ignore: True where an array or a picture is nonzero.
 
-    Raises `DataError` where its shape is not `shape`, or nothing is left to work with.
+    Args:
+        path: The file.
+        shape: Height and width of a frame.
+
+    Raises:
+        DataError: It has another shape, or ignores every pixel.
     """
     file = expanded(path)
     array = readers.read(file)
     if array.dtype.kind == "b":
         array = array.astype(np.uint8)
-    mask = np.ma.getdata(stack(array, str(file))) != 0
+    mask = np.ma.getdata(to_stack(array, str(file))) != 0
     if mask.shape != (1, *shape):
         raise DataError(f"{file}: the mask is {_size(mask.shape)}, the frames are {_size(shape)}")
     if mask.all():
@@ -38,17 +43,25 @@ def read_mask(path: str | os.PathLike[str], shape: Shape) -> Mask:
 def read_truth(
     path: str | os.PathLike[str], shape: Shape
 ) -> dict[str, np.ndarray[Any, np.dtype[np.float32]]]:
-    """The truth of simulated or calibrated data: the arrays by name, float32.
+    """Known arrays of simulated or calibrated data by name, float32.
 
-    An `.npz` has `scene` and whatever else is known: gain, offset, motion ... (only numbers are kept).
-    Anything else is a picture of the scene. A scene is `(Q h, Q w)`, Q a whole number, or `(N, Q h, Q w)` where each
-    frame has its own. Raises `DataError` where there is no scene, or it does not fit `shape`.
+    An `.npz` has `scene`, and may have gain, offset, motion ...; any other file is a picture of the scene.
+
+    Args:
+        path: The file.
+        shape: Height and width of a frame.
+
+    Returns:
+        Arrays by name; the scene is (Q h, Q w) with an integer Q, or (N, Q h, Q w) with a scene for each frame.
+
+    Raises:
+        DataError: There is no scene, or it does not fit `shape`.
     """
     file = expanded(path)
-    arrays = {"scene": readers.read(file)} if readers.find(file) is not npz else _arrays(file)
+    arrays = {"scene": readers.read(file)} if readers.find_reader(file) is not npz else _arrays(file)
     if "scene" not in arrays:
         raise DataError(f"{file}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")
-    scene = stack(arrays["scene"], f"{file}[scene]")
+    scene = to_stack(arrays["scene"], f"{file}[scene]")
     factor = max(1, scene.shape[1] // shape[0])
     if scene.shape[1:] != (factor * shape[0], factor * shape[1]):
         raise DataError(
@@ -59,7 +72,7 @@ def read_truth(
 
 
 def _arrays(file: Path) -> dict[str, readers.Array]:
-    with readers.guarded(file):
+    with readers.decoding(file):
         return npz.read_all(file)
 
 

@@ -1,4 +1,4 @@
-"""Counts to kelvin: by a scale, as cameras with TLinear output give them, or by Planck's law."""
+"""Counts to kelvin: linear, as with TLinear output, or by Planck's law."""
 
 from __future__ import annotations
 
@@ -12,18 +12,23 @@ from deepir.config import schema
 from deepir.errors import ConfigError
 
 Array = np.ndarray[Any, Any]
-ZERO_CELSIUS = 273.15
+ZERO_CELSIUS = 273.15  # K
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Kelvin = `scale` counts + `zero`: 0.01 for TLinear (K x 100), 0.04 and 0.1 elsewhere, 1 for kelvin themselves."""
+    """Kelvin = `scale` counts + `zero`.
+
+    Attributes:
+        scale: K per count: 0.01 for TLinear (K x 100), 0.04 and 0.1 elsewhere, 1 for data in kelvin.
+        zero: K at zero counts; 273.15 with scale 1 for data in degrees Celsius.
+    """
 
     scale: float
     zero: float = 0.0  # kelvin of zero counts; 273.15 with scale 1 for data in degrees Celsius
 
     def kelvin(self, counts: Array) -> Array:
-        """Temperature of counts of any shape, float32."""
+        """Temperature of counts of any shape, K, float32."""
         return (self.scale * counts.astype(np.float64) + self.zero).astype(np.float32)
 
     def __str__(self) -> str:
@@ -32,12 +37,14 @@ class Linear:
 
 @dataclass(frozen=True)
 class Planck:
-    """A calibrated camera that looks through air, and perhaps a window, at a surface that reflects its surroundings.
+    """A calibrated camera that sees a reflecting surface through air and perhaps a window.
 
-    A black body at T gives `r1 / (r2 (exp(b / T) - f)) - o` counts; FLIR's `o` is negative. Of the surface's signal
-    the camera sees the share `emissivity transmission window_transmission`; the rest is the surroundings at
-    `reflected`, the air at `atmosphere` and the window at `window` (all kelvin). See Usamentiaga et al., "Infrared
-    thermography for temperature measurement and non-destructive testing", Sensors 14 (2014).
+    A black body at T gives `r1 / (r2 (exp(b / T) - f)) - o` counts; FLIR's `o` is negative. The camera receives the
+    fraction `emissivity transmission window_transmission` of the surface's signal. The rest comes from the surroundings
+    at `reflected`, the air at `atmosphere` and the window at `window`, K.
+
+    Source: Usamentiaga et al., Infrared thermography for temperature measurement and non-destructive testing, Sensors
+    14 (2014).
     """
 
     r1: float
@@ -53,7 +60,7 @@ class Planck:
     window: float = 293.15
 
     def kelvin(self, counts: Array) -> Array:
-        """Temperature of counts of any shape, float32; NaN where no temperature gives so few."""
+        """Temperature of counts of any shape, K, float32; NaN where the signal is below that of any temperature."""
         air, glass = self.transmission, self.window_transmission
         around = glass * air * (1 - self.emissivity) * self.signal(self.reflected)
         around += glass * (1 - air) * self.signal(self.atmosphere) + (1 - glass) * self.signal(self.window)
@@ -63,7 +70,7 @@ class Planck:
         return np.where(own > 0, kelvin, np.nan).astype(np.float32)
 
     def signal(self, kelvin: float | Array) -> Any:
-        """Counts of a black body, above those of no signal at all (`-o`)."""
+        """Counts of a black body at `kelvin` above zero signal (`-o`)."""
         return self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f))
 
     def __str__(self) -> str:
@@ -74,11 +81,11 @@ class Planck:
 
 
 Radiometry = Linear | Planck
-KELVIN = Linear(1.0)
+KELVIN = Linear(1.0)  # radiometry of data in kelvin
 
 
-def unit(radiometry: Radiometry | None) -> dict[str, Any]:
-    """What a file of values says of their unit: `{"unit": "K"}`, or counts and how kelvin are made of them."""
+def unit_metadata(radiometry: Radiometry | None) -> dict[str, Any]:
+    """Unit of values as metadata of a file: `{"unit": "K"}`, or counts with their radiometry."""
     if radiometry is None:
         return {}
     if radiometry == KELVIN:
@@ -86,17 +93,25 @@ def unit(radiometry: Radiometry | None) -> dict[str, Any]:
     return {"unit": "counts", "radiometry": asdict(radiometry)}
 
 
-def air(
+def air_transmission(
     distance: float,
     humidity: float,
     kelvin: float,
     alphas: tuple[float, float],
     betas: tuple[float, float],
-    share: float,
+    weight: float,
 ) -> float:
-    """Transmission of air at `kelvin` over a distance in m at a relative humidity of 0 to 1.
+    """Transmission of air.
 
-    FLIR's model, see Minkina and Dudzik, "Infrared Thermography: Errors and Uncertainties" (2009).
+    Args:
+        distance: m.
+        humidity: Relative humidity, 0 to 1.
+        kelvin: Temperature, K.
+        alphas: Attenuation of the two bands without water vapour.
+        betas: Attenuation of the two bands by water vapour.
+        weight: Weight of the first band.
+
+    Source: FLIR's model; Minkina and Dudzik, Infrared Thermography: Errors and Uncertainties (2009).
     """
     celsius = kelvin - ZERO_CELSIUS
     water = humidity * math.exp(1.5587 + 6.939e-2 * celsius - 2.7816e-4 * celsius**2 + 6.8455e-7 * celsius**3)
@@ -104,14 +119,18 @@ def air(
         math.exp(-math.sqrt(distance) * (alpha + beta * math.sqrt(water)))
         for alpha, beta in zip(alphas, betas, strict=True)
     ]
-    return share * bands[0] + (1 - share) * bands[1]
+    return weight * bands[0] + (1 - weight) * bands[1]
 
 
-def chosen(found: Radiometry | None, asked: schema.Radiometry) -> Radiometry | None:
-    """What the file says, with what the user has `asked` for (`data.radiometry`) in its place.
+def resolve_radiometry(found: Radiometry | None, asked: schema.Radiometry) -> Radiometry | None:
+    """The radiometry of a file with the user's settings in place of its own.
+
+    Args:
+        found: Radiometry of the file.
+        asked: The user's settings (`data.radiometry`).
 
     Raises:
-        ConfigError: A scale together with Planck's law, or a law without its constants.
+        ConfigError: A scale is given together with Planck's law, or a law without its constants.
     """
     given = asked.model_dump(exclude_none=True)
     law = Linear if {"scale", "zero"} & given.keys() else Planck

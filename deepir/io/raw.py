@@ -1,4 +1,4 @@
-"""Headerless recordings, such as a Lepton's Y16 dump: only the user knows how they are laid out."""
+"""Headerless recordings, such as a Lepton's Y16 dump, with a layout that the user gives."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ import numpy as np
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.guards import check_size
-from deepir.io.readers import Array, guarded
+from deepir.io.readers import Array, decoding
 
 
 def read(path: Path, layout: Raw) -> Array:
-    """All frames `(N, h, w)`, uint8 or uint16; bits of a sample above the layout's are cleared.
+    """All frames (N, h, w), uint8 or uint16; bits above the layout's are cleared.
 
-    Raises `DataError` where the file is missing, or does not hold a whole number of such frames.
+    Raises:
+        DataError: The file is missing, or does not hold a whole number of such frames.
     """
-    with guarded(path):
-        frames = mapped(path, layout)
+    with decoding(path):
+        frames = map_frames(path, layout)
         check_size(path, frames.nbytes, frames.nbytes)
-        return significant(frames, layout)
+        return clear_unused_bits(frames, layout)
 
 
 def stream(path: Path, layout: Raw) -> Iterator[Array]:
-    """Frame after frame `(h, w)`, as `read` gives them."""
-    with guarded(path):
-        frames = mapped(path, layout)
-    yield from (significant(frame, layout) for frame in frames)
+    """Frame after frame (h, w), as `read` gives them."""
+    with decoding(path):
+        frames = map_frames(path, layout)
+    yield from (clear_unused_bits(frame, layout) for frame in frames)
 
 
-def mapped(path: Path, layout: Raw) -> Array:
-    """The samples as they stand in the file, `(N, h, w)`."""
+def map_frames(path: Path, layout: Raw) -> Array:
+    """Memory map (N, h, w) of the samples."""
     dtype = np.dtype("u1" if layout.bits <= 8 else f"{'<' if layout.endian == 'little' else '>'}u2")
     frame = layout.height * layout.width * dtype.itemsize
     stored = path.stat().st_size - layout.offset
@@ -45,7 +46,7 @@ def mapped(path: Path, layout: Raw) -> Array:
     return np.memmap(path, dtype, "r", layout.offset, shape)
 
 
-def significant(samples: Array, layout: Raw) -> Array:
+def clear_unused_bits(samples: Array, layout: Raw) -> Array:
     """Samples in the machine's byte order, without the bits above the layout's."""
     kept: Array = samples & samples.dtype.type(2**layout.bits - 1)
     return kept.astype(kept.dtype.newbyteorder("="), copy=False)

@@ -1,4 +1,4 @@
-"""One picture of a pattern's statistics, and of a burst's motion over it."""
+"""One picture of a pattern's statistics, and of a burst's motion."""
 
 from __future__ import annotations
 
@@ -9,15 +9,22 @@ from typing import Any
 import numpy as np
 
 from deepir.analysis import Statistics, Verdict
-from deepir.analysis.statistics import ALIKE, HOLDS, Array
-from deepir.io import replace
-from deepir.report.summary import DEVIATION, draw_map
+from deepir.analysis.statistics import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL, Array
+from deepir.io import atomic_file
+from deepir.report.summary import DEVIATION_PALETTE, draw_map
 
 
 def write_analysis(
-    path: Path, statistics: Statistics, verdict: Verdict | None = None, doubt: Array | None = None
+    path: Path, statistics: Statistics, verdict: Verdict | None = None, scene_deviation: Array | None = None
 ) -> None:
-    """Write the picture; `doubt` is the standard deviation of the scene, (H, W), where it is known."""
+    """Write the picture.
+
+    Args:
+        path: A .png.
+        statistics: Of the pattern.
+        verdict: Of the burst, if there is one.
+        scene_deviation: (H, W), standard deviation of the scene, if it is known.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -29,20 +36,20 @@ def write_analysis(
     )
     _around(grid[0, 1], statistics, verdict)
     _along(grid[1, 0], statistics)
-    if statistics.in_time is not None:
-        _over_time(grid[1, 1], statistics.in_time)
-    elif doubt is not None:
-        draw_map(grid[1, 1], doubt, "standard deviation of the scene", DEVIATION)
+    if statistics.temporal is not None:
+        _over_time(grid[1, 1], statistics.temporal)
+    elif scene_deviation is not None:
+        draw_map(grid[1, 1], scene_deviation, "standard deviation of the scene", DEVIATION_PALETTE)
     else:
         grid[1, 1].set_axis_off()
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=100)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
 def _around(axes: Any, statistics: Statistics, verdict: Verdict | None) -> None:
-    """The autocorrelation, and over it the places of the frames: pale ones off the frame's centre."""
+    """The autocorrelation, with the displacements of the frames: pale at points off the centre."""
     edge = len(statistics.correlation) // 2 + 0.5
     shown = axes.imshow(
         statistics.correlation,
@@ -54,12 +61,12 @@ def _around(axes: Any, statistics: Statistics, verdict: Verdict | None) -> None:
     )
     view, title = min(edge, 3 * max(statistics.lengths) + 8), "autocorrelation"
     if verdict is not None:
-        for k, place in enumerate(verdict.moves):
-            centre = k == len(verdict.moves) // 2
+        for k, place in enumerate(verdict.displacements):
+            centre = k == len(verdict.displacements) // 2
             axes.plot(
                 *place.T, "o", color="deepskyblue" if centre else "steelblue", markersize=5 if centre else 2
             )
-        view = min(edge, max(view, float(np.abs(verdict.moves).max()) + 2))
+        view = min(edge, max(view, float(np.abs(verdict.displacements).max()) + 2))
         title += ", and where the frames look"
     axes.set(xlim=(-view, view), ylim=(view, -view), xlabel="x (px)", ylabel="y (px)")
     axes.set_title(title, fontsize=10)
@@ -73,7 +80,7 @@ def _along(axes: Any, statistics: Statistics) -> None:
         "xy", (middle[farthest, farthest:], middle[farthest:, farthest]), statistics.lengths, strict=True
     ):
         axes.plot(lags, along, ".-", label=f"along {name}: {far:.1f} px")
-    axes.axhline(ALIKE, color="grey", linewidth=0.8, linestyle=":")
+    axes.axhline(CORRELATION_LENGTH_LEVEL, color="grey", linewidth=0.8, linestyle=":")
     axes.set_title("autocorrelation along an axis; what stays are lines", fontsize=10)
     axes.set(xlabel="lag (px)", xlim=(0, min(farthest, 25)), ylim=(-0.2, 1.02))
     axes.legend(fontsize=9)
@@ -81,6 +88,6 @@ def _along(axes: Any, statistics: Statistics) -> None:
 
 def _over_time(axes: Any, in_time: Array) -> None:
     axes.plot(in_time, ".-")
-    axes.axhline(HOLDS, color="grey", linewidth=0.8, linestyle=":")
+    axes.axhline(STABILITY_LEVEL, color="grey", linewidth=0.8, linestyle=":")
     axes.set_title("autocorrelation from frame to frame", fontsize=10)
     axes.set(xlabel="frames apart", ylim=(min(0.0, float(in_time.min())), 1.05))

@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deepir.config import SHIPPED, headline, priors, shipped_names
+from deepir.config import SHIPPED_CONFIGS, headline, prior_names, shipped_names
 from deepir.config.components import options_schema
 from deepir.registry import components, summary
 
-HEAD = """# Components
+PAGE_HEADER = """# Components
 
 What a configuration may name. `deepir list` prints the same, with plugins. This page is written by
 `python -m deepir.report.components docs/components.md`; [extending.md](extending.md) says how to add to it.
 """
-#: Kind -> heading, and what it is.
-KINDS = {
+#: Kind -> heading and description.
+COMPONENT_KINDS = {
     "operator": ("Operators", "Stages of `physics`, applied top to bottom. Each slot takes a field."),
     "field": (
         "Fields",
@@ -37,10 +37,10 @@ KINDS = {
 }
 
 
-def page() -> str:
-    """The page, in Markdown: deepir's own components, whatever plugins are installed."""
-    parts = [HEAD]
-    for kind, (title, text) in KINDS.items():
+def components_page() -> str:
+    """The page in Markdown: deepir's own components, without plugins."""
+    parts = [PAGE_HEADER]
+    for kind, (title, text) in COMPONENT_KINDS.items():
         found = {
             name: each for name, each in components(kind).items() if each.__module__.startswith("deepir.")
         }
@@ -50,10 +50,13 @@ def page() -> str:
             columns, rows = columns[:-1], [row[:-1] for row in rows]
         parts.append(f"## {title}\n\n{text}\n\n{_table(columns, rows)}")
     shipped = {
-        "Priors": ("Presets of the scene: `prior`.", {n: SHIPPED / "prior" / f"{n}.yaml" for n in priors()}),
+        "Priors": (
+            "Presets of the scene: `prior`.",
+            {n: SHIPPED_CONFIGS / "prior" / f"{n}.yaml" for n in prior_names()},
+        ),
         "Configurations": (
             "Shipped: `deepir run NAME`.",
-            {n: SHIPPED / f"{n}.yaml" for n in shipped_names()},
+            {n: SHIPPED_CONFIGS / f"{n}.yaml" for n in shipped_names()},
         ),
     }
     for title, (text, files) in shipped.items():
@@ -75,7 +78,7 @@ def _slots(operator: Any) -> Mapping[str, Any]:
 
 
 def _options(component: Any) -> str:
-    """Options with their defaults; one whose default is None is found from the data, or not used."""
+    """Options with their defaults; a default of None is found from the data, or not used."""
     fields = options_schema(component).model_fields
     return ", ".join(
         f"`{name}`" + (f" ({field.default})" if field.default is not None and not field.is_required() else "")
@@ -90,4 +93,4 @@ def _table(columns: list[str], rows: list[list[str]]) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
+    Path(sys.argv[1]).write_text(components_page(), encoding="utf-8")

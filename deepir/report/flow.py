@@ -1,4 +1,4 @@
-"""A picture of dense motion: hue is direction, strength of the colour is length."""
+"""A picture of dense motion: hue is direction, saturation is length."""
 
 from __future__ import annotations
 
@@ -9,23 +9,29 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepir.io import replace
+from deepir.io import atomic_file
 from deepir.operators.homography import displacements
 from deepir.operators.warp import coords
 
 Array = np.ndarray[Any, Any]
 
-MOST = 4  # frames that are shown
+MAX_SHOWN_FRAMES = 4  # frames in the picture
 
 
 def write_flow(path: Path, flow: Array, motion: Array) -> None:
-    """Write what the flow (N, 2, h, w) has beside the homographies (N, 3, 3), of some frames, and what colours mean."""
+    """Write the deviation of some frames' flow from their homographies, with a legend.
+
+    Args:
+        path: A .png.
+        flow: (N, 2, h, w), x and y, px.
+        motion: (N, 3, 3), pull homographies, px.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     moved = [k for k in range(len(flow)) if np.isfinite(motion[k]).all() and flow[k].any()]
     shown = (
-        [moved[i] for i in np.unique(np.linspace(0, len(moved) - 1, MOST).round().astype(int))]
+        [moved[i] for i in np.unique(np.linspace(0, len(moved) - 1, MAX_SHOWN_FRAMES).round().astype(int))]
         if moved
         else []
     )
@@ -41,24 +47,25 @@ def write_flow(path: Path, flow: Array, motion: Array) -> None:
         1, len(shown) + 1, width_ratios=[1.0] * len(shown) + [0.5], squeeze=False
     )[0]
     for each, k, picture in zip(axes, shown, beside, strict=True):
-        each.imshow(colours(picture / reach), interpolation="nearest")
+        each.imshow(flow_colours(picture / reach), interpolation="nearest")
         each.set_title(f"frame {k}, beside its homography", fontsize=10)
         each.set_axis_off()
     x = np.linspace(-1, 1, 101)
     wheel = np.stack(np.broadcast_arrays(x, x[:, None]))
     legend.imshow(
-        np.where(np.hypot(*wheel)[..., None] <= 1, colours(wheel), 1.0), extent=(-reach, reach, reach, -reach)
+        np.where(np.hypot(*wheel)[..., None] <= 1, flow_colours(wheel), 1.0),
+        extent=(-reach, reach, reach, -reach),
     )
     legend.set_title("px, x right, y down", fontsize=9)
     legend.tick_params(labelsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
-def colours(vectors: Array) -> Array:
-    """(2, h, w) vectors as (h, w, 3) colours: white is zero, a length of one or more is a full colour."""
+def flow_colours(vectors: Array) -> Array:
+    """Vectors (2, h, w) as colours (h, w, 3): white is zero, full colour a length of one or more."""
     from matplotlib.colors import hsv_to_rgb
 
     hue = np.arctan2(vectors[1], vectors[0]) / (2 * np.pi) % 1

@@ -1,4 +1,4 @@
-"""`report.html` of a run: one file to look at, by which the result explains itself."""
+"""`report.html` of a run: one self-contained page."""
 
 from __future__ import annotations
 
@@ -9,24 +9,31 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepir.io.radiometry import KELVIN, unit
-from deepir.io.tones import PALETTES, ends, table
-from deepir.report.maps import COARSE, FINE, packed
+from deepir.io.output.tone_mapping import PALETTES, colour_table, display_limits
+from deepir.io.radiometry import KELVIN, unit_metadata
+from deepir.report.maps import COARSE_LEVELS, FINE_LEVELS, pack_map
 from deepir.report.page import write_page
-from deepir.report.panels import few
+from deepir.report.panels import evenly_spaced
 
 if TYPE_CHECKING:
     from deepir.config.schema import Config
     from deepir.result import Result
 
 Array = np.ndarray[Any, Any]
-#: Tables of colours beside those to choose from: of maps about a centre, of standard deviations, of yes and no.
-OTHERS = {"signed": "RdBu_r", "spread": "viridis", "mask": "gray"}
-BINS = 160
+#: Palettes of maps about a centre, of standard deviations and of masks.
+MAP_PALETTES = {"signed": "RdBu_r", "spread": "viridis", "mask": "gray"}
+HISTOGRAM_BINS = 160  # bins between the display limits
 
 
 def write_report(path: Path, result: Result, example: Array, config: Config) -> None:
-    """Write the page; `example` is a raw frame (h, w), which lies on the grid of the scene, if coarser."""
+    """Write the page.
+
+    Args:
+        path: The page.
+        result: The result of the run.
+        example: (h, w), a raw frame on the grid of the scene, or a coarser one.
+        config: The configuration of the run.
+    """
     from deepir.config import dump
 
     source = config.data.path
@@ -38,7 +45,7 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
         "messages": result.messages,
         "maps": list(_maps(result, example)),
         "palettes": {name: _colours(name) for name in PALETTES},
-        "others": {name: _colours(each) for name, each in OTHERS.items()},
+        "others": {name: _colours(each) for name, each in MAP_PALETTES.items()},
         "palette": config.output.palette,
         "stages": _stages(result.history),
         "motion": _motion(result),
@@ -52,12 +59,12 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
 
 
 def _unit(result: Result) -> str:
-    """`counts` or `K`; empty where the input does not say."""
-    return str(unit(result.radiometry).get("unit", ""))
+    """`counts` or `K`; empty where the input has no unit."""
+    return str(unit_metadata(result.radiometry).get("unit", ""))
 
 
 def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
-    """The maps in order: name, title, unit, how it is coloured, and `packed`."""
+    """The maps in order: name, title, unit, palette, and `pack_map`."""
     here = _unit(result)
     yield _map("raw", "Raw frame", example, here)
     yield from _scenes("scene", "Scene", result.scene, here)
@@ -68,22 +75,27 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     yield _map("offset", f"Offset, σ {result.offset.std():.3g}", result.offset, here, centre=0.0)
     for name, image in result.extra.items():
         if image.ndim == 2 and name != "scene_kelvin":
-            low, high = ends(image.astype(float))
+            low, high = display_limits(image.astype(float))
             yield _map(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
     bad = result.bad_pixels
     yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1, "colours": "mask"}
     for name, image in result.uncertainty.items():
         own = "" if name == "gain" else here
         yield _map(
-            f"{name}_sd", f"Uncertainty of the {name}", _first(image), own, colours="spread", fine=COARSE
+            f"{name}_sd",
+            f"Uncertainty of the {name}",
+            _first(image),
+            own,
+            colours="spread",
+            fine=COARSE_LEVELS,
         )
 
 
 def _scenes(name: str, title: str, scenes: Array, here: str) -> Iterator[dict[str, Any]]:
-    """The scene; where each frame has its own, that of the first by this name, and some of the others."""
+    """The scene; where each frame has its own, that of the first by this name, and some others."""
     yield _map(name, title, _first(scenes), here)
     if scenes.ndim == 3:
-        for other in few(len(scenes))[1:]:
+        for other in evenly_spaced(len(scenes))[1:]:
             yield _map(f"{name}_{other}", f"{title} {other}", scenes[other], here)
 
 
@@ -99,10 +111,10 @@ def _map(
     *,
     centre: float | None = None,
     colours: str = "",
-    fine: int = FINE,
+    fine: int = FINE_LEVELS,
 ) -> dict[str, Any]:
-    """One map; about a `centre` its colours are those of signs, and reach as far to both sides."""
-    found = {"name": name, "title": title, "unit": here, "colours": colours} | packed(image, fine)
+    """One map; with a `centre` its palette is signed, and symmetric about it."""
+    found = {"name": name, "title": title, "unit": here, "colours": colours} | pack_map(image, fine)
     if centre is None:
         return found
     reach = max(found["high"] - centre, centre - found["low"], 1e-6)
@@ -110,7 +122,7 @@ def _map(
 
 
 def _colours(palette: str) -> str:
-    return base64.b64encode(table(palette).tobytes()).decode()
+    return base64.b64encode(colour_table(palette).tobytes()).decode()
 
 
 def _figures(result: Result) -> list[tuple[str, str]]:
@@ -146,7 +158,7 @@ def _stages(history: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _motion(result: Result) -> list[tuple[int, float, float, float]]:
-    """Frame, where its centre looks (x, y in px of the scene's grid), and its turn in degrees."""
+    """Frame, displacement of its centre (x, y in px of the scene's grid), and rotation in degrees."""
     rows = []
     for frame in np.flatnonzero(result.frames_used):
         m = result.motion[frame]
@@ -157,11 +169,11 @@ def _motion(result: Result) -> list[tuple[int, float, float, float]]:
 
 def _histogram(raw: Array, scene: Array) -> dict[str, Any]:
     """Shares of the pixels in bins over what both span, percentiles 0.5 to 99.5."""
-    limits = [ends(image) for image in (raw, scene)]
+    limits = [display_limits(image) for image in (raw, scene)]
     low, high = min(each for each, _ in limits), max(each for _, each in limits)
     high = high if high > low else low + 1.0
     shares = {
-        name: np.histogram(image, BINS, (low, high))[0] / max(image.size, 1)
+        name: np.histogram(image, HISTOGRAM_BINS, (low, high))[0] / max(image.size, 1)
         for name, image in {"raw frame": raw, "scene": scene}.items()
     }
     return {"low": low, "high": high, "shares": shares}

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: a frame with a body, style, scripts and data put in."""
+"""One self-contained HTML page: a template with body, style, scripts and data."""
 
 from __future__ import annotations
 
@@ -9,16 +9,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from deepir.io.write import plain, replace
+from deepir.io.output.write import atomic_file, to_json_types
 
-WEB = Path(__file__).parent / "web"
+WEB_FOLDER = Path(__file__).parent / "web"  # templates, scripts and styles
 
 
 def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
-    """Write a page with a body and scripts of the folder `web`; they find `data` as JSON in `#data`.
+    """Write a page; its scripts find `data` as JSON in `#data`.
 
-    The page's policy allows these scripts and this style by their digests, and nothing from a network: text that
-    got past the escaping would not run.
+    The content policy allows these scripts and this style by their digests, and no network access: text that passed the
+    escaping would not run.
+
+    Args:
+        path: The page.
+        body: Name of the body in the folder `web`.
+        scripts: Names of the scripts in the folder `web`.
+        data: The data.
     """
     style = _read("page.css")
     script = "".join(map(_read, ("page.js", *scripts)))
@@ -27,12 +33,12 @@ def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str,
     page = _read("page.html")
     for name, text in parts.items():
         page = page.replace(f"%{name}%", text)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_text(page, encoding="utf-8")
 
 
 def _read(name: str) -> str:
-    return (WEB / name).read_text(encoding="utf-8")
+    return (WEB_FOLDER / name).read_text(encoding="utf-8")
 
 
 def _digest(text: str) -> str:
@@ -41,4 +47,4 @@ def _digest(text: str) -> str:
 
 def _json(data: Mapping[str, Any]) -> str:
     """JSON that cannot end the element it stands in: no `<`."""
-    return json.dumps(plain(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return json.dumps(to_json_types(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -11,19 +11,19 @@ import numpy as np
 Panel = tuple[str, np.ndarray[Any, Any], float, float]
 
 
-def some(scenes: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """One picture to look at: the scene (H, W); of scenes (N, H, W) four or fewer, from first to last, side by side."""
+def montage(scenes: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """One picture of a scene (H, W), or of up to four of the scenes (N, H, W) side by side."""
     if scenes.ndim == 2:
         return scenes
-    chosen = scenes[few(len(scenes))]
+    chosen = scenes[evenly_spaced(len(scenes))]
     rows = [np.concatenate(list(pair), axis=1) for pair in (chosen[:2], chosen[2:]) if len(pair)]
     missing = rows[0].shape[1] - rows[-1].shape[1]
     rows[-1] = np.pad(rows[-1], ((0, 0), (0, missing)), constant_values=np.nan)
     return np.concatenate(rows)
 
 
-def few(count: int) -> list[int]:
-    """Four or fewer of `count`, from first to last."""
+def evenly_spaced(count: int) -> list[int]:
+    """Four or fewer of `count` indices, from the first to the last."""
     found: list[int] = np.linspace(0, count - 1, min(count, 4)).round().astype(int).tolist()
     return found
 

@@ -1,4 +1,4 @@
-"""Where a run is: a bar in a terminal, now and then a line elsewhere."""
+"""Progress of a run: a bar in a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 log = logging.getLogger("deepir")
 
 
-class Lines:
-    """Says where the run is when a stage begins and ends, and every `every` seconds."""
+class ProgressLines:
+    """Prints a line when a stage begins and ends, and every `every` seconds."""
 
     def __init__(self, say: Callable[[str], None], every: float = 10.0) -> None:
         self.say, self.every = say, every
-        self.start = self.said = time.monotonic()
+        self.start = self.last_printed = time.monotonic()
         self.first: float | None = None
         self.last: Progress | None = None
 
     def __call__(self, progress: Progress) -> None:
-        """Say it, if it is time."""
+        """Print a line if it is time."""
         now = time.monotonic()
         if self.first is None:
             self.start, self.first = now, progress.done
         if (last := self.last) is not None and last.stage != progress.stage:
             self.say(f"{last.stage} ends at {last.iteration}/{last.iterations}: loss {last.loss:.6g}")
-        if last is None or last.stage != progress.stage or now - self.said > self.every:
-            self.said = now
+        if last is None or last.stage != progress.stage or now - self.last_printed > self.every:
+            self.last_printed = now
             self.say(self._line(progress, now))
         self.last = progress
 
@@ -47,8 +47,8 @@ class Lines:
         return line
 
 
-class Bar:
-    """A bar on stderr with stage, iteration, loss, held-out error and the time that is left at most."""
+class ProgressBar:
+    """A bar on stderr with stage, iteration, loss, held-out error and the time left at most."""
 
     def __init__(self, every: float = 2.0) -> None:
         from rich.console import Console
@@ -66,7 +66,7 @@ class Bar:
         )
         self.task = self.bar.add_task("registering", total=None, what="")
 
-    def __enter__(self) -> Bar:
+    def __enter__(self) -> ProgressBar:
         self.bar.start()
         return self
 
@@ -76,7 +76,7 @@ class Bar:
         self.bar.stop()
 
     def __call__(self, progress: Progress) -> None:
-        """Move the bar."""
+        """Advance the bar."""
         now = time.monotonic()
         if now - self.last > self.every:
             self.last, error = now, progress.held_out()
@@ -85,25 +85,25 @@ class Bar:
         self.bar.update(self.task, description=progress.stage, total=1.0, completed=progress.done, what=what)
 
 
-class Warnings(logging.Handler):
-    """Puts the package's warnings on stderr, above the bar."""
+class WarningHandler(logging.Handler):
+    """Prints the package's warnings on stderr, above the bar."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a warning; anything else is for the log."""
+        """Print a warning; other records are for the log."""
         if record.levelno == logging.WARNING:
             print(f"deepir: {record.getMessage()}", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def on_stderr() -> Iterator[Callable[[Progress], None]]:
-    """Give the callback that fits: a bar for a person, lines for a file; show warnings meanwhile."""
-    handler = Warnings()
+def show_progress() -> Iterator[Callable[[Progress], None]]:
+    """A context with a callback: a bar in a terminal, lines elsewhere; warnings are printed meanwhile."""
+    handler = WarningHandler()
     log.addHandler(handler)
     try:
         if sys.stderr.isatty():
-            with Bar() as bar:
+            with ProgressBar() as bar:
                 yield bar
         else:
-            yield Lines(lambda line: print(line, file=sys.stderr, flush=True))
+            yield ProgressLines(lambda line: print(line, file=sys.stderr, flush=True))
     finally:
         log.removeHandler(handler)

@@ -1,4 +1,4 @@
-"""One picture of a run: a raw frame, the scene and how sure it is, gain, offset, other maps, and how the loss fell."""
+"""One picture of a run: raw frame, scene and its uncertainty, gain, offset, other maps, loss."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepir.io import replace
-from deepir.report.panels import some
+from deepir.io import atomic_file
+from deepir.report.panels import montage
 
 if TYPE_CHECKING:
     from deepir.result import Result
 
 Array = np.ndarray[Any, Any]
-DEVIATION = "viridis"  # palette of standard deviations,
-DECADES = 30.0  # which are shown by their logarithms if the largest is so many times the least
+DEVIATION_PALETTE = "viridis"  # palette of standard deviations
+LOG_SCALE_RATIO = 30.0  # largest over smallest deviation from which their scale is logarithmic
 
 
 def write_summary(path: Path, result: Result, example: Array) -> None:
@@ -35,9 +35,11 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     first = result.scene if result.scene.ndim == 2 else result.scene[0]
     draw_map(grid[0, 1], first, "scene", "gray")
     if result.scene.ndim == 3:
-        draw_map(grid[0, 2], some(result.scene), f"some of the {len(result.scene)} scenes", "gray")
+        draw_map(grid[0, 2], montage(result.scene), f"some of the {len(result.scene)} scenes", "gray")
     elif "scene" in result.uncertainty:
-        draw_map(grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", DEVIATION)
+        draw_map(
+            grid[0, 2], result.uncertainty["scene"], "standard deviation of the scene", DEVIATION_PALETTE
+        )
     else:
         draw_map(grid[0, 2], result.scene, "scene, inferno", "inferno")
     draw_map(grid[1, 0], result.gain, f"gain (σ {100 * result.gain.std():.1f} %)", "RdBu_r", centre=1.0)
@@ -50,12 +52,12 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
         axes.set_axis_off()
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
 def draw_map(axes: Any, image: Array, title: str, palette: str, centre: float | None = None) -> None:
-    """A map (h, w) with its scale; colours are even about the centre, where there is one; NaN has its own."""
+    """A map (h, w) with its colour scale, symmetric about the centre, if there is one; NaN has its own colour."""
     from matplotlib import colormaps
 
     low, high = np.nanpercentile(image, [0.5, 99.5])
@@ -66,7 +68,9 @@ def draw_map(axes: Any, image: Array, title: str, palette: str, centre: float | 
         low, high = centre - reach, centre + reach
     shown = axes.imshow(
         image,
-        norm="log" if palette == DEVIATION and high > DECADES * low > 0 else None,  # where no frame looks
+        norm="log"
+        if palette == DEVIATION_PALETTE and high > LOG_SCALE_RATIO * low > 0
+        else None,  # where no frame looks
         cmap=colormaps[palette].with_extremes(bad="lightsteelblue"),
         vmin=low,
         vmax=high if high > low else low + 1,

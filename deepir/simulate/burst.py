@@ -1,4 +1,4 @@
-"""A burst and its truth."""
+"""A simulated burst and its truth."""
 
 from __future__ import annotations
 
@@ -11,37 +11,44 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.simulate.blur import psf
-from deepir.simulate.bolometer import housing, pixels
+from deepir.simulate.detector.bolometer import bolometer_pixels, housing_flux
+from deepir.simulate.detector.line_noise import line_noise
+from deepir.simulate.detector.sensor import add_defects, expose, fixed_pattern
+from deepir.simulate.detector.thermal_lag import apply_lag, smooth_path, time_constants
 from deepir.simulate.events import observe
-from deepir.simulate.lag import constants, lagged, path
-from deepir.simulate.line_noise import line_noise
-from deepir.simulate.optics import at_rest, drawn, homographies, move, reach_of, scale_of
-from deepir.simulate.parallax import flow_of, parallax, relief
-from deepir.simulate.pictures import Scene
-from deepir.simulate.scenes import procedural
-from deepir.simulate.sensor import expose, more_defects, pattern
-from deepir.simulate.settings import DEFAULT, Settings
-from deepir.simulate.stray import stray_flux
-from deepir.simulate.views import look
+from deepir.simulate.optics.blur import psf
+from deepir.simulate.optics.parallax import dense_flow, parallax, relief
+from deepir.simulate.optics.rendering import (
+    draw_scene,
+    homographies,
+    picture_scale,
+    random_motion,
+    render_reference,
+    visible_reach,
+)
+from deepir.simulate.optics.stray_flux import stray_flux
+from deepir.simulate.scenes.pictures import Scene
+from deepir.simulate.scenes.procedural import procedural
+from deepir.simulate.settings import DEFAULT_SETTINGS, Settings
+from deepir.simulate.views import render_own_scenes
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
+    """Everything that made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
 
-    #: Frame 0 without pattern, stray flux, level, noise and walker (with optics, unless `sharp`, and pixel's box), on a
-    #: grid `factor` times as fine.
+    #: Frame 0 without pattern, stray flux, level, noise and walker, on a grid `factor` times as fine; with the pixel's
+    #: box and, unless `sharp`, the optics.
     scene: np.ndarray  # (Q H, Q W); with own_scenes each frame, (N, Q H, Q W)
     gain: np.ndarray  # (H, W), mean one over good pixels, shading included
     offset: np.ndarray  # (H, W), mean zero over good pixels, shading included
     level: np.ndarray  # (N,), mean zero
-    rows: np.ndarray  # (N, H), what each row of each frame jumps by
-    columns: np.ndarray  # (N, W), the same of columns
-    stray: np.ndarray  # (H, W), mean zero over good pixels, where it is the scene's level
+    rows: np.ndarray  # (N, H), row noise of each frame
+    columns: np.ndarray  # (N, W), column noise of each frame
+    stray: np.ndarray  # (H, W), mean zero over good pixels; its mean is part of the scene
     motion: np.ndarray  # (N, 3, 3), px, pull, origin at the frame's centre; the first is the identity
-    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to where it looks: motion and parallax
-    tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: it follows at once
+    flow: np.ndarray  # (N, 2, H, W), px, x and y from each pixel to its point of frame 0: motion and parallax
+    tau: np.ndarray  # (H, W), time constant of each pixel, ms; zero: no lag
     housing: np.ndarray  # (N, H, W), flux of the housing above that of the first frame
     bad_pixels: np.ndarray  # (H, W) bool
     moving: np.ndarray  # (N, H, W) bool: samples whose flux the walker changes, by 1e-4 of the range or more
@@ -54,7 +61,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A burst (N, H, W), float32 or uint16, and what made it."""
+    """A burst (N, H, W), float32 or uint16, and its truth."""
 
     frames: np.ndarray
     truth: Truth
@@ -62,7 +69,14 @@ class Simulation:
     seed: int
 
     def save(self, path: str | Path) -> tuple[Path, Path]:
-        """Write `path` (frames; settings as JSON) and, beside it, STEM_truth.npz (the fields of `Truth`)."""
+        """Write `path` (frames; settings as JSON) and, beside it, STEM_truth.npz (the fields of `Truth`).
+
+        Returns:
+            Both paths.
+
+        Raises:
+            DataError: The name does not end in .npz.
+        """
         path = Path(path)
         if path.suffix != ".npz":
             raise DataError(f"{path}: a simulation is saved as .npz")
@@ -73,59 +87,62 @@ class Simulation:
 
 
 def simulate(
-    scene: Scene | Sequence[Scene] | None = None, settings: Settings = DEFAULT, *, seed: int = 0
+    scene: Scene | Sequence[Scene] | None = None, settings: Settings = DEFAULT_SETTINGS, *, seed: int = 0
 ) -> Simulation:
     """Record a burst of a scene, or with `own_scenes` a frame of each of several.
 
-    Motion, pattern, level, noise and each effect that is off by default have random streams of their own: with
-    another noise the motion stays.
+    Motion, pattern, level, noise and every optional effect have independent random streams: another noise leaves the
+    motion unchanged.
 
     Args:
-        scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a
-            given shape, twice as fine as the truth's scene. None: `procedural(seed)`. With `own_scenes` one for each
-            frame, or None: each is drawn.
+        scene: Picture (height, width) in [0, 1], finer than the detector; or a function that draws one of a given
+            shape, twice as fine as the truth's scene. None: `procedural(seed)`. With `own_scenes` one for each frame,
+            or None.
         settings: The camera and its motion.
         seed: The same seed gives the same burst.
 
     Raises:
-        DataError: A picture is no picture, or is too small for the frames and their motion; or there are too few.
+        DataError: A picture is invalid, too small for the frames and their motion, or there are too few.
     """
     # A new effect takes a new stream at the end: those before it stay as they are.
     streams = np.random.default_rng(seed).spawn(11)
     motion_rng, pattern_rng, level_rng, noise_rng, shading_rng, defects_rng, walk_rng, place_rng = streams[:8]
     # Of lag, parallax, own scenes and stray flux there is mostly one.
     rare_rng, bolometer_rng, lines_rng = streams[8:]
-    motion, tau, beside = move(settings, motion_rng), np.zeros(settings.shape), None
+    motion, tau, beside = random_motion(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
-        motion, tau = homographies(settings, path(settings, rare_rng)), constants(settings, rare_rng)
-    gain, offset, bad = pattern(settings, pattern_rng, shading_rng)
+        motion, tau = (
+            homographies(settings, smooth_path(settings, rare_rng)),
+            time_constants(settings, rare_rng),
+        )
+    gain, offset, bad = fixed_pattern(settings, pattern_rng, shading_rng)
     if settings.bolometer:
-        gain, offset, slowness = pixels(settings, bolometer_rng)
+        gain, offset, slowness = bolometer_pixels(settings, bolometer_rng)
         tau = tau * slowness
     if settings.own_scenes:
         motion = np.tile(np.eye(3), (settings.n_frames, 1, 1))
-        flux, static, scale = look(scene, settings, rare_rng)
+        flux, static, scale = render_own_scenes(scene, settings, rare_rng)
         moving = np.zeros(flux.shape, bool)
     else:
-        reach = reach_of(motion, settings)
-        picture = drawn(partial(procedural, seed) if scene is None else scene, reach, settings)
-        scale = scale_of(picture.shape, reach, settings)
+        reach = visible_reach(motion, settings)
+        picture = draw_scene(partial(procedural, seed) if scene is None else scene, reach, settings)
+        scale = picture_scale(picture.shape, reach, settings)
         if settings.parallax:
             beside = parallax(motion, relief(settings, rare_rng), settings)
         flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
         if settings.tau:
             flux, motion, moving = (
-                lagged(flux, tau, settings),
+                apply_lag(flux, tau, settings),
                 motion[:: settings.substeps],
                 moving[:: settings.substeps],
             )
         if settings.factor > 1 or settings.sharp:
-            static = at_rest(picture, scale, settings)
+            static = render_reference(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
-    warmth = housing(settings)
+    warmth = housing_flux(settings)
     flux, static = settings.range * flux + dark + warmth, settings.range * static + dark
 
-    bad = more_defects(bad, settings, defects_rng)
+    bad = add_defects(bad, settings, defects_rng)
     gain, offset = gain / gain[bad == 0].mean(), offset - offset[bad == 0].mean()
     stray = settings.range * stray_flux(settings, rare_rng)
     flux, static, stray = flux + stray, static + stray[bad == 0].mean(), stray - stray[bad == 0].mean()
@@ -142,7 +159,7 @@ def simulate(
         columns=columns,
         stray=stray,
         motion=motion,
-        flow=flow_of(motion, settings.shape, beside),
+        flow=dense_flow(motion, settings.shape, beside),
         tau=tau,
         housing=warmth,
         bad_pixels=bad > 0,

@@ -1,15 +1,15 @@
-"""What happens before the camera: somebody walks by, a frame is of another place."""
+"""Events during a burst: a person walks by, a frame shows another place."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.blur import blurred
-from deepir.simulate.optics import render
-from deepir.simulate.scenes import procedural
+from deepir.simulate.optics.blur import blur_picture
+from deepir.simulate.optics.rendering import render
+from deepir.simulate.scenes.procedural import procedural
 from deepir.simulate.settings import Settings
 
-SEEN = 1e-4  # of the range: a change of flux from which a sample counts as moving
+MIN_FLUX_CHANGE = 1e-4  # change of flux, in ranges, from which a sample counts as moving
 
 
 def observe(
@@ -21,29 +21,42 @@ def observe(
     walk_rng: np.random.Generator,
     place_rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Flux in units of the range, and where the walker has changed it, (N, H, W); frame 0 without him, (H, W)."""
+    """Render all frames with their events.
+
+    Args:
+        picture: (height, width), the scene.
+        motion: (N, 3, 3), pull homographies, px.
+        scale: Picture px per detector px.
+        settings: The camera.
+        beside: (N, 2, H, W), parallax, px; None: none.
+        walk_rng: Random stream of the walker.
+        place_rng: Random stream of the other place.
+
+    Returns:
+        Flux (N, H, W) in ranges; samples that the walker changes, (N, H, W) bool; flux of frame 0 without the walker.
+    """
 
     def seen(scene: np.ndarray, frames: slice) -> np.ndarray:
         more = None if beside is None else beside[frames]
-        behind = blurred(scene, scale, settings)
+        behind = blur_picture(scene, scale, settings)
         return render(behind, motion[frames], settings.shape, scale, settings.psf_sigma, more)
 
     static = seen(picture, np.s_[:])
     flux, failed = static.copy(), settings.failed_frame
     if settings.walker:
         flux_of_walker = static[0].mean() + settings.walker_contrast
-        for k, cover in enumerate(walk(picture.shape, scale, settings, walk_rng)):
+        for k, cover in enumerate(walker_cover(picture.shape, scale, settings, walk_rng)):
             flux[k] = seen(picture + cover * (flux_of_walker - picture), np.s_[k : k + 1])[0]
     if failed:
         another = procedural(int(place_rng.integers(2**31)), (picture.shape[0], picture.shape[1]))
         static[failed] = flux[failed] = seen(another, np.s_[failed : failed + 1])[0]
-    return flux, np.abs(flux - static) > SEEN, static[0]
+    return flux, np.abs(flux - static) > MIN_FLUX_CHANGE, static[0]
 
 
-def walk(
+def walker_cover(
     shape: tuple[int, ...], scale: float, settings: Settings, rng: np.random.Generator
 ) -> list[np.ndarray]:
-    """How much of each picture px the walker covers, for each frame; he is near the middle at half time."""
+    """Cover of each picture px by the walker, in [0, 1], for each frame; the path is central at half time."""
     height, width = settings.shape
     tall, way = settings.walker * height, rng.choice([-1, 1])
     middle, feet = width * rng.uniform(-0.25, 0.25), height * rng.uniform(0.2, 0.45)
@@ -52,12 +65,12 @@ def walk(
     for k in range(settings.n_frames):
         along = middle + way * settings.walker_speed * (k - (settings.n_frames - 1) / 2)
         gait = np.cos(np.pi * settings.walker_speed * k / (0.4 * tall))  # two steps are 0.8 of one's height
-        distance = person((x[None, :] - along) / tall, (feet - y[:, None]) / tall, 0.18 * gait)
+        distance = person_distance((x[None, :] - along) / tall, (feet - y[:, None]) / tall, 0.18 * gait)
         covers.append(np.clip(0.5 - distance * tall * scale, 0, 1))
     return covers
 
 
-def person(x: np.ndarray, y: np.ndarray, stride: float) -> np.ndarray:
+def person_distance(x: np.ndarray, y: np.ndarray, stride: float) -> np.ndarray:
     """Signed distance from a person of height one who stands at (0, 0); x to the right, y up."""
     parts = (
         ((0.0, 0.93), (0.0, 0.91), 0.07),  # head

@@ -1,4 +1,4 @@
-"""The burst that `data.simulate` of a configuration describes."""
+"""The burst of `data.simulate` of a configuration."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import numpy as np
 
 from deepir.errors import ConfigError
 from deepir.simulate.burst import Simulation, simulate
-from deepir.simulate.pictures import picture
-from deepir.simulate.settings import Settings, parse
+from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.settings import Settings, settings_from_mapping
 
 
-def recorded(given: Mapping[str, Any], seed: int) -> Simulation:
-    """The simulation of `given`: `Settings` by name, and `scene` and `seed`.
+def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:
+    """Simulate the burst of a configuration.
 
     Args:
-        given: What is missing or None has its default; the scene is then drawn, by the burst's seed.
-        seed: The run's, of all that is drawn, unless `given` has its own.
+        given: `Settings` by name, `scene` and `seed`; missing or None: the default. The default scene is drawn.
+        seed: Seed of the run, unless `given` has its own.
 
     Raises:
         ConfigError: An unknown setting, or a wrong value.
-        DataError: There is no such scene, or it is too small for the frames and their motion.
+        DataError: The scene does not exist, or is too small for the frames and their motion.
     """
     settings = dict(given)
     scene, own = settings.pop("scene", None), settings.pop("seed", None)
@@ -32,16 +32,18 @@ def recorded(given: Mapping[str, Any], seed: int) -> Simulation:
         raise ConfigError(f"data.simulate.seed = {own!r}: a whole number, zero or more, is needed")
     name = None if scene is None else str(scene)
     changed = Path(name).stat().st_mtime_ns if name and Path(name).is_file() else 0
-    return _recorded(parse(settings, extra=("scene", "seed")), name, seed if own is None else own, changed)
+    return _recorded(
+        settings_from_mapping(settings, extra=("scene", "seed")), name, seed if own is None else own, changed
+    )
 
 
 @functools.lru_cache(maxsize=2)  # a check of many configurations asks for the same burst again and again
 def _recorded(settings: Settings, scene: str | None, seed: int, changed: int) -> Simulation:
-    return simulate(None if scene is None else picture(scene), settings, seed=seed)
+    return simulate(None if scene is None else load_picture(scene), settings, seed=seed)
 
 
-def truth(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
-    """The arrays that a result is compared with, float32; the scene is NaN where somebody stands before it."""
+def truth_arrays(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
+    """Arrays to compare a result with, float32; the scene is NaN where a walker covers frame 0."""
     found = simulation.truth
     scene = np.where(found.moving[0], np.nan, found.scene) if found.moving[0].any() else found.scene
     arrays = {"scene": scene, "gain": found.gain, "offset": found.offset, "motion": found.motion}

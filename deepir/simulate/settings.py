@@ -1,4 +1,4 @@
-"""What can be asked of the simulated camera."""
+"""Settings of the simulated camera."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from deepir.config.components import explain
 from deepir.errors import ConfigError, nearest
 
+#: Allowed values of the settings that are names.
 CHOICES = {
     "motion": ("shift", "rigid", "affine", "homography"),
     "jitter": ("both", "x", "y"),
@@ -22,12 +23,18 @@ CHOICES = {
     "stray_shape": ("smooth", "radial", "ring", "edge"),
 }
 
-#: Px at most: the scene is drawn as large, or the blur's kernel.
-LONGEST = {"max_shift": 2000, "psf_sigma": 50, "airy_radius": 50, "defocus_radius": 50, "motion_blur": 200}
-MOST = 2**30  # samples of all frames: what is held of them at once fits into a large memory
+#: Largest values, px: the size of the drawn scene or of the blur kernel grows with them.
+MAX_LENGTHS = {
+    "max_shift": 2000,
+    "psf_sigma": 50,
+    "airy_radius": 50,
+    "defocus_radius": 50,
+    "motion_blur": 200,
+}
+MAX_SAMPLES = 2**30  # samples of all frames: intermediate arrays then fit into a large memory
 
-#: Effects that exclude others.
-APART = {
+#: Effects and the others that each excludes.
+EXCLUSIVE_EFFECTS = {
     "tau": ("walker", "failed_frame", "parallax", "own_scenes"),
     "own_scenes": ("walker", "failed_frame", "parallax"),
 }
@@ -35,7 +42,7 @@ APART = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What the camera is and how it moves: magnitudes of 14-bit microbolometers; a zero turns an effect off.
+    """The camera and its motion, with magnitudes of 14-bit microbolometers; zero turns an effect off.
 
     "Range" is the difference between scene values 0 and 1: one, or `contrast` counts where `counts` is true.
     """
@@ -61,8 +68,8 @@ class Settings:
     shading: float = 0.1  # smooth (quadratic) part of the offset, peak to peak, fraction of the range
     photons: float = 0.0  # photons in one range of flux at gain one (the paper's tau); 0: no photon noise
     read_noise: float = 0.003  # sigma of the Gaussian noise of a sample, fraction of the range
-    row_noise: float = 0.0  # sigma of what each row of each frame jumps by, fraction of the range
-    column_noise: float = 0.0  # the same of each column
+    row_noise: float = 0.0  # sigma of the row noise of each frame, fraction of the range
+    column_noise: float = 0.0  # sigma of the column noise of each frame, fraction of the range
     level_drift: float = 0.0  # sigma of the level's random walk from frame to frame, fraction of the range
     dead_pixels: float = 0.002  # fraction of bad pixels: a third each stuck low, stuck high, flickering
     stuck_pixels: float = 0.0  # fraction of pixels stuck at a value between the scene's least and largest
@@ -135,55 +142,62 @@ class Settings:
             raise ConfigError("simulate: fps must be positive, and substeps a whole number from 1 to 100")
 
     def _check_apart(self) -> None:
-        for key, others in APART.items():
+        for key, others in EXCLUSIVE_EFFECTS.items():
             other = next((each for each in others if getattr(self, each)), None)
             if getattr(self, key) and other:
                 raise ConfigError(f"simulate.{key}: not together with simulate.{other}")
 
     def _check_size(self) -> None:
-        """Raise `ConfigError` for more than a memory holds."""
-        for key, most in LONGEST.items():
+        """Raise `ConfigError` if the samples exceed a memory."""
+        for key, most in MAX_LENGTHS.items():
             if (value := getattr(self, key)) > most:
                 raise ConfigError(f"simulate.{key} = {value}: at most {most} px")
-        if (samples := math.prod((self.n_frames, *self.shape))) > MOST:
+        if (samples := math.prod((self.n_frames, *self.shape))) > MAX_SAMPLES:
             raise ConfigError(
-                f"simulate: {samples:.3g} samples (n_frames times shape); at most {MOST:.3g} are simulated"
+                f"simulate: {samples:.3g} samples (n_frames times shape); at most {MAX_SAMPLES:.3g} are simulated"
             )
 
     @property
     def least_scale(self) -> float:
-        """Picture px per detector px that are needed: finer than the detector, and as fine as the truth."""
+        """Least picture px per detector px: finer than the detector, and at least as fine as the truth."""
         return max(1.2, self.factor)
 
     @property
     def range(self) -> float:
-        """The flux between scene values 0 and 1, in the data's units."""
+        """Flux between scene values 0 and 1, in the data's units."""
         return self.contrast if self.counts else 1.0
 
 
-DEFAULT = Settings()
+DEFAULT_SETTINGS = Settings()
 
 
 @functools.cache
-def schema(extra: tuple[str, ...] = (), of: type = Settings) -> type[BaseModel]:
-    """What may be set, with types and defaults, of a dataclass; `extra` names what is not for the camera."""
+def settings_schema(extra: tuple[str, ...] = (), of: type = Settings) -> type[BaseModel]:
+    """Schema of a dataclass of settings; `extra` names further keys."""
     hints = typing.get_type_hints(of)
     known: Any = {each.name: (hints[each.name], each.default) for each in fields(of)}
     known |= dict.fromkeys(extra, (Any, None))
     return create_model("Settings", __config__=ConfigDict(extra="forbid"), **known)
 
 
-def parse(given: Mapping[str, Any], extra: tuple[str, ...] = ()) -> Settings:
-    """Settings from a mapping, whose Nones stand for the default; `ConfigError` for what does not fit.
+def settings_from_mapping(given: Mapping[str, Any], extra: tuple[str, ...] = ()) -> Settings:
+    """Settings from a mapping; None stands for the default.
 
-    `extra` names further keys that a user may give there, to be named in errors.
+    Args:
+        given: Values by name.
+        extra: Further keys that a user may give, for messages.
+
+    Raises:
+        ConfigError: A key is unknown, or a value is wrong.
     """
-    return Settings(**checked(given, Settings, "simulate", extra))
+    return Settings(**checked_values(given, Settings, "simulate", extra))
 
 
-def checked(given: Mapping[str, Any], of: type, where: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The values of all fields of a dataclass, as in `parse`; `where` names them in errors."""
-    known = schema(extra, of)
+def checked_values(
+    given: Mapping[str, Any], of: type, where: str, extra: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Values of all fields of a dataclass, as in `settings_from_mapping`; `where` is for messages."""
+    known = settings_schema(extra, of)
     try:
         found = known.model_validate({key: value for key, value in given.items() if value is not None})
     except ValidationError as error:

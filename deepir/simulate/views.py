@@ -8,26 +8,34 @@ from functools import partial
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.simulate.blur import blurred
-from deepir.simulate.optics import at_rest, drawn, reach_of, render, scale_of
-from deepir.simulate.pictures import Scene
-from deepir.simulate.scenes import procedural
+from deepir.simulate.optics.blur import blur_picture
+from deepir.simulate.optics.rendering import (
+    draw_scene,
+    picture_scale,
+    render,
+    render_reference,
+    visible_reach,
+)
+from deepir.simulate.scenes.pictures import Scene
+from deepir.simulate.scenes.procedural import procedural
 from deepir.simulate.settings import Settings
 
 
-def look(
+def render_own_scenes(
     scenes: Scene | Sequence[Scene] | None, settings: Settings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Flux of each frame in units of the range, (N, H, W); the same `factor` times as fine; scale of frame 0.
+    """Render one frame of each scene.
 
     Args:
         scenes: One for each frame; None: drawn with seeds of `rng`.
         settings: The camera.
-        rng: The scenes' own random stream.
+        rng: Random stream of the scenes.
+
+    Returns:
+        Flux of each frame in ranges, (N, H, W); the same on the truth's grid; picture px per detector px of frame 0.
 
     Raises:
-        ConfigError: Something is asked for that a scene has for several frames.
-        DataError: There are fewer scenes than frames, or one is no picture, or too small.
+        DataError: There are fewer scenes than frames, or one is invalid or too small.
     """
     if scenes is None:
         seeds = rng.integers(2**31, size=settings.n_frames)
@@ -38,12 +46,12 @@ def look(
             f"scene: {len(scenes)} picture(s) for {settings.n_frames} frames, each of a scene of its own"
         )
     still = np.eye(3)[None]
-    reach = reach_of(still, settings)
+    reach = visible_reach(still, settings)
     frames, fine, scales = [], [], []
     for scene in scenes[: settings.n_frames]:
-        picture = drawn(scene, reach, settings)
-        scales.append(scale_of(picture.shape, reach, settings))
-        behind = blurred(picture, scales[-1], settings)
+        picture = draw_scene(scene, reach, settings)
+        scales.append(picture_scale(picture.shape, reach, settings))
+        behind = blur_picture(picture, scales[-1], settings)
         frames.append(render(behind, still, settings.shape, scales[-1], settings.psf_sigma)[0])
-        fine.append(at_rest(picture, scales[-1], settings) if settings.factor > 1 else frames[-1])
+        fine.append(render_reference(picture, scales[-1], settings) if settings.factor > 1 else frames[-1])
     return np.array(frames), np.array(fine), scales[0]

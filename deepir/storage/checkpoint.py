@@ -1,4 +1,4 @@
-"""Save and load the state of a solve: tensors in safetensors, the rest as JSON in its header. No pickle."""
+"""State of a solve on disk: tensors in safetensors, the rest as JSON in its header; no pickle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepir.errors import DataError
 
 @dataclass(frozen=True)
 class FileCheckpoint:
-    """A file for the state of a solve, see `deepir.optim.position.Checkpoint`."""
+    """File with the state of a solve, see `deepir.optim.position.Checkpoint`."""
 
     path: Path
 
@@ -22,14 +22,18 @@ class FileCheckpoint:
         return str(self.path)
 
     def exists(self) -> bool:
-        """Whether there is a state to go on from."""
+        """True if there is a state to continue from."""
         return self.path.exists()
 
     def save(self, tensors: dict[str, Tensor], position: dict[str, Any]) -> None:
-        """Replace the file whole: a kill at any moment leaves the old state or the new one.
+        """Replace the file atomically: an interruption leaves the old state or the new one.
+
+        Args:
+            tensors: Tensors by name.
+            position: Stage, iteration ...; anything that JSON can hold.
 
         Raises:
-            DataError: It cannot be written (a full disk, say).
+            DataError: It cannot be written, for example on a full disk.
         """
         from safetensors import SafetensorError
         from safetensors.torch import save_file

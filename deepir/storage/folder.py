@@ -1,4 +1,4 @@
-"""The folder of a run: what it holds, when it may be written, and how it is left."""
+"""The folder of a run: its files, when they may be written, and the state after an interruption."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from deepir.errors import ConfigError
-from deepir.io.write import replace, write_json
+from deepir.io.output.write import atomic_file, write_json
 
-#: All that a run writes, and --overwrite removes; the configuration goes first and is the last to be removed.
-FILES = (
+#: All files that a run writes and --overwrite removes; the configuration is written first and removed last.
+RUN_FILES = (
     "config.yaml",
     "run.json",
     "deepir.log",
@@ -32,41 +32,42 @@ FILES = (
     "report.html",
     "metrics.json",
 )
-#: What `deepir.io.write.replace` leaves behind when it is killed.
-TEMPORARY = re.compile(r"\.(\w+)\.[0-9a-f]{8}(\.\w+)")
-HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
+#: Files that `deepir.io.output.write.atomic_file` leaves behind when it is killed.
+TEMPORARY_PATTERN = re.compile(r"\.(\w+)\.[0-9a-f]{8}(\.\w+)")
+#: First line of config.yaml, by which a run's folder is recognised.
+CONFIG_HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 
 log = logging.getLogger("deepir")
 
 
 @dataclass(frozen=True)
-class Folder:
-    """Where a run writes. It may lie beside other files, but never over them."""
+class RunFolder:
+    """The folder of a run; other files may lie in it and are never overwritten."""
 
     path: Path
 
     @property
     def config(self) -> Path:
-        """The resolved configuration."""
+        """Path of the resolved configuration."""
         return self.path / "config.yaml"
 
     @property
     def checkpoint(self) -> Path:
-        """The solver's state."""
+        """Path of the solver's state."""
         return self.path / "checkpoint.safetensors"
 
     def state(self) -> str:
         """`new`, `interrupted` or `finished`.
 
         Raises:
-            ConfigError: It cannot be a run's folder: a file, or files of the same names that no run wrote.
+            ConfigError: It is a file, or holds files of the same names that no run wrote.
         """
         if self.path.exists() and not self.path.is_dir():
             raise ConfigError(
                 f"output.dir: {self.path} is a file; give a folder, for example output.dir=runs/mine"
             )
         try:
-            held = [name for name in FILES if (self.path / name).exists()]
+            held = [name for name in RUN_FILES if (self.path / name).exists()]
             ours = self.config.exists() and self.config.read_text(encoding="utf-8").startswith("# deepir")
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"output.dir: {self.path} cannot be read: {error}") from None
@@ -80,32 +81,44 @@ class Folder:
         return "finished" if "metrics.json" in held else "interrupted"
 
     def check_free(self, *, overwrite: bool) -> None:
-        """Raise `ConfigError` if a new run may not be written here; `overwrite`: a former run may go."""
+        """Check that a new run may be written here.
+
+        Raises:
+            ConfigError: There is a former run, and `overwrite` is false.
+        """
         state = self.state()
         if state == "new" or overwrite:
             return
         go_on = f"continue it with `deepir resume {self.path}`, " if state == "interrupted" else ""
         raise ConfigError(
-            f"output.dir: {self.path} holds another run ({state}); {go_on}"
+            f"output.dir: {self.path} already contains a run ({state}); {go_on}"
             "replace it with --overwrite, or give another folder with output.dir=DIR"
         )
 
     def begin(self, config: str, record: dict[str, Any]) -> list[Path]:
-        """Make the folder, put a former run aside, and write the new one's configuration and record.
+        """Create the folder, back up a former run, and write configuration and record of the new one.
 
-        Returns the folders that were made, innermost first. Raises `ConfigError` where that is not possible.
+        Args:
+            config: The configuration as YAML.
+            record: Contents of run.json.
+
+        Returns:
+            The folders that were created, innermost first.
+
+        Raises:
+            ConfigError: The folder cannot be written.
         """
         made = [each for each in (self.path, *self.path.parents) if not each.exists()]
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            former = [name for name in FILES if (self.path / name).exists()]
+            former = [name for name in RUN_FILES if (self.path / name).exists()]
             if former:
-                self._remove(self._aside)
-                self._aside.mkdir()
+                self._remove(self._backup)
+                self._backup.mkdir()
                 for name in reversed(former):
-                    (self.path / name).rename(self._aside / name)
-            with replace(self.config) as part:
-                part.write_text(HEADER + config, encoding="utf-8")
+                    (self.path / name).rename(self._backup / name)
+            with atomic_file(self.config) as part:
+                part.write_text(CONFIG_HEADER + config, encoding="utf-8")
         except OSError as error:
             raise ConfigError(
                 f"output.dir: {self.path} cannot be written: {error.strerror or error}"
@@ -113,31 +126,35 @@ class Folder:
         self.write_record(record)
         return made
 
-    def keep(self) -> None:
-        """The run works: drop the former one, and what a killed run left half-written."""
-        self._remove(self._aside)
+    def commit(self) -> None:
+        """The run works: remove the backup, and temporary files of a killed run."""
+        self._remove(self._backup)
         (self.path / "checkpoint.part").unlink(missing_ok=True)
         for path in self.path.iterdir():
-            found = TEMPORARY.fullmatch(path.name)
-            if found and found[1] + found[2] in FILES:
+            found = TEMPORARY_PATTERN.fullmatch(path.name)
+            if found and found[1] + found[2] in RUN_FILES:
                 path.unlink()
 
-    def discard(self, made: list[Path]) -> None:
-        """The run cannot work with these data: take away what `begin` wrote, and put a former run back."""
-        for name in reversed(FILES):
+    def roll_back(self, made: list[Path]) -> None:
+        """The run cannot work with these data: remove the files of `begin` and restore the backup.
+
+        Args:
+            made: Folders that `begin` created.
+        """
+        for name in reversed(RUN_FILES):
             with suppress(FileNotFoundError):
                 (self.path / name).unlink()
-        if self._aside.is_dir():
-            for name in FILES:
+        if self._backup.is_dir():
+            for name in RUN_FILES:
                 with suppress(FileNotFoundError):
-                    (self._aside / name).rename(self.path / name)
-        self._remove(self._aside)
+                    (self._backup / name).rename(self.path / name)
+        self._remove(self._backup)
         for folder in made:
             with suppress(OSError):
                 folder.rmdir()
 
     def record(self) -> dict[str, Any]:
-        """Versions, plugins, input hashes and time of the run; empty if it was killed before."""
+        """Versions, plugins, input digests and times of the run; empty if it was killed before they were written."""
         try:
             found = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -145,15 +162,15 @@ class Folder:
         return found if isinstance(found, dict) else {}
 
     def write_record(self, record: dict[str, Any]) -> None:
-        """Replace the record."""
+        """Replace run.json."""
         write_json(self.path / "run.json", record)
 
     @contextmanager
     def logging(self) -> Iterator[None]:
-        """Write the package's log into the folder; one process at a time.
+        """Write the package's log into the folder; only one process may do so at a time.
 
         Raises:
-            ConfigError: Another process is at work on this run.
+            ConfigError: Another process works on this run.
         """
         with (self.path / "deepir.log").open("a", encoding="utf-8") as stream:
             try:
@@ -171,13 +188,13 @@ class Folder:
                 log.removeHandler(handler)
 
     @property
-    def _aside(self) -> Path:
+    def _backup(self) -> Path:
         return self.path / ".former"
 
     @staticmethod
     def _remove(folder: Path) -> None:
-        """A folder that holds nothing but a run's files."""
-        for name in FILES:
+        """Remove a folder's run files, and the folder if it is then empty."""
+        for name in RUN_FILES:
             with suppress(FileNotFoundError, NotADirectoryError):
                 (folder / name).unlink()
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Runs that are stored: started in a folder, interrupted, resumed, finished."""
+"""Runs in a folder: started, interrupted, resumed, finished."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from deepir.config import Config, Data, dump, read
 from deepir.errors import ConfigError, DataError, SolverError
 from deepir.optim.solve import Progress
 from deepir.paths import expanded
-from deepir.report.progress import Lines
+from deepir.report.progress import ProgressLines
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, machine, prepare, versions
 from deepir.storage.checkpoint import FileCheckpoint
-from deepir.storage.folder import FILES, Folder
+from deepir.storage.folder import RUN_FILES, RunFolder
 
 log = logging.getLogger("deepir")
 
@@ -37,18 +37,26 @@ def run_into(
     plugins: Sequence[str] = (),
     callbacks: Callbacks = (),
 ) -> Result:
-    """Run a configuration into the folder `path`, which is made when all is checked.
+    """Run a configuration into a folder, which is created once everything is checked.
+
+    Args:
+        config: The configuration.
+        path: The folder.
+        frames: (N, h, w), in place of `data.path`.
+        overwrite: Replace a former run.
+        plugins: Modules that were imported, for the record.
+        callbacks: Called with a `Progress` after each iteration.
 
     Raises:
         DeepIRError: Configuration, data or folder are wrong; nothing is written, a former run stays.
         SolverError: The solve failed; its state is in the folder.
     """
-    folder = Folder(expanded(path).absolute())
+    folder = RunFolder(expanded(path).absolute())
     folder.check_free(overwrite=overwrite)
-    config = pinned(config, folder)
+    config = pin_config(config, folder)
     _check_inputs(config, folder)
     data = prepare(config, frames)
-    inputs = hashes(config.data, data.sha256)
+    inputs = input_digests(config.data, data.sha256)
     record = {"versions": versions(), "machine": machine(), "plugins": list(plugins), "inputs": inputs}
     made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
     work = _Work(folder, config, data, callbacks)
@@ -57,17 +65,25 @@ def run_into(
             return work.run()
     except (ConfigError, DataError):
         if not work.begun:
-            folder.discard(made)
+            folder.roll_back(made)
         raise
 
 
 def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()) -> Result | None:
-    """Finish an interrupted run; None if it has finished already.
+    """Finish an interrupted run.
+
+    Args:
+        path: The folder of the run.
+        plugins: Modules that are imported.
+        callbacks: Called with a `Progress` after each iteration.
+
+    Returns:
+        The result; None if the run is already finished.
 
     Raises:
         ConfigError: There is no run, it lacks a plugin, or its input has changed.
     """
-    folder = Folder(expanded(path).absolute())
+    folder = RunFolder(expanded(path).absolute())
     if not folder.path.is_dir() or folder.state() == "new":
         raise ConfigError(f"{path}: no run in this folder{_known_runs(path.parent)}")
     if folder.state() == "finished":
@@ -79,13 +95,17 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
     if config.data.path is None and config.data.simulate is None:
         raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
     data = prepare(config)
-    check_unchanged(record.get("inputs", {}), hashes(config.data, data.sha256), path)
-    before = _seconds(folder, record)
+    check_unchanged(record.get("inputs", {}), input_digests(config.data, data.sha256), path)
+    before = _seconds_in_checkpoint(folder, record)
     with folder.logging():
         _check_state(folder)
         if record.get("versions", versions()) != versions():
             log.warning("started with %s, resumed with %s", record["versions"], versions())
-        fresh = {"versions": versions(), "plugins": list(plugins), "inputs": hashes(config.data, data.sha256)}
+        fresh = {
+            "versions": versions(),
+            "plugins": list(plugins),
+            "inputs": input_digests(config.data, data.sha256),
+        }
         begun = {"machine": machine(), "started": time.time(), "seconds": before}
         folder.write_record(fresh | record | begun)
         return _Work(folder, config, data, callbacks, before).run()
@@ -93,9 +113,9 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
 
 @dataclasses.dataclass
 class _Work:
-    """Solve into a folder that is ready."""
+    """A solve into a folder that is ready."""
 
-    folder: Folder
+    folder: RunFolder
     config: Config
     data: Burst
     callbacks: Callbacks
@@ -107,7 +127,7 @@ class _Work:
         log.info("deepir %(deepir)s, torch %(torch)s, python %(python)s", versions())
         log.info("input %s, %s, sha256 %s", data.source, data.frames.shape, data.sha256)
         try:
-            callbacks: Callbacks = [self._first, Lines(log.info), *self.callbacks]
+            callbacks: Callbacks = [self._first, ProgressLines(log.info), *self.callbacks]
             result = execute(
                 self.config, data, callbacks=callbacks, checkpoint=FileCheckpoint(folder.checkpoint)
             )
@@ -134,11 +154,11 @@ class _Work:
     def _first(self, progress: Progress | None = None) -> None:
         if not self.begun:
             self.begun = True
-            self.folder.keep()
+            self.folder.commit()
 
 
-def pinned(config: Config, folder: Folder) -> Config:
-    """The configuration with all that a later process might see differently: paths, threads."""
+def pin_config(config: Config, folder: RunFolder) -> Config:
+    """The configuration with everything fixed that may differ in a later process: absolute paths, threads."""
 
     def absolute(path: str | None) -> str | None:
         return None if path is None else os.path.abspath(expanded(path))  # noqa: PTH100 - keeps globs
@@ -176,17 +196,22 @@ def pinned(config: Config, folder: Folder) -> Config:
     )
 
 
-def _check_inputs(config: Config, folder: Folder) -> None:
+def _check_inputs(config: Config, folder: RunFolder) -> None:
     for key in ("path", "truth", "mask"):
         path = getattr(config.data, key)
-        if path is not None and Path(path).parent == folder.path and Path(path).name in FILES:
+        if path is not None and Path(path).parent == folder.path and Path(path).name in RUN_FILES:
             raise ConfigError(
                 f"data.{key}: {path} is a result that this run would replace; give another output.dir"
             )
 
 
-def hashes(paths: Data, frames: str) -> dict[str, str]:
-    """The digest of each file of the input; `frames` is that of the burst."""
+def input_digests(paths: Data, frames: str) -> dict[str, str]:
+    """Digest of each input file.
+
+    Args:
+        paths: The data of the configuration.
+        frames: Digest of the burst.
+    """
     found = {} if paths.path is None else {paths.path: frames}
     for path in (paths.mask, paths.truth):
         if path is not None and Path(path).is_file():
@@ -195,7 +220,11 @@ def hashes(paths: Data, frames: str) -> dict[str, str]:
 
 
 def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path) -> None:
-    """Raise `ConfigError` if a file of the input of the run at `path` is not what it was."""
+    """Compare the input's digests with those at the start of a run.
+
+    Raises:
+        ConfigError: A file has changed.
+    """
     for name, digest in then.items():
         if now.get(name) != digest:
             raise ConfigError(
@@ -204,8 +233,8 @@ def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path)
             )
 
 
-def _check_state(folder: Folder) -> None:
-    """A checkpoint that cannot be read is left out: the run starts again."""
+def _check_state(folder: RunFolder) -> None:
+    """Remove an unreadable checkpoint: the run starts again."""
     try:
         if folder.checkpoint.exists():
             FileCheckpoint(folder.checkpoint).load()
@@ -214,8 +243,8 @@ def _check_state(folder: Folder) -> None:
         folder.checkpoint.unlink()
 
 
-def _seconds(folder: Folder, record: Mapping[str, Any]) -> float:
-    """Work that the checkpoint holds; what was done after it is done again."""
+def _seconds_in_checkpoint(folder: RunFolder, record: Mapping[str, Any]) -> float:
+    """Seconds of work that the checkpoint holds; later work is repeated."""
     if not folder.checkpoint.exists() or "started" not in record:
         return 0.0
     return float(record["seconds"]) + max(0.0, folder.checkpoint.stat().st_mtime - float(record["started"]))

@@ -1,1 +1,1 @@
-"""Many runs at once: the product of listed values, run on Dask, with one table and plots of what came out."""
+"""Sweeps: the product of listed values, run on Dask, with a table and plots of the results."""

@@ -1,4 +1,4 @@
-"""What a sweep varies: `prior=tv,dip`, or one burst after another."""
+"""Axes of a sweep: `prior=tv,dip`, or one burst after another."""
 
 from __future__ import annotations
 
@@ -12,29 +12,32 @@ from deepir.errors import ConfigError, DataError
 from deepir.paths import expanded
 
 #: Axes over which medians are taken.
-REPEATS = ("seed", "data.simulate.seed")
-BURST = "burst"
-OPENING, CLOSING, QUOTES = "[{(", "]})", "\"'"
+REPEAT_AXES = ("seed", "data.simulate.seed")
+BURST_AXIS = "burst"  # key of the axis of bursts
+BRACKETS = {"[": 1, "{": 1, "(": 1, "]": -1, "}": -1, ")": -1}  # change of the depth of nesting
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A key and its values: what each is called, and the settings that it stands for."""
+    """A key, and for each label of its values the settings."""
 
     key: str
     choices: Mapping[str, Sequence[str]]
 
 
-def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
-    """Settings with one value, and an axis for each that lists several: `prior=tv,dip`.
+def parse_axes(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
+    """Split settings into those with one value and axes: `prior=tv,dip`.
 
-    A comma within brackets or quotes belongs to a value. Raises `ConfigError` where all values are the same one.
+    A comma within brackets or quotes belongs to a value. Of a key given twice, the last counts.
+
+    Raises:
+        ConfigError: All values of an axis are equal.
     """
     fixed: list[str] = []
     axes: dict[str, Axis] = {}
     for setting in settings:
         key, _, text = (part.strip() for part in setting.partition("="))
-        values = [value.strip() for value in split(text)]
+        values = [value.strip() for value in split_at_commas(text)]
         axes.pop(key, None)  # as everywhere: of a key given twice, the last counts
         if len(values) == 1:
             fixed.append(setting)
@@ -45,19 +48,19 @@ def listed(settings: Sequence[str]) -> tuple[list[str], list[Axis]]:
     return fixed, list(axes.values())
 
 
-def split(text: str) -> list[str]:
-    """A text at its commas, those within brackets or quotes left out.
+def split_at_commas(text: str) -> list[str]:
+    """Split a text at its commas outside brackets and quotes.
 
-    >>> split("[0, 3],5")
+    >>> split_at_commas("[0, 3],5")
     ['[0, 3]', '5']
     """
     parts, depth, quote = [""], 0, ""
     for letter in text:
         if quote:
             quote = "" if letter == quote else quote
-        elif letter in QUOTES:
+        elif letter in ("'", '"'):
             quote = letter
-        depth += (not quote) * ((letter in OPENING) - (letter in CLOSING))
+        depth += (not quote) * BRACKETS.get(letter, 0)
         if letter == "," and depth <= 0 and not quote:
             parts.append("")
         else:
@@ -65,7 +68,7 @@ def split(text: str) -> list[str]:
     return parts
 
 
-def bursts(patterns: Sequence[str]) -> Axis:
+def burst_axis(patterns: Sequence[str]) -> Axis:
     """An axis of bursts: files, folders of pictures, and globs of these.
 
     STEM_truth.npz is the truth of STEM.npz beside it, as `deepir simulate` writes them.
@@ -85,7 +88,8 @@ def bursts(patterns: Sequence[str]) -> Axis:
     stems = [Path(path).stem for path in paths]
     names = stems if len(set(stems)) == len(stems) else paths
     return Axis(
-        BURST, {name: _burst(path, truths.get(path, "")) for name, path in zip(names, paths, strict=True)}
+        BURST_AXIS,
+        {name: _burst(path, truths.get(path, "")) for name, path in zip(names, paths, strict=True)},
     )
 
 
@@ -95,12 +99,12 @@ def _burst(path: str, truth: str) -> list[str]:
 
 
 def folder_name(values: Mapping[str, str]) -> str:
-    """The name of a cell, as a folder's: `prior=tv,seed=0`.
+    """Name of the folder of a cell: `prior=tv,seed=0`.
 
     Raises:
-        ConfigError: It is too long for one.
+        ConfigError: It is too long.
     """
-    parts = [value if key == BURST else f"{key}={value}" for key, value in values.items()]
+    parts = [value if key == BURST_AXIS else f"{key}={value}" for key, value in values.items()]
     name = ",".join(re.sub(r"[^\w.+=-]+", "-", part) for part in parts)
     if len(name.encode()) > 240:
         raise ConfigError(f"{name[:80]}...: too long for a folder; put long values into a .yaml file")

@@ -1,4 +1,4 @@
-"""The cells of a sweep: which runs there are, and what has become of them."""
+"""The cells of a sweep: its runs and their states."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ from pathlib import Path
 from typing import Any
 
 from deepir.config import Config, dump, load, read
-from deepir.config.yaml import parse
+from deepir.config.yaml import parse_yaml
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.frames import digest
 from deepir.paths import expanded
 from deepir.runner import prepare
-from deepir.storage.folder import Folder
-from deepir.storage.stored import check_unchanged, hashes, pinned
-from deepir.sweep.axes import BURST, Axis, folder_name
+from deepir.storage.folder import RunFolder
+from deepir.storage.stored import check_unchanged, input_digests, pin_config
+from deepir.sweep.axes import BURST_AXIS, Axis, folder_name
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One run: its values by axis, its configuration in full, its folder."""
+    """One run: its values by axis, its complete configuration, its folder."""
 
     values: Mapping[str, str]
     config: Config
-    folder: Folder
+    folder: RunFolder
 
     @property
     def name(self) -> str:
-        """Its values in short."""
+        """Its values, as in the name of its folder."""
         return self.folder.path.name
 
     def state(self) -> str:
         """`new`, `interrupted` or `finished`.
 
         Raises:
-            ConfigError: The folder holds the run of another configuration, or of data that have changed since.
+            ConfigError: The folder holds a run of another configuration.
         """
         state = self.folder.state()
         if state == "new":
             return state
-        then, now = (_flat(parse(dump(each))) for each in (read(self.folder.config), self.config))
+        then, now = (_flattened(parse_yaml(dump(each))) for each in (read(self.folder.config), self.config))
         for key in sorted(then.keys() | now.keys()):
             if key != "threads" and then.get(key) != now.get(key):
                 raise ConfigError(
@@ -52,15 +52,17 @@ class Cell:
         return state
 
 
-def cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, threads: int) -> list[Cell]:
+def make_cells(
+    name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, threads: int
+) -> list[Cell]:
     """The product of the axes' choices.
 
     Args:
         name: The configuration.
         settings: `key=value`, for all cells.
-        axes: What varies; the last varies fastest.
-        base: The folder of their folders.
-        threads: Of each run that does not say.
+        axes: The axes; the last varies fastest.
+        base: The folder of the cells' folders.
+        threads: Threads of each run whose configuration has none.
 
     Raises:
         ConfigError: A value is wrong.
@@ -84,14 +86,14 @@ def cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, 
 
 
 def _cell(values: Mapping[str, str], config: Config, path: Path, threads: int) -> Cell:
-    folder = Folder(expanded(path).absolute())
+    folder = RunFolder(expanded(path).absolute())
     return Cell(
-        values, pinned(config.model_copy(update={"threads": config.threads or threads}), folder), folder
+        values, pin_config(config.model_copy(update={"threads": config.threads or threads}), folder), folder
     )
 
 
 def _one_burst(config: Config, most: int | None) -> Config:
-    """All numbers of frames are the first of one simulated burst, whose scene and scale then are the same."""
+    """Configuration in which all numbers of frames are the first ones of one simulated burst."""
     simulate = config.data.simulate
     if simulate is None or most is None or simulate.get("n_frames") is not None:
         return config
@@ -99,38 +101,37 @@ def _one_burst(config: Config, most: int | None) -> Config:
     return config.model_copy(update={"data": data})
 
 
-def check(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
-    """Find what is wrong with any of them before anything runs, but for the files of bursts that an axis names.
+def check_cells(found: Sequence[Cell], finished: Sequence[Cell] = ()) -> None:
+    """Check all cells before anything runs, except for the files of an axis of bursts.
 
-    Configurations that differ in seeds only are checked once, and on one burst that can be read; not at all
-    if one like it is `finished`.
+    Configurations that differ only in seeds are checked once, on one burst that can be read; not if one is `finished`.
 
     Raises:
-        DeepIRError: What is wrong, and with which cell, unless it is wrong with others too.
+        DeepIRError: The message names the cell, unless the error is common to others.
     """
-    checked = {_kind(cell) for cell in finished}
+    checked = {_check_key(cell) for cell in finished}
     unread: dict[tuple[str, ...], DataError] = {}
     for cell in found:
-        kind = _kind(cell)
+        kind = _check_key(cell)
         if kind in checked:
             continue
-        error = _wrong(cell)
+        error = _error_of(cell)
         if error is None:
             checked.add(kind)
             unread.pop(kind, None)
             continue
-        other = next((each for each in reversed(found) if _kind(each) != kind), None)
-        common = other is not None and str(_wrong(other)) == str(error)
+        other = next((each for each in reversed(found) if _check_key(each) != kind), None)
+        common = other is not None and str(_error_of(other)) == str(error)
         named = error if common else type(error)(f"{cell.name}: {error}")
-        if not (isinstance(named, DataError) and BURST in cell.values):
+        if not (isinstance(named, DataError) and BURST_AXIS in cell.values):
             raise named
         unread[kind] = named
     if unread:
         raise next(iter(unread.values()))
 
 
-def _wrong(cell: Cell) -> DeepIRError | None:
-    """What is wrong with a cell, if anything."""
+def _error_of(cell: Cell) -> DeepIRError | None:
+    """The error of a cell; None if it can run."""
     try:
         prepare(cell.config)
     except DeepIRError as error:
@@ -138,21 +139,25 @@ def _wrong(cell: Cell) -> DeepIRError | None:
     return None
 
 
-def _kind(cell: Cell) -> tuple[str, ...]:
-    """What matters to a check."""
-    return tuple(value for key, value in cell.values.items() if key not in ("seed", BURST))
+def _check_key(cell: Cell) -> tuple[str, ...]:
+    """Values of a cell that matter to a check."""
+    return tuple(value for key, value in cell.values.items() if key not in ("seed", BURST_AXIS))
 
 
 def check_inputs(found: Sequence[Cell]) -> None:
-    """Raise `ConfigError` if data of a finished cell have changed since."""
+    """Compare the data of finished cells with those at their start.
+
+    Raises:
+        ConfigError: A file has changed.
+    """
     for cell in found:
         if cell.state() == "finished":
             data = cell.config.data
-            now = hashes(data, "" if data.path is None else digest(data.path))
+            now = input_digests(data, "" if data.path is None else digest(data.path))
             check_unchanged(cell.folder.record().get("inputs", {}), now, cell.folder.path)
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return dict(_leaves(tree, prefix))
 
 

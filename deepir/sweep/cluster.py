@@ -1,4 +1,4 @@
-"""Cells on Dask's workers: processes of this machine, or a cluster that runs already."""
+"""Cells on Dask's workers: processes of this machine, or a running cluster."""
 
 from __future__ import annotations
 
@@ -10,40 +10,44 @@ from typing import TYPE_CHECKING
 
 from deepir.errors import ConfigError
 from deepir.sweep.cells import Cell
-from deepir.sweep.work import finish
+from deepir.sweep.work import finish_cell
 
 if TYPE_CHECKING:
     from distributed import Client
 
-PATIENCE = "10s"  # for a scheduler to answer
-#: Of Dask's own it lacks MALLOC_TRIM_THRESHOLD_: to give memory back after each operation costs most of the time.
-ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
+SCHEDULER_TIMEOUT = "10s"  # time for a scheduler to answer
+#: Without Dask's MALLOC_TRIM_THRESHOLD_: returning memory after each operation costs most of the time.
+WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
 
 
 def demand_dask() -> None:
-    """Raise `ConfigError` if Dask is not installed."""
+    """Check that Dask is installed.
+
+    Raises:
+        ConfigError: It is not.
+    """
     if importlib.util.find_spec("distributed") is None:
         raise ConfigError("compare and batch run on Dask, which is missing: pip install 'deepir[compare]'")
 
 
-def cores() -> int:
-    """How many this process may use."""
+def core_count() -> int:
+    """Number of cores that this process may use."""
     from dask.system import CPU_COUNT
 
     return int(CPU_COUNT)
 
 
-def outcomes(
+def run_cells(
     cells: Sequence[Cell], *, workers: int, scheduler: str | None = None, plugins: Sequence[str] = ()
 ) -> Iterator[tuple[Cell, str | None]]:
-    """Finish the cells; each as it ends, with what is wrong with it or None.
+    """Finish the cells; yields each as it ends, with its error or None.
 
-    A cell whose worker is lost goes to another one, which goes on where that left it.
+    If a worker is lost, its cell continues on another worker.
 
     Args:
-        cells: Their folders lie where all workers see them.
+        cells: Their folders are visible to all workers.
         workers: Processes to start, each with one run at a time.
-        scheduler: Address of a Dask scheduler (`tcp://host:8786`) to use instead.
+        scheduler: Address of a running Dask scheduler (`tcp://host:8786`) to use instead.
         plugins: Modules to import on the workers.
 
     Raises:
@@ -53,7 +57,7 @@ def outcomes(
 
     with _client(workers, scheduler) as client:
         tasks = {
-            client.submit(finish, cell, plugins, pure=False, priority=-i): cell
+            client.submit(finish_cell, cell, plugins, pure=False, priority=-i): cell
             for i, cell in enumerate(cells)  # in order
         }
         for task in as_completed(list(tasks)):
@@ -73,17 +77,17 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    from deepir.sweep.uninterrupted import Uninterrupted
+    from deepir.sweep.uninterrupted import IgnoreInterrupts
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters, cells report
     settings = {
-        "distributed.comm.timeouts.connect": PATIENCE,
-        "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+        "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT,
+        "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
     }
     with dask.config.set(settings):
         if scheduler is not None:
             try:
-                client = Client(scheduler, timeout=PATIENCE)
+                client = Client(scheduler, timeout=SCHEDULER_TIMEOUT)
             except (OSError, ValueError) as error:
                 raise ConfigError(
                     f"--scheduler {scheduler}: no Dask scheduler answers there ({error})"
@@ -101,5 +105,5 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
             ) as cluster,
             Client(cluster) as client,
         ):
-            client.register_plugin(Uninterrupted())
+            client.register_plugin(IgnoreInterrupts())
             yield client

@@ -1,4 +1,4 @@
-"""`report.html` of a sweep: its table, to be sorted, with its curves and a link to the report of each run."""
+"""`report.html` of a sweep: a sortable table with curves and links to the reports of its runs."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Any
 from urllib.parse import quote
 
 from deepir.report.page import write_page
-from deepir.sweep.plots import curves, drawn
-from deepir.sweep.table import SHOWN, Group, Row, grouped, shown
+from deepir.sweep.plots import curves, plottable
+from deepir.sweep.table import TABLE_METRICS, Group, Row, group_rows, shown_metrics
 
 
 def write_report(path: Path, found: Sequence[Row], title: str) -> None:
     """Write the page beside the folders of the runs; `title` is the command."""
-    groups, metrics = grouped(found), shown(found)
-    finished, against = drawn(found)
+    groups, metrics = group_rows(found), shown_metrics(found)
+    finished, against = plottable(found)
     data = {
         "title": title,
         "axes": list(groups[0].values),
-        "metrics": [{"name": SHOWN[each][0], "decimals": SHOWN[each][1]} for each in metrics],
+        "metrics": [{"name": TABLE_METRICS[each][0], "decimals": TABLE_METRICS[each][1]} for each in metrics],
         "rows": [
             {
                 "values": list(group.values.values()),
-                "spreads": [group.spread(metric) for metric in metrics],
+                "spreads": [group.median_range(metric) for metric in metrics],
                 "runs": [_run(path.parent, row) for row in group.rows],
             }
             for group in groups
@@ -35,7 +35,7 @@ def write_report(path: Path, found: Sequence[Row], title: str) -> None:
 
 
 def _run(folder: Path, row: Row) -> dict[str, Any]:
-    """A run, with where its own report is, if it is there."""
+    """A run, with a link to its report if there is one."""
     report = folder / row.name / "report.html"
     link = f"{quote(row.name)}/report.html" if report.is_file() else None
     return {"name": row.name, "link": link, "done": bool(row.metrics), "error": row.error}
@@ -48,7 +48,7 @@ def _curves(lines: dict[str, list[Group]], x: str, metric: str) -> list[dict[str
         points = [
             (across[0], *up)
             for group in groups
-            if (across := group.spread(x)) and (up := group.spread(metric))
+            if (across := group.median_range(x)) and (up := group.median_range(metric))
         ]
         found.append({"name": name, "points": sorted(points)})
     return found

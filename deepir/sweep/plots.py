@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deepir.io import replace
-from deepir.sweep.axes import BURST, REPEATS
-from deepir.sweep.table import SHOWN, Group, Row, grouped, shown
+from deepir.io import atomic_file
+from deepir.sweep.axes import BURST_AXIS, REPEAT_AXES
+from deepir.sweep.table import TABLE_METRICS, Group, Row, group_rows, shown_metrics
 
-FRAMES = "data.frames"
-AVERAGED = (*REPEATS, BURST)
+FRAMES_AXIS = "data.frames"  # key of the axis of frame counts
+AVERAGED_AXES = (*REPEAT_AXES, BURST_AXIS)  # axes over which curves take medians
 
 
 def write_plots(path: Path, found: Sequence[Row]) -> None:
-    """One picture, or none of a single point: a line for each combination of the axes beside frames and repeats.
+    """Write one picture, a line for each combination of the axes beside frames and repeats; none for a single point.
 
     Points are medians over seeds and bursts, with bars from the least to the greatest.
     """
@@ -24,8 +24,8 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    metric = shown(found)[0]
-    finished, against = drawn(found)
+    metric = shown_metrics(found)[0]
+    finished, against = plottable(found)
     if not against:
         path.unlink(missing_ok=True)
         return
@@ -35,7 +35,7 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     for axes, x in zip(figure.subplots(1, len(against), squeeze=False)[0], against, strict=True):
         for label, groups in lines.items():
             _draw(axes, groups, x, metric, label)
-        axes.set(xlabel=x, ylabel=SHOWN[metric][0])
+        axes.set(xlabel=x, ylabel=TABLE_METRICS[metric][0])
         axes.grid(alpha=0.3)
         if x == "seconds":
             axes.set_xscale("log")
@@ -48,39 +48,41 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
-def drawn(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
-    """The rows that can be drawn, and against what: nothing, where they make a single point."""
-    finished = [row for row in found if row.metrics.get(shown(found)[0]) is not None]
-    if not finished or len(grouped(finished, AVERAGED)) < 2:
+def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
+    """Rows that can be plotted, and against which quantities; none if they make a single point."""
+    finished = [row for row in found if row.metrics.get(shown_metrics(found)[0]) is not None]
+    if not finished or len(group_rows(finished, AVERAGED_AXES)) < 2:
         return finished, []
     several = len({row.metrics["frames"] for row in finished}) > 1
     return finished, ["frames", "seconds"] if several else ["seconds"]
 
 
 def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
-    """Groups that differ in the number of frames only, by what they have in common."""
+    """Groups that differ only in the number of frames, by their common values."""
     lines: dict[str, list[Group]] = {}
-    for group in grouped(found, AVERAGED):
-        label = ", ".join(value for key, value in group.values.items() if key != FRAMES)
+    for group in group_rows(found, AVERAGED_AXES):
+        label = ", ".join(value for key, value in group.values.items() if key != FRAMES_AXIS)
         lines.setdefault(label, []).append(group)
     return lines
 
 
 def _draw(axes: Any, groups: Sequence[Group], x: str, metric: str, label: str) -> None:
     """A line through the medians, with bars from the least to the greatest."""
-    ordered = sorted(groups, key=lambda group: group.spread("frames") or ())
-    (across, aside), (up, beside) = (_bars([group.spread(each) for group in ordered]) for each in (x, metric))
+    ordered = sorted(groups, key=lambda group: group.median_range("frames") or ())
+    (across, aside), (up, beside) = (
+        _bars([group.median_range(each) for group in ordered]) for each in (x, metric)
+    )
     axes.errorbar(
         across, up, xerr=aside, yerr=beside, marker="o", markersize=4, capsize=2, linewidth=1, label=label
     )
 
 
 def _bars(spreads: Sequence[Any]) -> tuple[list[float], list[list[float]]]:
-    """Medians, and how far the least and the greatest are from them."""
+    """Medians, and distances to the least and the greatest."""
     middles = [middle for middle, _, _ in spreads]
     return middles, [
         [middle - least for middle, least, _ in spreads],

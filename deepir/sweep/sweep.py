@@ -12,39 +12,41 @@ from deepir.errors import ConfigError
 from deepir.paths import expanded
 from deepir.sweep import cluster, table
 from deepir.sweep.axes import Axis
-from deepir.sweep.cells import Cell, cells, check, check_inputs
+from deepir.sweep.cells import Cell, check_cells, check_inputs, make_cells
 
 
 @dataclass
 class Sweep:
-    """Cells that are checked, in a folder, and what went wrong with them so far."""
+    """Checked cells in a folder, with the errors so far."""
 
     folder: Path
     cells: list[Cell]
     workers: int
     errors: dict[str, str] = field(default_factory=dict)
 
-    def todo(self) -> list[Cell]:
-        """What is not finished."""
+    def unfinished(self) -> list[Cell]:
+        """Cells that are not finished."""
         return [cell for cell in self.cells if cell.state() != "finished"]
 
     def run(
-        self, say: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]
+        self, report: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]
     ) -> None:
-        """Finish all cells; `say` hears of each as it ends."""
-        if todo := self.todo():
-            workers = min(self.workers, len(todo))
-            for cell, error in cluster.outcomes(todo, workers=workers, scheduler=scheduler, plugins=plugins):
+        """Finish all cells; `report` is called with each as it ends."""
+        if cells := self.unfinished():
+            workers = min(self.workers, len(cells))
+            for cell, error in cluster.run_cells(
+                cells, workers=workers, scheduler=scheduler, plugins=plugins
+            ):
                 if error is not None:
                     self.errors[cell.name] = error
-                say(cell, error)
+                report(cell, error)
 
     def write(self, title: str) -> list[table.Row]:
         """Write `table.csv`, `table.md`, `quality.png` and `report.html`; the rows."""
         from deepir.sweep.html import write_report
         from deepir.sweep.plots import write_plots
 
-        found = table.rows(self.cells, self.errors)
+        found = table.make_rows(self.cells, self.errors)
         self.folder.mkdir(parents=True, exist_ok=True)
         table.write_markdown(self.folder / "table.md", found, title)
         table.write_csv(self.folder / "table.csv", found)
@@ -63,19 +65,19 @@ def prepare(
     remote: bool = False,
     overwrite: bool = False,
 ) -> Sweep:
-    """Check everything, and say which runs there will be.
+    """Check everything and list the runs.
 
-    There are as many workers as cores, or as cells if those are fewer, and each run has its share of the cores as
-    threads, or the `threads` that it names. On workers elsewhere (`remote`) it has one.
+    There are as many workers as cores, or as cells if these are fewer; each run has its share of the cores as threads,
+    or the `threads` of its configuration. On workers elsewhere (`remote`) it has one.
 
     Args:
         name: The configuration.
         settings: `key=value`, for all cells.
-        axes: What varies.
-        folder: Where the cells' folders go, unless `output.dir` says.
-        workers: How many processes; None: as above.
-        remote: The workers are those of another cluster.
-        overwrite: Remove what former sweeps left of these cells.
+        axes: The axes.
+        folder: Folder of the cells' folders, unless `output.dir` is set.
+        workers: Number of processes; None: as above.
+        remote: True: the workers are those of another cluster.
+        overwrite: Remove former runs of these cells.
 
     Raises:
         DeepIRError: A setting, a file or the folder is wrong; nothing is written.
@@ -89,20 +91,20 @@ def prepare(
         raise ConfigError("nothing varies: list values with commas, for example prior=tv,dip seed=0,1,2")
     first = load(name, [*settings, *(each for axis in axes for each in next(iter(axis.choices.values())))])
     base = expanded(first.output.dir or folder).absolute()
-    cores = cluster.cores()
+    cores = cluster.core_count()
     count = workers or min(
         math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1))
     )
-    found = cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
+    found = make_cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
     table.check_free(base)
     if overwrite:
         for cell in found:
             cell.folder.check_free(overwrite=True)
-        check(found)
+        check_cells(found)
         for cell in found:
-            cell.folder.discard([cell.folder.path])
+            cell.folder.roll_back([cell.folder.path])
     else:
         finished = [cell for cell in found if cell.state() == "finished"]
-        check([cell for cell in found if cell not in finished], finished)
+        check_cells([cell for cell in found if cell not in finished], finished)
         check_inputs(found)
     return Sweep(base, found, count)

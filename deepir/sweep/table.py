@@ -1,4 +1,4 @@
-"""What came out of a sweep: a row for each cell, and medians over seeds."""
+"""The results of a sweep: a row for each cell, and medians over seeds."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from statistics import median
 from typing import Any
 
 from deepir.errors import ConfigError
-from deepir.io import replace
-from deepir.sweep.axes import REPEATS
+from deepir.io import atomic_file
+from deepir.sweep.axes import REPEAT_AXES
 from deepir.sweep.cells import Cell
 
-#: What the table shows of `metrics.json`: heading, and decimals (None: three digits). `table.csv` has all numbers.
-SHOWN = {
+#: Metrics of `metrics.json` in the table: heading and decimals (None: three digits). `table.csv` has all.
+TABLE_METRICS = {
     "psnr_aligned": ("PSNR (dB)", 2),
     "radiometric_rmse": ("radiometric error", None),
     "held_out_rmse": ("held-out error", None),
     "seconds": ("seconds", None),
 }
-HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
+#: First line of table.md, by which it is recognised.
+TABLE_HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
 
 
 @dataclass(frozen=True)
 class Row:
-    """A cell's values by axis, its numbers (empty if it is not finished), and what is wrong with it."""
+    """A cell's values by axis, its metrics (empty if it is not finished), and its error."""
 
     name: str
     values: Mapping[str, str]
@@ -38,24 +39,29 @@ class Row:
 
 @dataclass(frozen=True)
 class Group:
-    """Cells that differ in seeds only."""
+    """Cells that differ only in seeds."""
 
     values: Mapping[str, str]
     rows: Sequence[Row]
 
-    def spread(self, metric: str) -> tuple[float, float, float] | None:
-        """Median, least and greatest of a metric over the cells that have it."""
+    def median_range(self, metric: str) -> tuple[float, float, float] | None:
+        """Median, least and greatest of a metric over the cells that have it; None if none has."""
         found = [row.metrics[metric] for row in self.rows if row.metrics.get(metric) is not None]
         return (median(found), min(found), max(found)) if found else None
 
 
-def rows(cells: Sequence[Cell], errors: Mapping[str, str]) -> list[Row]:
-    """A row for each cell; `errors` by the cells' names."""
+def make_rows(cells: Sequence[Cell], errors: Mapping[str, str]) -> list[Row]:
+    """A row for each cell.
+
+    Args:
+        cells: The cells.
+        errors: Errors by the cells' names.
+    """
     return [Row(cell.name, cell.values, _metrics(cell), errors.get(cell.name, "")) for cell in cells]
 
 
-def grouped(found: Sequence[Row], without: Sequence[str] = REPEATS) -> list[Group]:
-    """The rows by their values, those of the axes `without` left out, in order."""
+def group_rows(found: Sequence[Row], without: Sequence[str] = REPEAT_AXES) -> list[Group]:
+    """Rows grouped by their values, except for those of the axes `without`, in order."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     keys = [key for key in found[0].values if key not in without]
     for row in found:
@@ -63,51 +69,51 @@ def grouped(found: Sequence[Row], without: Sequence[str] = REPEATS) -> list[Grou
     return [Group(dict(zip(keys, values, strict=True)), each) for values, each in groups.items()]
 
 
-def shown(found: Sequence[Row]) -> list[str]:
-    """The metrics that the table shows: the held-out error only where there is no truth."""
+def shown_metrics(found: Sequence[Row]) -> list[str]:
+    """Metrics of the table: the held-out error only where there is no truth."""
     truth = any("psnr_aligned" in row.metrics for row in found)
     unknown = ("held_out_rmse",) if truth else ("psnr_aligned", "radiometric_rmse")
-    return [metric for metric in SHOWN if metric not in unknown]
+    return [metric for metric in TABLE_METRICS if metric not in unknown]
 
 
-def lines(found: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
+def table_lines(found: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
     """Headings and cells of the table: a line for each group, medians with the least and the greatest."""
-    groups, metrics = grouped(found), shown(found)
-    heads = [*groups[0].values, "finished", *(SHOWN[metric][0] for metric in metrics)]
+    groups, metrics = group_rows(found), shown_metrics(found)
+    heads = [*groups[0].values, "finished", *(TABLE_METRICS[metric][0] for metric in metrics)]
     body = []
     for group in groups:
         done = sum(bool(row.metrics) for row in group.rows)
-        figures = [_figure(group.spread(metric), SHOWN[metric][1]) for metric in metrics]
+        figures = [_figure(group.median_range(metric), TABLE_METRICS[metric][1]) for metric in metrics]
         body.append([*group.values.values(), f"{done}/{len(group.rows)}", *figures])
     return heads, body
 
 
-def figures(cell: Cell) -> str:
-    """What came out of one cell, in a line."""
-    found = rows([cell], {})
-    heads, (body,) = lines(found)
+def metrics_line(cell: Cell) -> str:
+    """The metrics of one cell in a line."""
+    found = make_rows([cell], {})
+    heads, (body,) = table_lines(found)
     return ", ".join(
-        f"{head} {each}" for head, each in list(zip(heads, body, strict=True))[-len(shown(found)) :]
+        f"{head} {each}" for head, each in list(zip(heads, body, strict=True))[-len(shown_metrics(found)) :]
     )
 
 
 def markdown(found: Sequence[Row], title: str) -> str:
-    """The table as a page, with the machines that ran it and what failed."""
-    heads, body = lines(found)
+    """The table as a page, with its machines and failures."""
+    heads, body = table_lines(found)
     table = [heads, ["---"] * len(heads), *([cell.replace("|", "\\|") for cell in line] for line in body)]
     text = "".join(f"| {' | '.join(line)} |\n" for line in table)
-    repeated = any(len(group.rows) > 1 for group in grouped(found))
+    repeated = any(len(group.rows) > 1 for group in group_rows(found))
     note = "Medians over seeds, with the least and the greatest.\n\n" if repeated else ""
     ran = sorted({row.metrics["machine"] for row in found if "machine" in row.metrics})
     where = "".join(f"\nOn {each}.\n" for each in ran)
     failed = "".join(f"- `{row.name}`: {row.error}\n" for row in found if row.error)
-    return f"{HEADER}# Results\n\n`{title}`\n\n{note}{text}{where}" + (
+    return f"{TABLE_HEADER}# Results\n\n`{title}`\n\n{note}{text}{where}" + (
         f"\nFailed:\n\n{failed}" if failed else ""
     )
 
 
 def write_csv(path: Path, found: Sequence[Row]) -> None:
-    """A line for each cell, with all its numbers."""
+    """Write a line for each cell, with all its numbers."""
     names = {
         name: None
         for row in found
@@ -121,21 +127,25 @@ def write_csv(path: Path, found: Sequence[Row]) -> None:
     writer.writeheader()
     for row in found:
         writer.writerow({**row.metrics, **row.values, "error": row.error})
-    with replace(path) as part:
+    with atomic_file(path) as part:
         part.write_text(stream.getvalue(), encoding="utf-8")
 
 
 def write_markdown(path: Path, found: Sequence[Row], title: str) -> None:
-    """The table, and what failed."""
-    with replace(path) as part:
+    """Write the table and the failures."""
+    with atomic_file(path) as part:
         part.write_text(markdown(found, title), encoding="utf-8")
 
 
 def check_free(folder: Path) -> None:
-    """Raise `ConfigError` if the folder holds a table that no sweep wrote."""
+    """Check that a table may be written.
+
+    Raises:
+        ConfigError: The folder holds a table that no sweep wrote.
+    """
     page = folder / "table.md"
     try:
-        ours = page.is_file() and page.read_text(encoding="utf-8").startswith(HEADER)
+        ours = page.is_file() and page.read_text(encoding="utf-8").startswith(TABLE_HEADER)
     except (OSError, UnicodeDecodeError):
         ours = False
     for name in ("table.md", "table.csv", "quality.png", "report.html"):

@@ -5,11 +5,11 @@ import signal
 from distributed import Worker, WorkerPlugin
 
 
-class Uninterrupted(WorkerPlugin):
-    """Ctrl-C in a terminal reaches the workers too; without this each would end with a traceback of its own."""
+class IgnoreInterrupts(WorkerPlugin):
+    """Ignore Ctrl-C, which a terminal sends to the workers too; each would end with a traceback."""
 
     name = "deepir-uninterrupted"
 
     def setup(self, worker: Worker) -> None:
-        """Called in the main thread of each worker as it starts, of one that replaces a lost one too."""
+        """Called in the main thread of each worker as it starts, replacements included."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)

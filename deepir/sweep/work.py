@@ -1,4 +1,4 @@
-"""What a worker does: one cell."""
+"""The work of a worker: one cell."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from deepir.registry import load_plugin
 from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
 
-#: torch's seed and the package's log belong to the process: it does one run at a time.
-ALONE = threading.Lock()
+#: One run at a time: torch's seed and the package's log belong to the process.
+PROCESS_LOCK = threading.Lock()
 
 
-def finish(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
-    """Run a cell, or go on with it where a lost worker left it; what is wrong with it, in one line, or None."""
-    with ALONE:
+def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
+    """Run a cell, or continue it where a lost worker left it; its error in one line, or None."""
+    with PROCESS_LOCK:
         try:
             for each in plugins:
                 load_plugin(each)
@@ -36,6 +36,6 @@ def finish(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
 
 
 def _forget_peak_memory() -> None:
-    """Linux then counts this process's peak anew; elsewhere it is that of all cells so far."""
+    """Reset this process's peak memory on Linux; elsewhere the peak is that of all cells so far."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

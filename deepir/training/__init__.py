@@ -1,1 +1,1 @@
-"""What `deepir train NAME` trains. One a file; a new file is found by itself."""
+"""Trainings of `deepir train NAME`: one a file; the registry finds a new file by itself."""

@@ -1,4 +1,4 @@
-"""The denoiser `cnn`."""
+"""Training of the denoiser `cnn`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from torch import Tensor, nn
 
 from deepir.denoisers.unet import UNet
 from deepir.registry import register
-from deepir.training.pictures import Pictures
+from deepir.training.pictures import BATCH_SIZE, Pictures
 from deepir.training.training import Training
 
-COUNT, SIDE = 8, 64  # crops of an iteration, and their px
-NOISE = (0.003, 0.15)  # standard deviations, of a picture's range; each order of magnitude equally often
+CROP_SIDE = 64  # px of a crop
+NOISE_RANGE = (0.003, 0.15)  # standard deviations, in ranges of a picture; log-uniform
 
 
 @register("training", "denoiser")
 class Denoiser(Training):
-    """White noise of known strength, taken off pictures: the denoiser `cnn`."""
+    """White noise of known strength, removed from pictures: the denoiser `cnn`."""
 
     iterations = 4500
 
@@ -33,8 +33,10 @@ class Denoiser(Training):
 
     def loss(self, network: nn.Module) -> Tensor:
         """Mean absolute error, in units of the noise: a network that does nothing has 0.8."""
-        clean = self.pictures.crops(COUNT, SIDE)
-        low, high = (math.log(each) for each in NOISE)
-        sigma = torch.from_numpy(np.exp(self.rng.uniform(low, high, (COUNT, 1, 1, 1))).astype(np.float32))
+        clean = self.pictures.crops(BATCH_SIZE, CROP_SIDE)
+        low, high = (math.log(each) for each in NOISE_RANGE)
+        sigma = torch.from_numpy(
+            np.exp(self.rng.uniform(low, high, (BATCH_SIZE, 1, 1, 1))).astype(np.float32)
+        )
         noise = torch.from_numpy(self.rng.standard_normal(clean.shape, dtype=np.float32))
         return ((network(clean + sigma * noise, sigma) - clean) / sigma).abs().mean()

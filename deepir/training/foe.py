@@ -1,4 +1,4 @@
-"""The penalty `foe`."""
+"""Training of the penalty `foe`."""
 
 from __future__ import annotations
 
@@ -18,27 +18,34 @@ from deepir.estimation.spatial_weights import smoothness_exponent, weight_from_g
 from deepir.operators.bspline import image
 from deepir.priors.penalties.foe import Experts, counted
 from deepir.registry import register
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
+from deepir.training.pictures import FIRST_SCENE_SEED
 from deepir.training.training import Training
 
-#: Of scikit-image, among those that constants are tuned on; never what is judged by.
-PHOTOGRAPHS = ("camera", "astronaut", "gravel")
-FIRST, SCENES, SKIES, SHAPE = 1000, 12, 4, (432, 540)  # seeds of the drawn scenes, and their px
-COUNT, FRAME, MARGIN = 10, 40, 4  # bursts of an iteration, px of their frames and of the scene around them
-FINER = (2, 5)  # times: a picture's px in one of a frame; from, below
-BLUR = (0.4, 0.6)  # px: standard deviation of the optics
-FRAMES = (3, 5, 10)  # of a burst
-NOISE = (0.0005, 0.03)  # of a picture's range, in the frames' mean; each factor equally often
-SHIFT = 2  # px, at most
-ROUNDING = 0.09
-STEPS = 40  # of L-BFGS to the minimum, and fifteen to a start
-PRODUCTS = 25  # of conjugate gradients: more follow what is not quite convex
-SPLINE = BSpline.basis_element(range(-2, 3), extrapolate=False)
-WEAK = 0.05 / 1.6  # of total variation, while it is asked how plain a scene is
+#: Pictures of scikit-image on which constants are tuned; none of them is in a benchmark.
+FOE_PHOTOGRAPHS = ("camera", "astronaut", "gravel")
+DRAWN_COUNTS = {procedural: 12, sky: 4}  # drawn scenes by kind
+SCENE_SHAPE = (432, 540)  # height and width of a drawn scene, px
+BURSTS_PER_ITERATION = 10  # bursts of a gradient
+FRAME_SIDE = 40  # px of a frame
+SCENE_MARGIN = 4  # px of the scene around a frame
+PICTURE_SCALES = (2, 5)  # picture px per frame px, from and below
+BLUR_RANGE = (0.4, 0.6)  # standard deviations of the optics' blur, px of a frame
+BURST_LENGTHS = (3, 5, 10)  # frames of a burst
+NOISE_RANGE = (0.0005, 0.03)  # standard deviations of the frames' mean, in ranges of a picture; log-uniform
+MAX_FRAME_SHIFT = 2  # px
+PENALTY_SMOOTHING = 0.09  # smoothing of the experts at zero, in standard deviations of the noise
+LBFGS_ITERATIONS = 40  # iterations to the minimum
+CG_ITERATIONS = 25  # products of conjugate gradients; more follow directions that are not quite convex
+START_ITERATIONS = 15  # iterations of L-BFGS to the start
+#: The cubic B-spline on [-2, 2].
+CUBIC_BSPLINE = BSpline.basis_element(range(-2, 3), extrapolate=False)
+#: Weight of total variation at the start, while the scene's smoothness is measured.
+START_TV_WEIGHT = 0.05 / 1.6
 
 
 class Bursts(NamedTuple):
-    """Of B scenes N frames each, in standard deviations of the noise that a coefficient of the scene has."""
+    """N frames of each of B scenes, in standard deviations of the noise of a coefficient of the scene."""
 
     frames: Tensor  # (B, N, h, w)
     truth: Tensor  # (B, h, w): the first without noise
@@ -46,14 +53,14 @@ class Bursts(NamedTuple):
     columns: Tensor  # (B, N, w, W)
 
     def misfit(self, scene: Tensor) -> Tensor:
-        """Of scenes (B, H, W), in nats: a frame's noise is `sqrt(N / 12)`."""
+        """Negative log-likelihood of scenes (B, H, W), nats; the noise of a frame is `sqrt(N / 12)`."""
         apart = self.rows @ scene[:, None] @ self.columns.mT - self.frames
         return 6 / self.frames.shape[1] * apart.square().sum()
 
 
 @register("training", "foe")
 class FieldsOfExperts(Training):
-    """Jittered frames of blurred pictures, and their likeliest scene under the penalty: how far it is off."""
+    """Jittered frames of blurred pictures; the error of their MAP scene under the penalty."""
 
     iterations = 1000
     rate = 3e-2
@@ -61,26 +68,29 @@ class FieldsOfExperts(Training):
     def __init__(self, rng: np.random.Generator) -> None:
         super().__init__(rng)
         self.noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
-        drawn = [procedural(FIRST + i, SHAPE) for i in range(SCENES)]
-        skies = [sky(FIRST + i, SHAPE) for i in range(SKIES)]
-        self.pictures = [torch.from_numpy(each).float() for each in 4 * _photographs() + drawn + skies]
+        drawn = [
+            draw(FIRST_SCENE_SEED + i, SCENE_SHAPE)
+            for draw, count in DRAWN_COUNTS.items()
+            for i in range(count)
+        ]
+        self.pictures = [torch.from_numpy(each).float() for each in 4 * _photographs() + drawn]
 
     def network(self) -> nn.Module:
         """Filters and their weights."""
         return Experts()
 
     def loss(self, network: nn.Module) -> Tensor:
-        """The mean square error in logarithms; its slope is that of the minimum, by the implicit function theorem."""
+        """Mean logarithm of the square error; its gradient through the minimum is by the implicit function theorem."""
         with torch.autocast("cpu", enabled=False):
             bursts = self._bursts()
             scene, share = self._weakly_held(bursts)
             filters, costs, tails = network()
 
             def objective(scene: Tensor) -> Tensor:
-                return bursts.misfit(scene) + counted(scene, share, filters, costs, tails, ROUNDING)
+                return bursts.misfit(scene) + counted(scene, share, filters, costs, tails, PENALTY_SMOOTHING)
 
-            scene = _minimum(objective, scene, STEPS).requires_grad_()
-            inside = slice(MARGIN, -MARGIN)
+            scene = _minimum(objective, scene, LBFGS_ITERATIONS).requires_grad_()
+            inside = slice(SCENE_MARGIN, -SCENE_MARGIN)
             shown = image(scene[:, None])[:, 0, inside, inside]
             error = (shown - bursts.truth).square().mean((1, 2)).log10().mean()
             (wanted,) = torch.autograd.grad(error, scene)
@@ -89,15 +99,17 @@ class FieldsOfExperts(Training):
             return 10 * (error.detach() + moved - moved.detach())
 
     def _bursts(self) -> Bursts:
-        count = int(self.rng.choice(FRAMES))
-        frames, truth, rows, columns = zip(*(self._burst(count) for _ in range(COUNT)), strict=True)
+        count = int(self.rng.choice(BURST_LENGTHS))
+        frames, truth, rows, columns = zip(
+            *(self._burst(count) for _ in range(BURSTS_PER_ITERATION)), strict=True
+        )
         return Bursts(*(torch.stack(each) for each in (frames, truth, rows, columns)))
 
     def _burst(self, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         picture, times = self._picture()
-        shifts = self.rng.integers(-SHIFT * times, SHIFT * times + 1, (count, 2))
+        shifts = self.rng.integers(-MAX_FRAME_SHIFT * times, MAX_FRAME_SHIFT * times + 1, (count, 2))
         shifts[0] = 0
-        low, high = (math.log(each) for each in NOISE)
+        low, high = (math.log(each) for each in NOISE_RANGE)
         sigma = math.sqrt(12) * math.exp(self.rng.uniform(low, high))
         cut = [self._frame(picture, times, *(int(each) for each in shift)) for shift in shifts]
         frames = torch.stack(cut) / sigma
@@ -108,31 +120,31 @@ class FieldsOfExperts(Training):
     def _picture(self) -> tuple[Tensor, int]:
         """A piece of a picture as the optics show it, and its px in one of a frame."""
         whole = self.pictures[self.rng.integers(len(self.pictures))]
-        times = int(self.rng.integers(*FINER))
-        side = times * (FRAME + 2 * MARGIN)
+        times = int(self.rng.integers(*PICTURE_SCALES))
+        side = times * (FRAME_SIDE + 2 * SCENE_MARGIN)
         y, x = (int(self.rng.integers(length - side + 1)) for length in whole.shape)
         piece = whole[y : y + side, x : x + side].rot90(int(self.rng.integers(4)))
         if self.rng.integers(2):
             piece = piece.T
         if self.rng.integers(2):
             piece = 1 - piece
-        return torch.from_numpy(gaussian_filter(piece.numpy(), times * self.rng.uniform(*BLUR))), times
+        return torch.from_numpy(gaussian_filter(piece.numpy(), times * self.rng.uniform(*BLUR_RANGE))), times
 
     @staticmethod
     def _frame(picture: Tensor, times: int, y: int, x: int) -> Tensor:
-        y, x, side = y + times * MARGIN, x + times * MARGIN, times * FRAME
+        y, x, side = y + times * SCENE_MARGIN, x + times * SCENE_MARGIN, times * FRAME_SIDE
         return F.avg_pool2d(picture[None, y : y + side, x : x + side], times)[0]
 
     @torch.no_grad()
     def _weakly_held(self, bursts: Bursts) -> tuple[Tensor, Tensor]:
-        """Scenes under next to no prior, and how strongly each place of them is to be held."""
-        start = F.pad(bursts.frames[:, 0], (MARGIN,) * 4, mode="replicate")
+        """Scenes under a weak prior, and the weight map of the penalty."""
+        start = F.pad(bursts.frames[:, 0], (SCENE_MARGIN,) * 4, mode="replicate")
 
         def weak(scene: Tensor) -> Tensor:
-            length = (squared_gradient(scene) + ROUNDING**2).sqrt().sum()
-            return bursts.misfit(scene) + WEAK * length
+            length = (squared_gradient(scene) + PENALTY_SMOOTHING**2).sqrt().sum()
+            return bursts.misfit(scene) + START_TV_WEIGHT * length
 
-        scene = _minimum(weak, start, 15)
+        scene = _minimum(weak, start, START_ITERATIONS)
         # In standard deviations of a pixel's mean.
         gradient = math.sqrt(12) * squared_gradient(image(scene[:, None])[:, 0]).sqrt()
         return scene, torch.cat(
@@ -157,13 +169,13 @@ def _minimum(objective: Callable[[Tensor], Tensor], start: Tensor, iterations: i
 
 
 def _solved(slope: Tensor, scene: Tensor, wanted: Tensor) -> Tensor:
-    """`H⁻¹ wanted` of the objective's second derivatives, of each scene, by conjugate gradients."""
+    """`H⁻¹ wanted` of the second derivatives of each scene, by conjugate gradients."""
 
     def dot(a: Tensor, b: Tensor) -> Tensor:
         return (a * b).sum((1, 2), keepdim=True)
 
     found, rest, step = torch.zeros_like(wanted), wanted, wanted
-    for _ in range(PRODUCTS):
+    for _ in range(CG_ITERATIONS):
         (across,) = torch.autograd.grad(slope, scene, step, retain_graph=True)
         bent = dot(step, across)
         # Along what does not bend up nothing is gained.
@@ -175,9 +187,9 @@ def _solved(slope: Tensor, scene: Tensor, wanted: Tensor) -> Tensor:
 
 def _spline(shifts: Tensor) -> Tensor:
     """Weights (..., h, H) of cubic B-splines along a scene at a frame's pixels, moved by `shifts` (...)."""
-    places = torch.arange(FRAME)[:, None] + MARGIN + shifts[..., None, None]
-    away = places - torch.arange(FRAME + 2 * MARGIN)
-    return torch.from_numpy(np.nan_to_num(SPLINE(away.numpy()))).float()
+    places = torch.arange(FRAME_SIDE)[:, None] + SCENE_MARGIN + shifts[..., None, None]
+    away = places - torch.arange(FRAME_SIDE + 2 * SCENE_MARGIN)
+    return torch.from_numpy(np.nan_to_num(CUBIC_BSPLINE(away.numpy()))).float()
 
 
 def _photographs() -> list[np.ndarray]:
@@ -185,7 +197,7 @@ def _photographs() -> list[np.ndarray]:
     from skimage.color import rgb2gray
 
     found = []
-    for name in PHOTOGRAPHS:
+    for name in FOE_PHOTOGRAPHS:
         picture = getattr(skimage.data, name)()
         picture = rgb2gray(picture) if picture.ndim == 3 else picture.astype(float)
         found.append((picture - picture.min()) / (picture.max() - picture.min()))

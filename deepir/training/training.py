@@ -1,4 +1,4 @@
-"""What a training is, and the loop that all share."""
+"""The interface of a training, and the common loop."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-CLIP = 1.0  # largest norm of a gradient
-WARM_UP = 200  # iterations in which the step grows to its full size
+MAX_GRADIENT_NORM = 1.0  # norm to which gradients are clipped
+WARM_UP_ITERATIONS = 200  # iterations in which the step size grows to its full value
 
 
 class Training:
-    """A network with what it learns from; `rate` is Adam's step, which falls to zero along a cosine."""
+    """A network with its training data; `rate` is the step size of Adam, which falls to zero along a cosine."""
 
     iterations: ClassVar[int] = 10_000
     rate: ClassVar[float] = 1e-3
@@ -26,17 +26,17 @@ class Training:
         self.rng = rng  # for all that is drawn at random
 
     def network(self) -> nn.Module:
-        """A new network; its weights are drawn by torch."""
+        """A new network; torch draws its weights."""
         raise NotImplementedError
 
     def loss(self, network: nn.Module) -> Tensor:
-        """How far the network is off, on examples newly drawn; a scalar."""
+        """Loss of the network on new examples; a scalar."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Learning:
-    """Where a training is: handed to `report` after every iteration."""
+class TrainingProgress:
+    """State of a training, handed to `report` after every iteration."""
 
     iteration: int
     iterations: int
@@ -49,11 +49,17 @@ def train(
     *,
     seed: int = 0,
     iterations: int | None = None,
-    report: Callable[[Learning], Any] = lambda learning: None,
+    report: Callable[[TrainingProgress], Any] = lambda learning: None,
 ) -> nn.Module:
-    """Train a network: the same seed gives the same weights, on the same machine and with as many threads.
+    """Train a network; the same seed gives the same weights, on the same machine and with as many threads.
 
-    Networks compute in bfloat16, weights and their steps are in float32.
+    Networks compute in bfloat16; weights and their steps are in float32.
+
+    Args:
+        kind: The training.
+        seed: Of weights and examples.
+        iterations: Number of iterations; None: those of the training.
+        report: Called after every iteration.
     """
     torch.manual_seed(seed)
     training = kind(np.random.default_rng(seed))
@@ -67,15 +73,15 @@ def train(
             loss = training.loss(network)
         adam.zero_grad()
         loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), CLIP)
+        nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT_NORM)
         adam.step()
         steps.step()
         last = loss.item()
         average = last if i == 0 else average + max(0.01, 1 / (i + 1)) * (last - average)
-        report(Learning(i + 1, total, average, time.monotonic() - start))
+        report(TrainingProgress(i + 1, total, average, time.monotonic() - start))
     return network.eval()
 
 
 def _step(iteration: int, total: int) -> float:
-    """The step as a share of its full size."""
-    return min(1.0, (iteration + 1) / WARM_UP) * (1 + math.cos(math.pi * iteration / total)) / 2
+    """Step size over its full value."""
+    return min(1.0, (iteration + 1) / WARM_UP_ITERATIONS) * (1 + math.cos(math.pi * iteration / total)) / 2

@@ -1,4 +1,4 @@
-"""The rival `vdsr`."""
+"""Training of the method `vdsr`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.baselines.bicubic import enlarged
-from deepir.baselines.vdsr import VDSR
+from deepir.baselines.single_frame.bicubic import enlarge
+from deepir.baselines.single_frame.vdsr import VDSR
 from deepir.registry import register
-from deepir.training.pictures import JUDGES_OF_RIVALS, Pictures
+from deepir.training.pictures import BATCH_SIZE, BENCHMARK_PHOTOGRAPHS, Pictures
 from deepir.training.training import Training
 
-COUNT, SIDE = 8, 48  # crops of an iteration, and their px
-FACTORS = (2, 3, 4)
-FAINT = 1e-3  # of a picture's range: what is lost of flat crops counts less
+CROP_SIDE = 48  # px of a crop
+ENLARGEMENT_FACTORS = (2, 3, 4)  # reductions of a crop; one network learns all
+MIN_LOST_DETAIL = 1e-3  # least mean loss of detail, in ranges of a picture, by which errors are divided
 
 
 @register("training", "vdsr")
@@ -26,23 +26,23 @@ class SuperResolution(Training):
 
     def __init__(self, rng: np.random.Generator) -> None:
         super().__init__(rng)
-        self.pictures = Pictures(rng, without=JUDGES_OF_RIVALS)
+        self.pictures = Pictures(rng, without=BENCHMARK_PHOTOGRAPHS)
 
     def network(self) -> nn.Module:
         """Ten layers."""
         return VDSR()
 
     def loss(self, network: nn.Module) -> Tensor:
-        """Mean absolute error over that of the enlarged crops: a network that does nothing has one."""
-        fine = self.pictures.crops(COUNT, SIDE)
+        """Mean absolute error over that of the enlarged crops; a network without effect has one."""
+        fine = self.pictures.crops(BATCH_SIZE, CROP_SIDE)
         coarse = torch.stack([self._coarse(each) for each in fine])
-        with torch.autocast("cpu", enabled=False):  # what is lost is finer than bfloat16 tells
+        with torch.autocast("cpu", enabled=False):  # lost detail is finer than bfloat16
             error = (network(coarse) - fine).abs()
         lost = (coarse - fine).abs().mean((1, 2, 3))
-        return (error.mean((1, 2, 3)) / lost.clamp(min=FAINT)).mean()
+        return (error.mean((1, 2, 3)) / lost.clamp(min=MIN_LOST_DETAIL)).mean()
 
     def _coarse(self, fine: Tensor) -> Tensor:
         """A crop (1, h, w) as pixels of two to four times the size see it, enlarged."""
-        factor = int(self.rng.choice(FACTORS))
+        factor = int(self.rng.choice(ENLARGEMENT_FACTORS))
         pixels = F.avg_pool2d(fine, factor)[0].numpy()
-        return torch.from_numpy(enlarged(pixels, factor).astype(np.float32))[None]
+        return torch.from_numpy(enlarge(pixels, factor).astype(np.float32))[None]

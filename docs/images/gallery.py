@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from deepir.report.panels import some
+from deepir.report.panels import montage
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "gallery.md"
@@ -28,7 +28,7 @@ def main() -> None:
             subprocess.run(commands, shell=True, check=True, cwd=folder, env=environment)
             frames = np.load(Path(folder, "burst.npz"))["frames"]
             scene = np.load(Path(folder, f"runs/{name}/result.npz"))["scene"]
-        picture = beside(some(frames if scene.ndim == 3 else frames[len(frames) // 2]), some(scene))
+        picture = beside(montage(frames if scene.ndim == 3 else frames[len(frames) // 2]), montage(scene))
         picture.save(HERE / "gallery" / f"{name}.png", optimize=True)
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.analysis import of_flat, of_map
-from deepir.analysis.statistics import length
+from deepir.analysis import flat_statistics, map_statistics
+from deepir.analysis.statistics import correlation_length
 from deepir.simulate import Settings, simulate
 
 SIZE = (160, 192)
@@ -21,7 +21,7 @@ def blurred(sigma, seed=0):
 @pytest.mark.parametrize("sigma", [(1.0, 1.0), (2.0, 2.0), (1.0, 3.0), (2.5, 0.5)])
 def test_correlation_lengths_are_found_within_a_pixel(sigma):
     y, x = (2 * each * np.sqrt(np.log(10)) for each in sigma)
-    found = of_map(blurred(sigma))
+    found = map_statistics(blurred(sigma))
     assert found.lengths == pytest.approx((x, y), abs=1)
 
 
@@ -31,13 +31,13 @@ def test_lengths_of_columns_are_those_along_x(decay):
     rng, columns = np.random.default_rng(1), [0.0]
     for _ in range(5 * SIZE[1]):
         columns.append(decay * columns[-1] + rng.standard_normal())
-    found = of_map(np.tile(columns[-4 * SIZE[1] :], (120, 1)))
+    found = map_statistics(np.tile(columns[-4 * SIZE[1] :], (120, 1)))
     assert found.columns > 0.9
     assert found.lengths[0] == pytest.approx(np.log(0.1) / np.log(decay), abs=1)
 
 
 def test_white_noise_asks_for_a_pixel_and_is_no_lines():
-    found = of_map(np.random.default_rng(2).standard_normal(SIZE))
+    found = map_statistics(np.random.default_rng(2).standard_normal(SIZE))
     assert max(found.lengths) <= 1
     assert max(found.rows, found.columns, found.shading) < 0.02
 
@@ -51,7 +51,7 @@ def test_the_shares_of_lines_and_shading_are_found():
         "shading": 2 * (x + y * y),
     }
     pattern = sum(parts.values()) + rng.standard_normal(SIZE)
-    found = of_map(pattern)
+    found = map_statistics(pattern)
     for name, part in parts.items():
         assert getattr(found, name) == pytest.approx(part.var() / pattern.var(), abs=0.08)
 
@@ -60,14 +60,14 @@ def test_bad_pixels_do_not_count():
     pattern, good = blurred(2.0), np.ones(SIZE, bool)
     good[10:20, 30:60] = False
     spoilt = np.where(good, pattern, 1e4)
-    assert of_map(spoilt, good).lengths == pytest.approx(of_map(pattern).lengths, abs=0.5)
+    assert map_statistics(spoilt, good).lengths == pytest.approx(map_statistics(pattern).lengths, abs=0.5)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_noise_of_a_flat_stack_makes_the_pattern_no_shorter(noise):
     rng = np.random.default_rng(4)
     frames = blurred(1.5) + noise * rng.standard_normal((8, *SIZE))
-    assert of_flat(frames).lengths == pytest.approx((4.55, 4.55), abs=0.7)
+    assert flat_statistics(frames).lengths == pytest.approx((4.55, 4.55), abs=0.7)
 
 
 @pytest.mark.parametrize("decay", [0.9, 0.97, 0.99])
@@ -76,23 +76,23 @@ def test_for_how_long_a_drifting_pattern_holds_is_found(decay):
     for _ in range(60):
         frames.append(decay * frames[-1] + np.sqrt(1 - decay**2) * rng.standard_normal((60, 80)))
     noisy = np.array(frames) + 0.5 * rng.standard_normal((61, 60, 80))
-    assert of_flat(noisy).holds == pytest.approx(np.log(0.8) / np.log(decay), rel=0.15)
+    assert flat_statistics(noisy).stable_frames == pytest.approx(np.log(0.8) / np.log(decay), rel=0.15)
 
 
 def test_a_pattern_that_stays_holds_for_ever():
     frames = blurred(1.0) + 0.3 * np.random.default_rng(7).standard_normal((20, *SIZE))
-    assert of_flat(frames).holds == np.inf
+    assert flat_statistics(frames).stable_frames == np.inf
 
 
 def test_the_simulators_camera_has_lines_and_pixels():
     settings = Settings(n_frames=1, shading=0.0, dead_pixels=0.0, gain_pixel=0.0, gain_column=0.0)
     truth = simulate(None, settings, seed=0).truth
-    found = of_map(truth.offset)
+    found = map_statistics(truth.offset)
     total = 0.027**2 + 0.04**2 + 0.027**2
     assert found.columns == pytest.approx(0.04**2 / total, abs=0.1)
     assert found.rows == pytest.approx(0.027**2 / total, abs=0.1)
 
 
 def test_a_length_lies_between_lags():
-    assert length(np.array([1.0, 0.2, 0.0])) == 1.5
-    assert length(np.ones(5)) == np.inf
+    assert correlation_length(np.array([1.0, 0.2, 0.0])) == 1.5
+    assert correlation_length(np.ones(5)) == np.inf

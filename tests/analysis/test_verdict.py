@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.analysis import judge, of_map
-from deepir.analysis.verdict import words
+from deepir.analysis import assess, map_statistics
+from deepir.analysis.verdict import report_lines
 
 SIZE = (120, 160)
 
@@ -14,7 +14,7 @@ SIZE = (120, 160)
 def pattern():
     """Alike over 6 px along both axes."""
     noise = np.random.default_rng(0).standard_normal(SIZE)
-    return of_map(ndimage.gaussian_filter(noise, 2.0, mode="wrap"))
+    return map_statistics(ndimage.gaussian_filter(noise, 2.0, mode="wrap"))
 
 
 def motion(shifts):
@@ -24,9 +24,9 @@ def motion(shifts):
 
 
 def test_far_enough_in_both_directions_suffices(pattern):
-    verdict = judge(pattern, motion([(0, 0), (12, 3), (-8, 12), (5, -12), (-12, -8)]))
+    verdict = assess(pattern, motion([(0, 0), (12, 3), (-8, 12), (5, -12), (-12, -8)]))
     assert verdict.flags == []
-    assert words(pattern, verdict)[-1] == "this burst suffices"
+    assert report_lines(pattern, verdict)[-1] == "this burst suffices"
 
 
 @pytest.mark.parametrize(
@@ -41,16 +41,16 @@ def test_far_enough_in_both_directions_suffices(pattern):
     ],
 )
 def test_what_a_burst_lacks_is_said(pattern, shifts, flag):
-    verdict = judge(pattern, motion(shifts))
+    verdict = assess(pattern, motion(shifts))
     assert any(flag in each for each in verdict.flags), verdict.flags
-    assert "this burst suffices" not in words(pattern, verdict)
+    assert "this burst suffices" not in report_lines(pattern, verdict)
 
 
 def test_what_the_average_keeps_is_what_an_average_of_shifted_patterns_keeps(pattern):
     # Equation for the variance of the estimate, against the thing itself.
     shifts = np.array([(0, 0), (2, 1), (-3, 4), (5, 5), (1, -2)])
     averaged = np.mean([np.roll(pattern.pattern, shift[::-1], (0, 1)) for shift in shifts], axis=0)
-    left = judge(pattern, motion(shifts)).left
+    left = assess(pattern, motion(shifts)).residual_share
     assert left == pytest.approx(averaged.std() / pattern.pattern.std(), rel=0.05)
 
 
@@ -58,13 +58,13 @@ def test_a_rotation_moves_what_is_off_the_centre(pattern):
     turned = np.tile(np.eye(3), (3, 1, 1))
     for k, angle in enumerate((0.0, 0.1, -0.1)):
         turned[k, :2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    moves = judge(pattern, turned).moves
+    moves = assess(pattern, turned).displacements
     assert np.abs(moves[4]).max() == 0
     assert np.abs(moves[0]).max() > 3
 
 
 def test_words_say_how_far_and_how_many(pattern):
-    lines = words(pattern)
+    lines = report_lines(pattern)
     assert "pixels 9" in lines[0]
     assert "more than 7 px in x and 6 px in y" in lines[1]
     assert any("with --flat" in line for line in lines)

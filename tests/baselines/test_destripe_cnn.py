@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.transform import resize
 
-from deepir.baselines.destripe_cnn import destriped
+from deepir.baselines.single_frame.destripe_cnn import destripe
 from deepir.metrics import scores
-from deepir.simulate.pictures import picture
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import procedural
 
 
 def scene(name="camera"):
-    return resize(picture(name), (96, 128), anti_aliasing=True)
+    return resize(load_picture(name), (96, 128), anti_aliasing=True)
 
 
 def striped(clean, gain=0.15, offset=0.02):
@@ -25,7 +25,7 @@ def striped(clean, gain=0.15, offset=0.02):
 def test_columns_are_taken_out_of_a_fresh_photograph_by_five_decibels_at_least(name):
     before, after = (
         scores(each, scene(name))["psnr_aligned"]
-        for each in (striped(scene(name)), destriped(striped(scene(name))))
+        for each in (striped(scene(name)), destripe(striped(scene(name))))
     )
     assert after > before + 5
 
@@ -33,20 +33,20 @@ def test_columns_are_taken_out_of_a_fresh_photograph_by_five_decibels_at_least(n
 def test_columns_are_taken_out_of_a_fresh_drawing_by_five_decibels_at_least():
     clean = procedural(1, (96, 128))
     before, after = (
-        scores(each, clean)["psnr_aligned"] for each in (striped(clean), destriped(striped(clean)))
+        scores(each, clean)["psnr_aligned"] for each in (striped(clean), destripe(striped(clean)))
     )
     assert after > before + 5
 
 
 def test_stripes_on_a_flat_field_are_found_within_a_fifth():
     stripes = striped(np.zeros((96, 128)))
-    assert (destriped(stripes) - stripes.mean())[:, 4:-4].std() < 0.2 * stripes.std()
+    assert (destripe(stripes) - stripes.mean())[:, 4:-4].std() < 0.2 * stripes.std()
 
 
 def test_rows_are_the_scenes():
     # The same stripes turned: nothing says that they are the sensor's.
     rows = striped(scene().T).T - scene()
-    left = destriped(scene() + rows) - destriped(scene())
+    left = destripe(scene() + rows) - destripe(scene())
     assert np.corrcoef(left.ravel(), rows.ravel())[0, 1] > 0.95
 
 
@@ -56,9 +56,9 @@ def test_rows_are_the_scenes():
 )
 def test_it_knows_no_units_and_any_size_will_do(gain, level, height, width):
     frame = np.random.default_rng(height).random((height, width))
-    assert np.allclose(destriped(gain * (frame + level)) / gain - level, destriped(frame), atol=1e-4)
+    assert np.allclose(destripe(gain * (frame + level)) / gain - level, destripe(frame), atol=1e-4)
 
 
 def test_the_level_stays():
     frame = 8000 + 1500 * striped(scene())
-    assert destriped(frame).mean() == pytest.approx(frame.mean(), rel=1e-6)
+    assert destripe(frame).mean() == pytest.approx(frame.mean(), rel=1e-6)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepir.baselines.galms import learned
+from deepir.baselines.temporal.galms import learn_correction
 
 
 def video(n=60, moves=True):
@@ -21,19 +21,19 @@ def error(scene, frames, weight, bias):
 
 def test_offsets_of_pixels_go_while_a_smooth_scene_moves():
     scene, _, frames = video()
-    assert error(scene, frames, *learned(frames, 0.2, 3.0, 0.01)) < 0.5 * error(scene, frames, 1, 0)
+    assert error(scene, frames, *learn_correction(frames, 0.2, 3.0, 0.01)) < 0.5 * error(scene, frames, 1, 0)
 
 
 def test_a_scene_that_stands_still_is_learnt_once_and_not_burnt_in():
     # Hardie et al. 2009: without the gate, a still scene turns into a ghost.
     frames = np.repeat([np.kron(np.eye(4), np.ones((8, 10)))], 50, axis=0)
-    ungated, gated = (learned(frames, 0.2, 3.0, gate)[1] for gate in (0.0, 0.01))
-    once = learned(frames[:1], 0.2, 3.0, 0.01, passes=0)[1]
+    ungated, gated = (learn_correction(frames, 0.2, 3.0, gate)[1] for gate in (0.0, 0.01))
+    once = learn_correction(frames[:1], 0.2, 3.0, 0.01, passes=0)[1]
     assert np.allclose(gated, once, atol=0.02)
     assert np.abs(ungated).max() > 5 * np.abs(gated).max()
 
 
 def test_edges_are_learnt_less_from():
     frame = np.kron([[0.0, 1.0]], np.ones((20, 20)))[None]
-    _, bias = learned(frame, 0.2, 3.0, 0.0, passes=0)
+    _, bias = learn_correction(frame, 0.2, 3.0, 0.0, passes=0)
     assert np.abs(bias).max() < 0.02  # a plain LMS would take a tenth: the rate times half the edge

@@ -3,7 +3,7 @@
 import numpy as np
 
 import deepir
-from deepir.baselines.hardie2000 import along, lines
+from deepir.baselines.registered.hardie2000 import fit_lines, trajectory_means
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 
@@ -11,13 +11,13 @@ from deepir.simulate import Settings, simulate
 def test_lines_are_found():
     rng = np.random.default_rng(0)
     gain, bias, scene = 1 + 0.1 * rng.random((4, 5)), rng.random((4, 5)), rng.random((6, 4, 5))
-    found = lines(scene, gain * scene + bias)
+    found = fit_lines(scene, gain * scene + bias)
     assert np.allclose(found[0], gain)
     assert np.allclose(found[1], bias)
 
 
 def test_a_pixel_that_sees_one_value_has_an_offset_only():
-    gain, bias = lines(np.full((3, 1, 1), 2.0), np.full((3, 1, 1), 2.5))
+    gain, bias = fit_lines(np.full((3, 1, 1), 2.0), np.full((3, 1, 1), 2.5))
     assert (gain, bias) == (1, 0.5)
 
 
@@ -28,7 +28,7 @@ def test_the_scene_along_the_motion_is_that_of_each_frame():
     frames = np.stack([scene[8 + y : 32 + y, 8 + x : 40 + x] for x, y in shifts])
     motion = np.tile(np.eye(3), (3, 1, 1))
     motion[:, :2, 2] = shifts
-    assert np.allclose(along(frames, np.ones(frames.shape, bool), motion), frames)
+    assert np.allclose(trajectory_means(frames, np.ones(frames.shape, bool), motion), frames)
 
 
 def test_many_frames_give_the_offset_back():

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.baselines.hardie_droege2007 import Model, rest, roughness
+from deepir.baselines.registered.hardie_droege2007 import Model, high_pass, high_pass_normal
 from deepir.errors import ConfigError
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
@@ -29,8 +29,8 @@ def model(seed=0, size=5, n=4):
         + 0.1 * normal(n, 1, size, size)
     )
     return Model(
-        look=look,
-        back=lambda y: (matrix.T @ y.reshape(-1)).reshape(1, 1, size, size),
+        forward=look,
+        adjoint=lambda y: (matrix.T @ y.reshape(-1)).reshape(1, 1, size, size),
         data=data,
         usable=(torch.rand(n, 1, size, size, generator=g) > 0.1).double(),
         precisions=(100.0, 10.0, 100.0, 10.0),
@@ -40,17 +40,17 @@ def model(seed=0, size=5, n=4):
 def cost(model, z, gain, bias):
     """The paper's L, with the gain."""
     noise, smooth, of_gain, of_bias = model.precisions
-    left = model.usable * (model.data - gain * model.look(z) - bias)
-    terms = zip((noise, smooth, of_gain, of_bias), (left, rest(z), gain - 1, bias), strict=True)
+    left = model.usable * (model.data - gain * model.forward(z) - bias)
+    terms = zip((noise, smooth, of_gain, of_bias), (left, high_pass(z), gain - 1, bias), strict=True)
     return sum(p * (each**2).sum() / 2 for p, each in terms)
 
 
 def test_the_gradient_of_the_papers_cost_is_zero_at_the_result(monkeypatch):
-    monkeypatch.setattr("deepir.baselines.hardie_droege2007.ROUNDS", 50)
-    monkeypatch.setattr("deepir.baselines.hardie_droege2007.TOLERANCE", 1e-12)
+    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.GAUSS_NEWTON_STEPS", 50)
+    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.CG_TOLERANCE", 1e-12)
     small, start = model()
     z, _ = small.solve(start)
-    unknowns = [each.requires_grad_() for each in (z, *small.sensor(small.look(z)))]
+    unknowns = [each.requires_grad_() for each in (z, *small.sensor(small.forward(z)))]
     gradients = torch.autograd.grad(cost(small, *unknowns), unknowns)
     assert max(float(each.abs().max()) for each in gradients) < 1e-5
 
@@ -61,15 +61,17 @@ def test_three_rounds_are_enough():
     best = z
     for _ in range(5):
         best, _ = small.solve(best)
-    found, least = (float(cost(small, each, *small.sensor(small.look(each)))) for each in (z, best))
+    found, least = (float(cost(small, each, *small.sensor(small.forward(each)))) for each in (z, best))
     assert found == pytest.approx(least, rel=1e-3)
 
 
 def test_roughness_is_the_transpose_after_the_difference():
     a, b = torch.rand(2, 1, 1, 7, 8, dtype=torch.float64)
-    assert torch.allclose((rest(a) * rest(b)).sum(), (a * roughness(b)).sum())
+    assert torch.allclose((high_pass(a) * high_pass(b)).sum(), (a * high_pass_normal(b)).sum())
     y, x = torch.meshgrid(torch.arange(7.0), torch.arange(8.0), indexing="ij")
-    assert torch.allclose(rest((2 * x + 3 * y).double()[None, None]), torch.zeros(1).double(), atol=1e-12)
+    assert torch.allclose(
+        high_pass((2 * x + 3 * y).double()[None, None]), torch.zeros(1).double(), atol=1e-12
+    )
 
 
 def test_gain_and_bias_are_found():
@@ -97,5 +99,5 @@ def test_gain_and_bias_are_found():
 
 def test_without_a_sensor_it_is_refused():
     frames = np.random.default_rng(0).random((3, 24, 32))
-    with pytest.raises(ConfigError, match="wants the stage 'sensor' last"):
+    with pytest.raises(ConfigError, match="needs the stage 'sensor' last"):
         deepir.run("nuc", "physics.sensor=null", "problem=generic", frames=frames, method="hardie_droege2007")

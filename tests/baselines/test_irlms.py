@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from deepir.baselines.irlms import learned, moved
-from deepir.baselines.online import played, scaled, sensor
+from deepir.baselines.online import frame_sequence, gain_and_offset, normalise
+from deepir.baselines.registered.irlms import learn_correction, warp_bilinear
 from deepir.simulate import render
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 FULL = 16383  # of 14 bits
 
@@ -19,7 +19,7 @@ def video(n=50, shape=(96, 128), contrast=12_000):
         at[k] = at[k - 1] + np.where(np.abs(at[k - 1] + step) > 18, -step, step)
     motion = np.tile(np.eye(3), (n, 1, 1))
     motion[:, :2, 2] = at
-    return 2000 + contrast * render(picture("moon"), motion, shape, 2.8, 0.5), motion
+    return 2000 + contrast * render(load_picture("moon"), motion, shape, 2.8, 0.5), motion
 
 
 def test_a_pattern_of_14_bits_is_gone_after_50_frames():
@@ -28,8 +28,8 @@ def test_a_pattern_of_14_bits_is_gone_after_50_frames():
     rng = np.random.default_rng(1)
     gain, offset = 1 + 0.2 * rng.standard_normal(scene.shape[1:]), 40 * rng.standard_normal(scene.shape[1:])
     frames = np.clip(np.rint(gain * scene + offset), 0, FULL)
-    inside, low, span = scaled(frames)
-    weight, bias = learned(inside, motion, rate=0.1)
+    inside, low, span = normalise(frames)
+    weight, bias = learn_correction(inside, motion, rate=0.1)
     result = low + span * (weight * inside[-1] + bias)
 
     def psnr(found):
@@ -41,17 +41,17 @@ def test_a_pattern_of_14_bits_is_gone_after_50_frames():
 
 def test_a_scene_without_pattern_teaches_nothing():
     frames = 0.5 + np.zeros((4, 10, 12))
-    weight, bias = learned(frames, np.tile(np.eye(3), (4, 1, 1)), 0.1, 5)
+    weight, bias = learn_correction(frames, np.tile(np.eye(3), (4, 1, 1)), 0.1, 5)
     assert np.array_equal(weight, np.ones((10, 12)))
     assert np.array_equal(bias, np.zeros((10, 12)))
 
 
 def test_a_stuck_pixel_does_not_spread():
     scene, motion = video(n=6)
-    frames, _, _ = scaled(scene)
-    clean = learned(frames, motion, 0.1, 100)
+    frames, _, _ = normalise(scene)
+    clean = learn_correction(frames, motion, 0.1, 100)
     frames[:, 40, 50] = 6.0
-    spoilt = learned(frames, motion, 0.1, 100)
+    spoilt = learn_correction(frames, motion, 0.1, 100)
     for each, other in zip(clean, spoilt, strict=True):
         assert np.isfinite(other).all()
         assert np.abs(other - each)[:15].max() < 0.02
@@ -61,7 +61,7 @@ def test_a_frame_moves_as_the_motion_says():
     frame = np.random.default_rng(2).random((9, 11))
     step = np.eye(3)
     step[:2, 2] = (2, -1)  # a pull: +x right, +y down
-    found = moved(frame, step)
+    found = warp_bilinear(frame, step)
     assert np.allclose(found[1:, :-2], frame[:-1, 2:])
     assert np.isnan(found[0]).all()
 
@@ -69,11 +69,11 @@ def test_a_frame_moves_as_the_motion_says():
 def test_correction_and_sensor_are_inverse():
     rng = np.random.default_rng(3)
     weight, bias, frame = 1 + 0.1 * rng.random((4, 5)), rng.random((4, 5)), 100 + 50 * rng.random((4, 5))
-    gain, offset = sensor(weight, bias, 100.0, 50.0)
+    gain, offset = gain_and_offset(weight, bias, 100.0, 50.0)
     clean = 100 + 50 * (weight * (frame - 100) / 50 + bias)
     assert np.allclose((frame - offset) / gain, clean)
 
 
 def test_frames_are_played_forth_and_back():
-    assert list(played(4, 2)) == [0, 1, 2, 3, 2, 1, 0]
-    assert list(played(1, 3)) == [0]
+    assert list(frame_sequence(4, 2)) == [0, 1, 2, 3, 2, 1, 0]
+    assert list(frame_sequence(1, 3)) == [0]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.baselines.low_order_bias import bias, blocks, polynomials
+from deepir.baselines.single_frame.low_order_bias import block_means, estimate_bias, legendre_products
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 NOISE = 0.5  # counts, standard deviation
 
@@ -38,50 +38,51 @@ def noise(scene):
 
 @pytest.mark.parametrize("exponent", [0.7, 1.0])
 def test_a_quadratic_bias_of_plain_parts_is_found(scene, quadratic, exponent):
-    found = bias(scene + quadratic + noise(scene), exponent=exponent)
+    found = estimate_bias(scene + quadratic + noise(scene), exponent=exponent)
     assert (found - quadratic).std() < 0.04 * quadratic.std()
 
 
 def test_least_squares_take_edges_for_bias(scene, quadratic):
     sparse, square = (
-        (bias(scene + quadratic + noise(scene), exponent=each) - quadratic).std() for each in (1.0, 2.0)
+        (estimate_bias(scene + quadratic + noise(scene), exponent=each) - quadratic).std()
+        for each in (1.0, 2.0)
     )
     assert square > 5 * sparse
 
 
 def test_without_noise_it_is_exact_between_pixels(scene, quadratic):
-    assert np.allclose(bias(scene + quadratic, block=1), quadratic, atol=1e-3 * quadratic.std())
+    assert np.allclose(estimate_bias(scene + quadratic, block=1), quadratic, atol=1e-3 * quadratic.std())
 
 
 def test_a_frame_without_bias_stays(scene):
-    assert bias(scene + noise(scene)).std() < NOISE
-    assert np.abs(bias(np.full((96, 128), 7.0))).max() == 0
+    assert estimate_bias(scene + noise(scene)).std() < NOISE
+    assert np.abs(estimate_bias(np.full((96, 128), 7.0))).max() == 0
 
 
 def test_means_of_blocks_see_a_gradient_below_the_step_of_rounding(scene):
     slope = 4 * np.linspace(-1, 1, 128) * np.ones((96, 1))
-    fine, coarse = (bias(np.round(scene + slope + noise(scene) / 2), block=each) for each in (1, 8))
+    fine, coarse = (estimate_bias(np.round(scene + slope + noise(scene) / 2), block=each) for each in (1, 8))
     assert (coarse - slope).std() < 0.1 * slope.std() < (fine - slope).std()
 
 
 def test_terms_have_no_constant_and_as_many_as_the_degree_allows():
-    terms = polynomials((20, 30), 3)
+    terms = legendre_products((20, 30), 3)
     assert terms.shape == (9, 20, 30)
     assert np.allclose(terms.mean((1, 2)), 0)
 
 
 def test_blocks_leave_out_what_fills_none():
-    assert np.array_equal(blocks(np.arange(20.0).reshape(1, 4, 5), 2), [[[3, 5], [13, 15]]])
+    assert np.array_equal(block_means(np.arange(20.0).reshape(1, 4, 5), 2), [[[3, 5], [13, 15]]])
 
 
 def test_small_frames_are_no_error():
     frame = np.random.default_rng(2).standard_normal((16, 16))
-    assert np.isfinite(bias(frame, degree=6)).all()
+    assert np.isfinite(estimate_bias(frame, degree=6)).all()
 
 
 def test_a_bias_that_is_added_to_a_burst_is_added_to_its_offset(quadratic):
     settings = Settings(n_frames=4, shape=(96, 128), counts=True, max_shift=5.0, dead_pixels=0.0)
-    frames = simulate(picture("camera"), settings, seed=4).frames
+    frames = simulate(load_picture("camera"), settings, seed=4).frames
     before, after = (
         deepir.run("nuc", "method=low_order_bias", frames=each) for each in (frames, frames + quadratic)
     )

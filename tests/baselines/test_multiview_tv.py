@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.baselines.multiview_tv import median_offset, recursive_offset
+from deepir.baselines.temporal.multiview_tv import median_offset, recursive_offset
 from deepir.simulate import Settings, simulate
 
 OFFSETS = Settings(

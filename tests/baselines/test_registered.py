@@ -9,7 +9,7 @@ import pytest
 import deepir
 from deepir.registry import components
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 RIVALS = [
     name for name, each in components("method").items() if each.__module__.startswith("deepir.baselines")
@@ -22,7 +22,7 @@ GIVEN = {"flat_field": {"shutter": lambda sim: 300 + sim.truth.offset[None]}}
 def camera():
     """Eight frames in counts, 64 x 80 px."""
     settings = Settings(n_frames=8, shape=(64, 80), counts=True, max_shift=5.0)
-    return simulate(picture("camera"), settings, seed=4)
+    return simulate(load_picture("camera"), settings, seed=4)
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from skimage.transform import resize
 
 import deepir
-from deepir.baselines.bicubic import enlarged
-from deepir.baselines.vdsr import sharpened
+from deepir.baselines.single_frame.bicubic import enlarge
+from deepir.baselines.single_frame.vdsr import sharpen
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 CLEAN = {
     "gain_pixel": 0.0, "gain_column": 0.0, "offset_pixel": 0.0, "offset_column": 0.0, "offset_row": 0.0,
@@ -21,12 +21,10 @@ CLEAN = {
 
 def gained(name, factor):
     """PSNR above that of bicubic, of a picture as a detector's pixels see it."""
-    fine = resize(picture(name), (96, 120), anti_aliasing=True)
+    fine = resize(load_picture(name), (96, 120), anti_aliasing=True)
     pixels = fine.reshape(96 // factor, factor, 120 // factor, factor).mean((1, 3))
-    enlarged_only = enlarged(pixels, factor)
-    return (
-        scores(sharpened(enlarged_only), fine)["psnr_aligned"] - scores(enlarged_only, fine)["psnr_aligned"]
-    )
+    enlarged_only = enlarge(pixels, factor)
+    return scores(sharpen(enlarged_only), fine)["psnr_aligned"] - scores(enlarged_only, fine)["psnr_aligned"]
 
 
 @pytest.mark.parametrize("factor", [2, 3, 4])
@@ -35,7 +33,7 @@ def test_one_network_is_better_than_bicubic_at_each_factor_on_fresh_pictures(fac
 
 
 def test_sharpened_frames_are_better_averaged_than_as_they_are_and_than_one():
-    sim = simulate(picture("camera"), Settings(n_frames=8, shape=(48, 64), factor=2, **CLEAN), seed=3)
+    sim = simulate(load_picture("camera"), Settings(n_frames=8, shape=(48, 64), factor=2, **CLEAN), seed=3)
     psnr = {
         method: scores(
             deepir.run("sr", "physics.downsample.factor=2", frames=sim.frames, method=method).scene,
@@ -53,4 +51,4 @@ def test_sharpened_frames_are_better_averaged_than_as_they_are_and_than_one():
 )
 def test_it_knows_no_units_and_any_size_will_do(gain, level, height, width):
     frame = np.random.default_rng(height).random((height, width))
-    assert np.allclose(sharpened(gain * (frame + level)) / gain - level, sharpened(frame), atol=1e-4)
+    assert np.allclose(sharpen(gain * (frame + level)) / gain - level, sharpen(frame), atol=1e-4)

@@ -49,7 +49,7 @@ def kill(folder, delay):
 
 seed, count = map(int, sys.argv[1:])
 rng = random.Random(seed)
-for kind in registry.HOMES:
+for kind in registry.COMPONENT_MODULES:
     registry.components(kind)
 start = time.monotonic()
 status(fork(*RUN, "output.dir=alone"))

@@ -62,7 +62,7 @@ def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
     status, out, _ = deepir("analyze", "flat.npy", "--flat")
     assert status == 0
     assert "columns 4" in out or "columns 5" in out
-    assert "the pattern holds for longer than the 6 frames over which it can be seen" in out
+    assert "the pattern is stable for longer than the 6 frames over which it was measured" in out
     assert "this burst" not in out
     assert "than the 3 frames" in deepir("analyze", "flat.npy", "data.frames=6", "--flat")[1]
 
@@ -71,7 +71,7 @@ def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
     ("arguments", "message"),
     [
         (["nothing.npz"], "nothing.npz: no such file"),
-        (["flat.npy", "seed=3", "--flat"], "seed=3: of the settings only data are taken here"),
+        (["flat.npy", "seed=3", "--flat"], "seed=3: only settings of data are accepted here"),
         (["both.npz", "sed=3"], "did you mean 'seed'"),
     ],
 )

@@ -38,7 +38,7 @@ def fake(monkeypatch, simulation):
             told.closed += 1
 
     monkeypatch.setitem(registry._components["camera"], "fake", Fake)
-    monkeypatch.setattr(capturing, "PATIENCE", 0.2)
+    monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 0.2)
     return told
 
 
@@ -75,7 +75,7 @@ def test_it_says_how_far_the_camera_has_moved(fake, take):
 
 def test_the_reach_is_that_of_the_motion(simulation):
     at = simulation.truth.motion[:, :2, 2]
-    np.testing.assert_allclose(capturing.reach(list(simulation.frames)), np.ptp(at, axis=0), atol=0.2)
+    np.testing.assert_allclose(capturing.motion_span(list(simulation.frames)), np.ptp(at, axis=0), atol=0.2)
 
 
 @pytest.mark.parametrize(
@@ -108,8 +108,8 @@ def test_frames_lie_apart_in_time(fake, take, folder, simulation):
 
 
 def test_a_shutter_in_the_midst_is_told(fake, take, monkeypatch, simulation):
-    monkeypatch.setattr(capturing, "FROZEN", 0.02)
-    monkeypatch.setattr(capturing, "PATIENCE", 60.0)
+    monkeypatch.setattr(capturing, "FREEZE_TIME", 0.02)
+    monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 60.0)
     a, b, c = simulation.frames
     fake.frames = [a, *[b] * 20, c]
     status, _, err = take("--frames", 3)

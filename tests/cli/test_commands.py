@@ -93,7 +93,7 @@ def test_check_says_what_would_be_simulated(deepir):
 
 def test_check_sees_a_former_run(deepir, nuc):
     nuc("data.path=burst.npz")
-    assert "holds another run (finished)" in deepir("check", "nuc")[1]
+    assert "already contains a run (finished)" in deepir("check", "nuc")[1]
 
 
 def test_simulate_writes_a_burst_and_its_truth(deepir, folder):
@@ -135,7 +135,7 @@ def test_simulate_takes_a_picture(deepir, folder):
 
 
 def test_demo_prints_what_it_gains_and_runs_again(deepir, folder, monkeypatch):
-    monkeypatch.setattr(sys.modules["deepir.cli.demo"], "SIZE", (40, 48))
+    monkeypatch.setattr(sys.modules["deepir.cli.commands.demo"], "DEMO_SHAPE", (40, 48))
     for _ in range(2):
         status, out, err = deepir("demo")
         assert status == 0, err

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepir.sweep.work import finish
+from deepir.sweep.work import finish_cell
 
 pytest.importorskip("distributed")
 
@@ -57,9 +57,9 @@ def here(monkeypatch):
 
     def outcomes(cells, *, workers, scheduler, plugins):
         for cell in cells:
-            yield cell, finish(cell, plugins)
+            yield cell, finish_cell(cell, plugins)
 
-    monkeypatch.setattr("deepir.sweep.cluster.outcomes", outcomes)
+    monkeypatch.setattr("deepir.sweep.cluster.run_cells", outcomes)
 
 
 def table(folder):
@@ -112,11 +112,11 @@ class TestHere:
 
     def test_ctrl_c_keeps_what_is_finished(self, deepir, folder, monkeypatch):
         def interrupted(cells, *, workers, scheduler, plugins):
-            yield cells[0], finish(cells[0], plugins)
+            yield cells[0], finish_cell(cells[0], plugins)
             os.kill(os.getpid(), signal.SIGINT)
 
         with monkeypatch.context() as patch:
-            patch.setattr("deepir.sweep.cluster.outcomes", interrupted)
+            patch.setattr("deepir.sweep.cluster.run_cells", interrupted)
             status, _, err = deepir(*METHODS)
         assert status == 130
         assert "the same command goes on" in err
@@ -213,7 +213,7 @@ def test_a_cluster_that_runs_already_is_used(deepir, folder):
 
 
 def test_a_scheduler_that_does_not_answer(deepir, folder, monkeypatch):
-    monkeypatch.setattr("deepir.sweep.cluster.PATIENCE", "1s")
+    monkeypatch.setattr("deepir.sweep.cluster.SCHEDULER_TIMEOUT", "1s")
     status, _, err = deepir(*COMPARE, "seed=0,1", "--scheduler", "tcp://127.0.0.1:1")
     assert status == 2
     assert "--scheduler tcp://127.0.0.1:1: no Dask scheduler answers" in err

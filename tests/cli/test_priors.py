@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from deepir.config import priors
+from deepir.config import prior_names
 
 
-@pytest.mark.parametrize("prior", priors())
+@pytest.mark.parametrize("prior", prior_names())
 def test_every_prior_corrects_a_burst(nuc, folder, prior):
     status, out, err = nuc("data.path=burst.npz", f"prior={prior}", "solver.max_iterations=2")
     assert status == 0, err

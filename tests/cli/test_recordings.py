@@ -6,7 +6,7 @@ import recordings
 import scipy.io
 from PIL import Image
 
-from deepir.calibration import Maps
+from deepir.calibration import CorrectionMaps
 from deepir.io import read_frames
 from deepir.io.radiometry import Planck
 
@@ -15,7 +15,7 @@ from deepir.io.radiometry import Planck
 def maps(folder, simulation):
     """The simulated camera's true maps, in `maps.npz`."""
     truth = simulation.truth
-    true = Maps(truth.gain.astype(np.float32), truth.offset.astype(np.float32), truth.bad_pixels)
+    true = CorrectionMaps(truth.gain.astype(np.float32), truth.offset.astype(np.float32), truth.bad_pixels)
     true.save(folder / "maps.npz")
     return true
 

@@ -33,7 +33,7 @@ def signalled(monkeypatch):
                 os.kill(os.getpid(), number)
 
         with monkeypatch.context() as patch:
-            patch.setattr("deepir.report.progress.on_stderr", lambda: nullcontext(callback))
+            patch.setattr("deepir.report.progress.show_progress", lambda: nullcontext(callback))
             yield
 
     return at
@@ -144,9 +144,9 @@ def test_half_written_files_are_cleared_away(deepir, interrupted):
 
 
 def test_one_process_at_a_time(deepir, interrupted):
-    from deepir.storage.folder import Folder
+    from deepir.storage.folder import RunFolder
 
-    with Folder(interrupted).logging():
+    with RunFolder(interrupted).logging():
         status, _, err = deepir("resume", "runs/nuc")
     assert status == 2
     assert "another process is at work" in err

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from deepir.storage.folder import FILES
+from deepir.storage.folder import RUN_FILES
 
 ENDED = {
     "config.yaml",
@@ -88,7 +88,7 @@ def test_another_run_is_refused(nuc, folder):
     before = (folder / "runs/nuc/result.npz").read_bytes()
     status, _, err = nuc("data.path=burst.npz", "seed=1")
     assert status == 2
-    assert "holds another run (finished)" in err
+    assert "already contains a run (finished)" in err
     assert "--overwrite" in err
     assert (folder / "runs/nuc/result.npz").read_bytes() == before
 
@@ -194,9 +194,9 @@ def test_a_full_disk_is_one_line_and_the_state_stays(nuc, folder, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("deepir.io.write.np.savez_compressed", full)
+    monkeypatch.setattr("deepir.io.output.write.np.savez_compressed", full)
     status, _, err = nuc("data.path=burst.npz")
     assert status == 2
     assert "result.npz: cannot be written: No space left on device" in err
-    assert held(folder / "runs/nuc") <= set(FILES)
+    assert held(folder / "runs/nuc") <= set(RUN_FILES)
     assert "config.yaml" in held(folder / "runs/nuc")

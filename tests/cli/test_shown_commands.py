@@ -7,7 +7,7 @@ import pytest
 from documentation import ROOT
 
 from deepir.cli import main
-from deepir.config import SHIPPED
+from deepir.config import SHIPPED_CONFIGS
 
 TUTORIAL = ROOT / "docs/tutorial.md"
 GALLERY = ROOT / "docs/gallery.md"
@@ -61,7 +61,7 @@ def test_the_tutorial_runs_and_prints_what_it_shows(capfd, working_folder):
 
 
 def test_every_shipped_configuration_is_in_the_gallery():
-    assert SECTIONS.keys() == {path.stem for path in SHIPPED.glob("*.yaml")}
+    assert SECTIONS.keys() == {path.stem for path in SHIPPED_CONFIGS.glob("*.yaml")}
 
 
 @pytest.mark.parametrize("name", SECTIONS)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deepir.config import dump, find, load, priors, read, shipped_names
-from deepir.config.yaml import parse
+from deepir.config import dump, find, load, prior_names, read, shipped_names
+from deepir.config.yaml import parse_yaml
 from deepir.errors import ConfigError
 
 
@@ -22,7 +22,7 @@ def test_the_file_goes_over_the_preset_and_overrides_over_both():
 
 @pytest.mark.parametrize("name", shipped_names())
 def test_every_shipped_configuration_loads_with_every_prior(name):
-    for prior in priors():
+    for prior in prior_names():
         assert load(name, [f"prior={prior}"]).prior == prior
 
 
@@ -65,7 +65,7 @@ def test_values_are_what_they_look_like(pair, value):
      ("2021-01-01", "2021-01-01"), ("-.5", -0.5), ("~", None), ("[1, a]", [1, "a"])],
 )  # fmt: skip
 def test_yaml_is_plain(text, value):
-    assert parse(text) == value
+    assert parse_yaml(text) == value
 
 
 def test_the_last_of_two_overrides_counts():
@@ -166,4 +166,4 @@ def test_a_prior_that_is_taken_away_is_the_default_and_not_that_of_the_file():
     """What runs is what is recorded: read back, it is the same scene."""
     config = load("nuc", ["prior=null"])
     assert (config.prior, config.scene) == ("tv", load("nuc", ["prior=tv"]).scene)
-    assert load(parse(dump(config))).scene == config.scene
+    assert load(parse_yaml(dump(config))).scene == config.scene

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepir.burst import Burst
-from deepir.config import SHIPPED, load, priors, shipped_names
+from deepir.config import SHIPPED_CONFIGS, load, prior_names, shipped_names
 from deepir.config.components import options_schema
 from deepir.errors import DeepIRError
 from deepir.registry import components, lookup
@@ -99,8 +99,8 @@ def places(tree, path=()):
 
 def whole(name, prior):
     """A shipped configuration, its scene spelt out."""
-    tree = yaml.safe_load((SHIPPED / f"{name}.yaml").read_text())
-    preset = yaml.safe_load((SHIPPED / f"prior/{prior}.yaml").read_text())
+    tree = yaml.safe_load((SHIPPED_CONFIGS / f"{name}.yaml").read_text())
+    preset = yaml.safe_load((SHIPPED_CONFIGS / f"prior/{prior}.yaml").read_text())
     defaults = {"noise": {"read": 1.0}, "solver": {"max_iterations": 1}, "fidelity": {"type": "gaussian"}}
     return defaults | preset | tree | {"prior": prior}
 
@@ -122,7 +122,7 @@ KEYS = sorted({".".join(map(str, path)) for name in NAMES for path in places(who
 
 
 @damaged
-@given(data=st.data(), name=st.sampled_from(NAMES), prior=st.sampled_from(priors()), value=values)
+@given(data=st.data(), name=st.sampled_from(NAMES), prior=st.sampled_from(prior_names()), value=values)
 def test_a_value_that_is_another(burst, data, name, prior, value):
     tree = whole(name, prior)
     path = data.draw(st.sampled_from(list(places(tree))))
@@ -182,7 +182,7 @@ def test_settings_on_the_command_line(burst, name, changes):
 @damaged
 @given(data=st.data(), name=st.sampled_from(NAMES), mark=junk)
 def test_a_file_that_is_damaged(tmp_path, burst, data, name, mark):
-    content = (SHIPPED / f"{name}.yaml").read_bytes()
+    content = (SHIPPED_CONFIGS / f"{name}.yaml").read_bytes()
     first = data.draw(st.integers(0, len(content)))
     last = data.draw(st.integers(first, min(len(content), first + 20)))
     (tmp_path / "own.yaml").write_bytes(content[:first] + mark + content[last:])

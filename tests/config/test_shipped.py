@@ -6,7 +6,7 @@ import torch
 
 from deepir.build.problem import build
 from deepir.burst import Burst
-from deepir.config import SHIPPED, headline, load, priors, shipped_names
+from deepir.config import SHIPPED_CONFIGS, headline, load, prior_names, shipped_names
 from deepir.optim.solve import solve
 from deepir.pipeline.schedule import plan
 from deepir.registry import lookup
@@ -26,7 +26,7 @@ def tiny():
     ("name", "more"),
     [(name, []) for name in shipped_names()]
     + [(name, ["prior=tv"]) for name in shipped_names()]
-    + [("nuc", [f"prior={prior}"]) for prior in priors()],
+    + [("nuc", [f"prior={prior}"]) for prior in prior_names()],
 )
 def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name, more, tiny):
     config = load(name, [*more, "solver.max_iterations=2"])
@@ -57,14 +57,16 @@ def test_the_2021_formulation_is_one_descent_that_draws_its_scene_once_an_iterat
     assert moved == {"scene", "gain", "motion"} | ({"offset"} if "offset" in problem.free() else set())
 
 
-@pytest.mark.parametrize("path", sorted(SHIPPED.rglob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(SHIPPED_CONFIGS.rglob("*.yaml")), ids=lambda path: path.stem)
 def test_a_shipped_file_says_in_its_first_line_what_it_is(path):
     assert 10 < len(headline(path)) <= 120
     assert headline(path).endswith(".")
 
 
-@pytest.mark.parametrize("path", sorted((SHIPPED / "prior").glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((SHIPPED_CONFIGS / "prior").glob("*.yaml")), ids=lambda path: path.stem
+)
 def test_a_preset_of_a_prior_holds_a_scene_and_nothing_else(path):
-    from deepir.config.yaml import parse
+    from deepir.config.yaml import parse_yaml
 
-    assert list(parse(path.read_text())) == ["scene"]
+    assert list(parse_yaml(path.read_text())) == ["scene"]

@@ -8,7 +8,7 @@ import pytest
 import deepir
 from deepir.metrics import scores
 from deepir.simulate import Settings, render, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0)
 

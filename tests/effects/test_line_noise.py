@@ -11,7 +11,7 @@ from deepir.closed_form.weighted_least_squares import of_sensor
 from deepir.errors import ConfigError
 from deepir.fields.line_noise import ColumnNoise, RowNoise
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0)
 NOISE = CAMERA.read_noise * CAMERA.contrast

@@ -16,7 +16,7 @@ from deepir.metrics import scores
 from deepir.optim.solve import solve
 from deepir.problems.nuc import NUC
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 TONES = Settings(shape=(96, 128), shading=0.0, dead_pixels=0.0, photons=1000.0, read_noise=0.002)
 WALKER = {"walker": 0.5, "walker_contrast": 0.3}

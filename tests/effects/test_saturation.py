@@ -8,8 +8,8 @@ from scipy.ndimage import binary_dilation
 from skimage.data import camera
 
 import deepir
-from deepir.comparison import compared
-from deepir.io.saturated_samples import saturated_samples
+from deepir.comparison import compare_to_truth
+from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.simulate import Settings, simulate
 
 CAMERA = Settings(
@@ -100,4 +100,4 @@ def test_bounds_are_not_compared_with_the_truth():
     result = SimpleNamespace(
         scene=scene, extra={"clipped": where}, gain=None, offset=None, motion=truth, messages=[]
     )
-    assert compared(result, burst)["radiometric_rmse"] == pytest.approx(0.1, rel=0.1)
+    assert compare_to_truth(result, burst)["radiometric_rmse"] == pytest.approx(0.1, rel=0.1)

@@ -3,7 +3,7 @@ import pytest
 
 from deepir.errors import DataError
 from deepir.io import crop, validate
-from deepir.io.checks import empty
+from deepir.io.inspection.checks import unrecorded_samples
 
 
 @pytest.fixture
@@ -76,9 +76,9 @@ def counts(shape=(4, 40, 48)):
 def test_zeros_far_below_all_counts_are_lost_samples_and_others_are_not():
     frames = counts()
     frames[1, 20:24], frames[2, 5, 7] = 0, 0
-    assert np.array_equal(empty(frames), frames == 0)
-    assert not empty(np.where(frames == 0, 0, frames - 8000)).any()
-    assert not empty(np.clip(frames - 8000, 0, None)).any()
+    assert np.array_equal(unrecorded_samples(frames), frames == 0)
+    assert not unrecorded_samples(np.where(frames == 0, 0, frames - 8000)).any()
+    assert not unrecorded_samples(np.clip(frames - 8000, 0, None)).any()
 
 
 def test_bars_at_the_edge_are_empty_and_a_line_within_or_one_that_changes_is_not():
@@ -86,7 +86,7 @@ def test_bars_at_the_edge_are_empty_and_a_line_within_or_one_that_changes_is_not
     frames[:, :6], frames[:, -3:], frames[:, :, :5], frames[:, 20], frames[0, :, -1] = 16, 16, 16, 16, 16
     expected = np.zeros(frames.shape, bool)
     expected[:, :6] = expected[:, -3:] = expected[:, :, :5] = True
-    assert np.array_equal(empty(frames), expected)
+    assert np.array_equal(unrecorded_samples(frames), expected)
 
 
 def test_lost_rows_are_so_beside_bars_too():
@@ -94,7 +94,7 @@ def test_lost_rows_are_so_beside_bars_too():
     frames[:, :6], frames[2, 20:24] = 16, 0
     expected = np.zeros(frames.shape, bool)
     expected[:, :6] = expected[2, 20:24] = True
-    assert np.array_equal(empty(frames), expected)
+    assert np.array_equal(unrecorded_samples(frames), expected)
 
 
 def test_a_sky_below_the_range_is_neither_a_bar_nor_lost():
@@ -102,9 +102,9 @@ def test_a_sky_below_the_range_is_neither_a_bar_nor_lost():
     for k, sky in enumerate((9, 12, 10, 14)):
         frames[k, :sky] = 0
         frames[k, sky, :20] = 0
-    assert not empty(frames).any()
-    assert not empty(np.where(frames == 0, 16383, frames)).any()
+    assert not unrecorded_samples(frames).any()
+    assert not unrecorded_samples(np.where(frames == 0, 16383, frames)).any()
     frames[2, 30:33], frames[:, 20:26, 30:36] = 0, 0  # a packet, and a dead block
     lost = np.zeros(frames.shape, bool)
     lost[2, 30:33] = lost[:, 20:26, 30:36] = True
-    assert np.array_equal(empty(frames), lost)
+    assert np.array_equal(unrecorded_samples(frames), lost)

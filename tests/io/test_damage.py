@@ -136,7 +136,7 @@ def test_every_reader_is_tried():
 @pytest.mark.parametrize("kind", FILES)
 def test_whole_files_are_read(tmp_path, contents, kind):
     (tmp_path / "file").write_bytes(contents(kind))
-    reader = readers.find(tmp_path / "file")
+    reader = readers.find_reader(tmp_path / "file")
     assert reader.__name__.rpartition(".")[2] == kind.partition(",")[0]
     assert read_frames(tmp_path / "file").frames.shape[1:] in ((18, 16), (120, 160))
 

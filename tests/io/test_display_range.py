@@ -8,7 +8,7 @@ import skimage.data
 
 import deepir
 from deepir.diagnostics.equalised_histogram import is_equalised
-from deepir.io.display_range import cut_off, is_stretched
+from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
 from deepir.metrics import scores
 from deepir.optim.solve import Progress
 from deepir.simulate import Settings, simulate
@@ -73,17 +73,17 @@ def test_an_interrupted_run_on_such_pictures_goes_on_to_the_same_result(tmp_path
 def test_eight_bits_and_frames_of_one_range_are_stretched_and_counts_are_not():
     frames = np.random.default_rng(0).normal(8000, 100, (4, 32, 40))
     low, high = (end(frames, axis=(1, 2), keepdims=True) for end in (np.min, np.max))
-    assert is_stretched(automatic_gain(frames))
-    assert is_stretched((frames - low) / (high - low))
-    assert not is_stretched(frames)
+    assert is_contrast_stretched(automatic_gain(frames))
+    assert is_contrast_stretched((frames - low) / (high - low))
+    assert not is_contrast_stretched(frames)
     frames[:, 5, 7], frames[:, 9, 9] = 0, 16383  # dead pixels are at the ends of the range in all frames
-    assert not is_stretched(frames)
+    assert not is_contrast_stretched(frames)
 
 
 def test_what_is_black_in_most_of_a_frame_is_no_clipping():
     frames = np.zeros((2, 16, 16))
     frames[0, :4], frames[1, :12] = np.arange(16), np.arange(1, 17)
-    cut = cut_off(frames)
+    cut = clipped_samples(frames)
     assert not cut[0].any()
     assert cut[1].sum() == 4 * 16 + 12
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from deepir.config.schema import Radiometry as Asked
 from deepir.errors import ConfigError
 from deepir.io import read_frames, write_tiff
-from deepir.io.radiometry import KELVIN, Linear, Planck, air, chosen, unit
+from deepir.io.radiometry import KELVIN, Linear, Planck, air_transmission, resolve_radiometry, unit_metadata
 
 T640 = Planck(16556.0, 1428.0, 1.0, -342.0, 0.0451)
 
@@ -64,7 +64,7 @@ def test_counts_below_any_temperature_have_none():
 
 def test_air_takes_more_the_farther_and_the_wetter():
     def through(distance, humidity):
-        return air(distance, humidity, 293.15, (0.006569, 0.01262), (-0.002276, -0.00667), 1.9)
+        return air_transmission(distance, humidity, 293.15, (0.006569, 0.01262), (-0.002276, -0.00667), 1.9)
 
     assert through(0, 0.5) == pytest.approx(1)
     assert 1 > through(1, 0.5) > through(10, 0.5) > through(10, 0.9) > 0.8
@@ -100,7 +100,7 @@ def test_real_pictures_have_the_temperatures_that_flyr_finds(data, name, mean):
 
 @pytest.mark.parametrize("law", [KELVIN, Linear(0.04, 3.0), T640])
 def test_a_tiff_says_what_its_values_are(tmp_path, burst, law):
-    write_tiff(tmp_path / "a.tif", burst, unit(law))
+    write_tiff(tmp_path / "a.tif", burst, unit_metadata(law))
     assert read_frames(tmp_path / "a.tif").radiometry == law
 
 
@@ -113,11 +113,11 @@ def test_anybody_elses_description_says_nothing(tmp_path, burst, said):
 
 
 def test_the_user_has_the_last_word():
-    assert chosen(T640, Asked()) == T640
-    assert chosen(T640, Asked(emissivity=0.9)) == dataclasses.replace(T640, emissivity=0.9)
-    assert chosen(T640, Asked(scale=0.01)) == Linear(0.01)
-    assert chosen(Linear(0.01), Asked(zero=1.0)) == Linear(0.01, 1.0)
-    assert chosen(None, Asked()) is None
+    assert resolve_radiometry(T640, Asked()) == T640
+    assert resolve_radiometry(T640, Asked(emissivity=0.9)) == dataclasses.replace(T640, emissivity=0.9)
+    assert resolve_radiometry(T640, Asked(scale=0.01)) == Linear(0.01)
+    assert resolve_radiometry(Linear(0.01), Asked(zero=1.0)) == Linear(0.01, 1.0)
+    assert resolve_radiometry(None, Asked()) is None
 
 
 @pytest.mark.parametrize(
@@ -130,4 +130,4 @@ def test_the_user_has_the_last_word():
 )
 def test_half_a_law_is_refused(given, message):
     with pytest.raises(ConfigError, match=message):
-        chosen(None, Asked(**given))
+        resolve_radiometry(None, Asked(**given))

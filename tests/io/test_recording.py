@@ -5,13 +5,14 @@ import pytest
 import tifffile
 
 from deepir.errors import DataError
-from deepir.io import read_frames, recording
-from deepir.io.radiometry import Linear, unit
+from deepir.io import read_frames
+from deepir.io.output import recording
+from deepir.io.radiometry import Linear, unit_metadata
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_a_tiff_of_many_pages_says_what_its_values_are(tmp_path, burst, dtype):
-    with recording.tiff(tmp_path / "a.tif", np.dtype(dtype), unit(Linear(0.04))) as write:
+    with recording.tiff(tmp_path / "a.tif", np.dtype(dtype), unit_metadata(Linear(0.04))) as write:
         for frame in burst:
             write(frame.astype(np.float32))
     read = read_frames(tmp_path / "a.tif")
@@ -81,4 +82,4 @@ def test_a_grey_film_that_a_codec_has_tinted_slightly_is_read(tmp_path):
 
 def test_another_name_is_answered_with_those_there_are(tmp_path):
     with pytest.raises(DataError, match=r"a\.avi: a recording is written as \.tif .* or \.mp4"):
-        recording.writer(tmp_path / "a.avi", np.dtype(np.uint16), {}, "white-hot", "percentile")
+        recording.open_writer(tmp_path / "a.avi", np.dtype(np.uint16), {}, "white-hot", "percentile")

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.io.describe import describe
 from deepir.io.frames import Frames
-from deepir.io.telemetry import telemetry
+from deepir.io.inspection.describe import describe
+from deepir.io.inspection.telemetry import telemetry_rows
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
 
 
 @pytest.fixture(scope="module")
@@ -30,19 +30,19 @@ def told(frames, rows, share=1.0, seed=0):
 @pytest.mark.parametrize("rows", [[0], [95], [0, 1], [93, 94, 95], [0, 94, 95]])
 @pytest.mark.parametrize("share", [1.0, 0.3])
 def test_rows_of_words_are_found(sim, rows, share):
-    assert telemetry(told(sim.frames, rows, share)) == rows
+    assert telemetry_rows(told(sim.frames, rows, share)) == rows
 
 
 @pytest.mark.parametrize("picture", [procedural, sky])
 @pytest.mark.parametrize("seed", range(6))
 def test_the_edge_of_a_picture_is_a_picture(picture, seed):
     camera = Settings(n_frames=3, shape=(64, 80), counts=True, gain_row=0.05, offset_row=0.1)
-    assert telemetry(simulate(picture(seed, (200, 250)), camera, seed=seed).frames) == []
+    assert telemetry_rows(simulate(picture(seed, (200, 250)), camera, seed=seed).frames) == []
 
 
 def test_frames_of_few_rows_and_lost_samples_do_no_harm():
-    assert telemetry(np.full((2, 16, 20), np.nan, np.float32)) == []
-    assert telemetry(np.zeros((1, 8, 20), np.float32)) == []
+    assert telemetry_rows(np.full((2, 16, 20), np.nan, np.float32)) == []
+    assert telemetry_rows(np.zeros((1, 8, 20), np.float32)) == []
 
 
 def test_a_burst_with_telemetry_is_corrected_as_without(sim):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.config.schema import Output
-from deepir.io.tones import PALETTES, TONES, coloured, table
+from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS, apply_palette, colour_table
 
 
 @pytest.fixture
@@ -16,8 +16,8 @@ def scene():
 
 @pytest.mark.parametrize("palette", PALETTES)
 def test_palettes_go_from_cold_to_hot(palette):
-    light = table(palette) @ [0.299, 0.587, 0.114]
-    assert table(palette).shape == (256, 3)
+    light = colour_table(palette) @ [0.299, 0.587, 0.114]
+    assert colour_table(palette).shape == (256, 3)
     if palette == "black-hot":
         light = light[::-1]
     if palette != "turbo":  # a rainbow
@@ -27,14 +27,14 @@ def test_palettes_go_from_cold_to_hot(palette):
 
 
 def test_white_hot_is_grey():
-    np.testing.assert_array_equal(coloured(np.array([[0, 0.5, 1]]), "white-hot"), [[0, 128, 255]])
-    np.testing.assert_array_equal(table("white-hot")[:, 0], np.arange(256))
+    np.testing.assert_array_equal(apply_palette(np.array([[0, 0.5, 1]]), "white-hot"), [[0, 128, 255]])
+    np.testing.assert_array_equal(colour_table("white-hot")[:, 0], np.arange(256))
 
 
-@pytest.mark.parametrize("tones", TONES)
+@pytest.mark.parametrize("tones", TONE_MAPPINGS)
 def test_shades_lie_between_nought_and_one(scene, tones):
     scene[3, 4] = np.nan
-    shades = TONES[tones](scene)
+    shades = TONE_MAPPINGS[tones](scene)
     assert shades.shape == scene.shape
     assert shades.min() >= 0
     assert shades.max() <= 1
@@ -42,16 +42,16 @@ def test_shades_lie_between_nought_and_one(scene, tones):
 
 def test_clahe_shows_both_parts(scene):
     cold = np.s_[:, :40]
-    assert TONES["clahe"](scene)[cold].std() > 2 * TONES["percentile"](scene)[cold].std()
+    assert TONE_MAPPINGS["clahe"](scene)[cold].std() > 2 * TONE_MAPPINGS["percentile"](scene)[cold].std()
 
 
-@pytest.mark.parametrize("tones", TONES)
+@pytest.mark.parametrize("tones", TONE_MAPPINGS)
 @pytest.mark.parametrize("value", [7.0, np.nan])
 def test_nothing_to_see_is_black(tones, value):
-    assert not TONES[tones](np.full((20, 24), value)).any()
+    assert not TONE_MAPPINGS[tones](np.full((20, 24), value)).any()
 
 
 def test_all_can_be_chosen():
     choices = {key: typing.get_args(field.annotation) for key, field in Output.model_fields.items()}
     assert choices["palette"] == tuple(PALETTES)
-    assert choices["tones"] == tuple(TONES)
+    assert choices["tones"] == tuple(TONE_MAPPINGS)

@@ -8,7 +8,7 @@ import tifffile
 from PIL import Image
 
 from deepir.errors import DataError
-from deepir.io import read_frames, replace, write_json, write_mat, write_npz, write_preview, write_tiff
+from deepir.io import atomic_file, read_frames, write_json, write_mat, write_npz, write_preview, write_tiff
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -16,7 +16,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     target.write_text("old")
 
     def write_half():
-        with replace(target) as temporary:
+        with atomic_file(target) as temporary:
             temporary.write_text("new, but only half")
             raise KeyboardInterrupt
 
@@ -29,7 +29,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
 def test_until_the_end_readers_see_the_old_file(tmp_path):
     target = tmp_path / "result.txt"
     target.write_text("old")
-    with replace(target) as temporary:
+    with atomic_file(target) as temporary:
         temporary.write_text("new")
         assert target.read_text() == "old"
         assert temporary.parent == target.parent

@@ -11,7 +11,7 @@ import deepir
 import deepir.optim.objective
 from deepir.optim.degrees_of_freedom import HELD, degrees_of_freedom
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import sky
+from deepir.simulate.scenes.procedural import sky
 
 SIDE = 16  # px of a scene that goes round
 CUBIC = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)

@@ -17,7 +17,7 @@ from deepir.priors.penalties.ridge import Ridge
 from deepir.problems.initial_estimate import start_scene
 from deepir.schedule import Stage, Step
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 SIGMA = 0.5  # of the pixels' pattern
 

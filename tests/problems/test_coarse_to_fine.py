@@ -21,7 +21,7 @@ from deepir.problems.coarse_to_fine import (
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.nuc import NUC
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
 
 WEAK = {f"{what}_{where}": 0.001 for what in ("gain", "offset") for where in ("pixel", "column", "row")}
 CAMERA = Settings(

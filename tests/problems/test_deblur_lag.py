@@ -14,7 +14,7 @@ from deepir.errors import ConfigError
 from deepir.metrics import scores
 from deepir.problems.deblur_lag import speed_message, start_motion
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(
     n_frames=7,

@@ -18,7 +18,7 @@ from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 CLEAN = dict.fromkeys(
     ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"],

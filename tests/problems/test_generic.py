@@ -8,7 +8,7 @@ import deepir
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 BLUR = {"radius": 2, "psf": {"type": "gaussian", "sigma": 0.8, "fixed": True}}
 CHAINS = {

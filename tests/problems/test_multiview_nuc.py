@@ -6,10 +6,10 @@ import tifffile
 from PIL import Image
 
 import deepir
-from deepir.config import priors
+from deepir.config import prior_names
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
 ONE = {"threads": 1}
@@ -25,7 +25,7 @@ def views(pictures=PICTURES, **more):
         "offset_column": 0.02, "offset_row": 0.02, "gain_pixel": 0.0, "gain_column": 0.0, "shading": 0.0,
         "dead_pixels": 0.0,
     }  # fmt: skip
-    return simulate(picture(pictures), Settings(**settings | more), seed=1)
+    return simulate(load_picture(pictures), Settings(**settings | more), seed=1)
 
 
 def likeness(first, second):
@@ -167,7 +167,7 @@ def test_frames_and_their_truths_are_selected_together():
     assert "psnr" in result.metrics
 
 
-@pytest.mark.parametrize("prior", priors())
+@pytest.mark.parametrize("prior", prior_names())
 def test_every_prior_takes_two_steps(prior):
     frames = np.random.default_rng(0).random((3, 24, 32))
     result = deepir.run("multiview_nuc", frames=frames, prior=prior, **QUICK)

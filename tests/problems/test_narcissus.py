@@ -18,7 +18,7 @@ from deepir.problems import nuc
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.narcissus import Narcissus
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = {
     "shape": (64, 80), "max_shift": 8.0, "shading": 0.0, "photons": 1000.0, "read_noise": 0.002, "dead_pixels": 0.0,

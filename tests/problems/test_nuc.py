@@ -8,7 +8,7 @@ from deepir.metrics import scores
 from deepir.operators.warp import NOISE_GAIN
 from deepir.priors.penalties.tv import TV
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
 
 
 def test_a_corner_that_one_frame_alone_shows_is_what_it_shows():

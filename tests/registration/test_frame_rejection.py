@@ -8,8 +8,8 @@ from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 from deepir.registration import register, shift_likelihood
 from deepir.registration.preprocess import fill_bad_pixels, variance_stabilise
 from deepir.simulate import simulate
-from deepir.simulate.pictures import picture as scene
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.pictures import load_picture as scene
+from deepir.simulate.scenes.procedural import procedural, sky
 
 
 def strangers(frames, **settings):

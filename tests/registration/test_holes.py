@@ -8,7 +8,7 @@ from registered import apart, camera_of_tones
 from deepir.arrays.fill import nearest_filled
 from deepir.registration import register
 from deepir.simulate import simulate
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 
 COUNTS = {"counts": True, "read_noise": 0.004, "photons": 0.0}
 

@@ -13,8 +13,8 @@ from deepir.registration.motion_search import estimate_motion
 from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
 from deepir.registration.preprocess import preprocess
 from deepir.simulate import simulate
-from deepir.simulate.pictures import picture as scene
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.pictures import load_picture as scene
+from deepir.simulate.scenes.procedural import procedural, sky
 
 WALKER = {"walker": 0.5, "walker_contrast": 0.3}
 COUNTS = {"counts": True, "read_noise": 0.004, "photons": 0.0}

@@ -14,7 +14,7 @@ from deepir.registration.block_likelihood import (
     maximise_rotation_likelihood,
 )
 from deepir.simulate import simulate
-from deepir.simulate.scenes import sky
+from deepir.simulate.scenes.procedural import sky
 
 COUNTS = {"counts": True, "read_noise": 0.003, "photons": 0.0}
 STRONG = {"gain_pixel": 0.1, "offset_pixel": 0.1, "offset_row": 0.05}

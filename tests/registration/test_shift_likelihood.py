@@ -14,8 +14,8 @@ from deepir.registration import (
 )
 from deepir.registration.preprocess import variance_stabilise
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture as scene
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.pictures import load_picture as scene
+from deepir.simulate.scenes.procedural import procedural, sky
 
 
 @pytest.mark.parametrize(("number", "n_frames", "camera"), [(1, 3, {}), (2, 5, {}), (3, 3, {"counts": True})])

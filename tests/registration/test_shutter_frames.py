@@ -7,7 +7,7 @@ from registered import camera_of_tones
 
 from deepir.registration import register
 from deepir.simulate import simulate
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate.scenes.procedural import procedural, sky
 
 COUNTS = {"counts": True, "photons": 0.0, "read_noise": 0.003}
 SCENES = {

@@ -6,8 +6,9 @@ import torch
 from registered import COUNTS, SHAPE, camera_of_tones, errors, simulated
 
 from deepir.registration import motion_search, register
-from deepir.simulate import Settings, optics, simulate
-from deepir.simulate.scenes import procedural, sky
+from deepir.simulate import Settings, simulate
+from deepir.simulate.optics import rendering as optics
+from deepir.simulate.scenes.procedural import procedural, sky
 
 
 @pytest.mark.parametrize("name", ["camera", "astronaut", "grass"])
@@ -57,7 +58,7 @@ def test_frames_that_do_not_bend_are_rigid_to_the_bit(frames):
 
 
 def test_a_thousandth_of_keystone_is_found_in_three_frames(monkeypatch):
-    monkeypatch.setattr(optics, "WARP", 0.002)
+    monkeypatch.setattr(optics, "MAX_DEFORMATION", 0.002)
     frames, truth = simulated("gravel", n_frames=3, motion="homography", counts=True, offset_pixel=0.04)
     rigid = errors(register(frames), truth).max()
     assert errors(register(frames, model="auto"), truth).max() < min(0.2, rigid / 2)

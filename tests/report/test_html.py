@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepir.report.html import write_report
-from deepir.report.maps import MISSING, packed
+from deepir.report.maps import MISSING_LEVEL, pack_map
 from deepir.result import neutral
 
 
@@ -18,7 +18,7 @@ def unpacked(found):
     planes = np.frombuffer(zlib.decompress(base64.b64decode(found["levels"])), np.uint8).reshape(2, -1)
     differences = (256 * planes[0].astype(np.uint16) + planes[1]).reshape(found["height"], found["width"])
     levels = np.cumsum(differences, axis=1, dtype=np.uint16)
-    return np.where(levels == MISSING, np.nan, found["base"] + found["step"] * levels)
+    return np.where(levels == MISSING_LEVEL, np.nan, found["base"] + found["step"] * levels)
 
 
 def data(path):
@@ -30,7 +30,7 @@ def data(path):
 def test_a_map_is_read_to_a_256th_of_what_it_shows_whatever_one_pixel_does(outlier):
     image = np.random.default_rng(0).normal(8000, 20, (60, 80))
     image[7, 9] = outlier
-    found = packed(image)
+    found = pack_map(image)
     read, known = unpacked(found), np.isfinite(image)
     known[7, 9] = False
     assert np.abs(read - image)[known].max() <= (found["high"] - found["low"]) / 256
@@ -41,14 +41,14 @@ def test_a_map_is_read_to_a_256th_of_what_it_shows_whatever_one_pixel_does(outli
     "image", [np.full((4, 5), 3.0), np.full((4, 5), np.nan), np.zeros((1, 1)), np.eye(4) > 0]
 )
 def test_a_map_without_shades_is_read_as_it_is(image):
-    found = packed(image)
+    found = pack_map(image)
     np.testing.assert_allclose(unpacked(found), image)
     assert found["high"] > found["low"]
 
 
 def test_a_map_in_the_order_of_matlab_is_a_map():
     image = np.arange(12.0).reshape(3, 4)
-    assert packed(np.asfortranarray(image)) == packed(image)
+    assert pack_map(np.asfortranarray(image)) == pack_map(image)
 
 
 def test_a_report_holds_every_map_of_the_run(tmp_path, result, example, config):

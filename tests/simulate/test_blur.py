@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.blur import FINE, airy, psf
+from deepir.simulate.optics.blur import PSF_SAMPLES_PER_PIXEL, airy, psf
 
 SHARP = dict.fromkeys(
     ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"],
@@ -14,7 +14,7 @@ SHARP = dict.fromkeys(
 
 def moments(kernel):
     """Variances along x and y, and their covariance, detector px."""
-    at = (np.arange(len(kernel)) - len(kernel) // 2) / FINE
+    at = (np.arange(len(kernel)) - len(kernel) // 2) / PSF_SAMPLES_PER_PIXEL
     x, y = np.meshgrid(at, at)
     return [(kernel * each).sum() for each in (x * x, y * y, x * y)]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.bolometer import housing, pixels
+from deepir.simulate.detector.bolometer import bolometer_pixels, housing_flux
 
 CAMERA = Settings(
     n_frames=4, shape=(60, 80), bolometer=True, counts=True, dead_pixels=0.0, tau=10.0, substeps=2
@@ -14,7 +14,7 @@ CAMERA = Settings(
 
 
 def drawn(settings=CAMERA):
-    return pixels(settings, np.random.default_rng(0))
+    return bolometer_pixels(settings, np.random.default_rng(0))
 
 
 def test_a_scene_of_the_pixels_own_flux_shows_no_pattern():
@@ -46,7 +46,7 @@ def test_gain_offset_and_time_constants_are_in_the_truth():
 
 
 def test_a_warming_housing_adds_flux_most_at_the_corners():
-    warmth = housing(dataclasses.replace(CAMERA, housing_drift=0.6))
+    warmth = housing_flux(dataclasses.replace(CAMERA, housing_drift=0.6))
     assert not warmth[0].any()
     np.testing.assert_allclose(np.diff(warmth, axis=0), warmth[1] * np.ones((3, 1, 1)))
     assert warmth[1, 30, 40] == pytest.approx(1500 * 0.6 / 60, rel=1e-3)  # a frame's time, on the axis

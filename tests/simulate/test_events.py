@@ -7,7 +7,7 @@ import pytest
 
 from deepir.errors import ConfigError
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes import sky
+from deepir.simulate.scenes.procedural import sky
 
 SMALL = Settings(shape=(48, 56), n_frames=4, max_shift=4.0)
 QUIET = dataclasses.replace(

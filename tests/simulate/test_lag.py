@@ -7,7 +7,7 @@ import pytest
 
 from deepir.errors import ConfigError
 from deepir.simulate import Settings, render, simulate
-from deepir.simulate.lag import lagged, path
+from deepir.simulate.detector.thermal_lag import apply_lag, smooth_path
 
 IDEAL = Settings(
     n_frames=6, shape=(24, 32), scale=2.0, motion="shift", max_shift=4.0, gain_pixel=0.0, gain_column=0.0,
@@ -25,7 +25,7 @@ def picture():
 
 
 def test_the_path_is_smooth_starts_at_rest_and_reaches_what_the_settings_allow():
-    way = path(ideal(n_frames=12, tremor=5.0), np.random.default_rng(0))
+    way = smooth_path(ideal(n_frames=12, tremor=5.0), np.random.default_rng(0))
     assert way.shape == (11 * IDEAL.substeps + 1, 9)
     assert not way[0].any()
     np.testing.assert_allclose(np.abs(way).max(0), 1)
@@ -37,7 +37,7 @@ def test_the_step_response_of_a_pixel_is_that_of_the_paper():
     flux = np.zeros((5 * IDEAL.substeps + 1, 24, 32))
     flux[1:] = 1
     time = np.arange(6) * 1000 / IDEAL.fps
-    found = lagged(flux, np.full((24, 32), 10.0), ideal(substeps=16))[:, 3, 4]
+    found = apply_lag(flux, np.full((24, 32), 10.0), ideal(substeps=16))[:, 3, 4]
     np.testing.assert_allclose(found, 1 - np.exp(-time / 10), atol=0.02)
 
 
@@ -47,7 +47,7 @@ def test_each_frame_is_what_the_camera_sees_drawn_along_its_path():
     sim = simulate(y, ideal(), seed=2)
     per_px = np.diff(sim.frames[0].astype(float), axis=0).mean()
     seen = (sim.frames - sim.frames[0]).mean((1, 2)) / per_px  # px along y
-    way = 4 * path(IDEAL, np.random.default_rng(2).spawn(9)[8])[:, 1]
+    way = 4 * smooth_path(IDEAL, np.random.default_rng(2).spawn(9)[8])[:, 1]
     step = 1000 / (IDEAL.fps * IDEAL.substeps)
     late = np.zeros_like(way)
     for i in range(1, len(way)):  # the mean of both ends of a step

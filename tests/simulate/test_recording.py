@@ -9,9 +9,9 @@ import pytest
 
 from deepir.errors import ConfigError, DataError
 from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
-from deepir.simulate.recording.camera import lagging, offsets
+from deepir.simulate.recording.camera import drifting_offsets, lagged_frames
 from deepir.simulate.recording.paths import camera_path, rotations
-from deepir.simulate.recording.surfaces import Surface, World, texture, view
+from deepir.simulate.recording.surfaces import Surface, World, render_view, texture
 
 SMALL = RecordingSettings(kind="tripod", n_frames=12, shape=(48, 64), objects=0)
 X, Y, Z = np.eye(3)
@@ -54,7 +54,9 @@ def test_a_point_of_the_ground_moves_as_a_pinhole_projects_it(kind):
     spot = np.exp(-(at**2 + at[:, None] ** 2) / (2 * (0.012 * np.linalg.norm(point - path.position[0])) ** 2))
     ground = Surface((texture(spot, 0.05),), point - (6.4, 0, 6.4), X, Z, (12.8, 12.8))
     for k in (0, 4, 8):
-        seen, _ = view(alone(ground), path.position[k], path.rotation[k], settings.focal, settings.shape)
+        seen, _ = render_view(
+            alone(ground), path.position[k], path.rotation[k], settings.focal, settings.shape
+        )
         x, y, z = path.rotation[k].T @ (point - path.position[k])
         row, column = np.unravel_index(seen.argmax(), seen.shape)
         assert settings.focal * x / z + 63.5 == pytest.approx(column, abs=0.75)
@@ -66,7 +68,7 @@ def test_a_spot_is_seen_where_it_is_to_a_hundredth_of_a_px():
     spot = wall(np.exp(-(at**2 + at[:, None] ** 2) / (2 * 0.15**2)), 10.0, 0.02, (2.56, 2.56))
     rotation = rotations(np.array([2.0]), np.array([-1.0]), np.array([30.0]))[0]
     position = np.array([0.3, -0.2, 1.0])
-    seen, _ = view(alone(spot), position, rotation, 120.0, (48, 64))
+    seen, _ = render_view(alone(spot), position, rotation, 120.0, (48, 64))
     x, y, z = rotation.T @ (np.array([0, 0, 10.0]) - position)
     rows, columns = np.indices(seen.shape)
     assert (seen * columns).sum() / seen.sum() - 31.5 == pytest.approx(120 * x / z, abs=0.02)
@@ -86,18 +88,18 @@ def test_the_nearer_hides_the_farther_in_any_order():
         wall(np.full((64, 64), 0.3), 9.0, 0.25, (16, 16)),
     )
     for both in ([near, far], [far, near]):
-        seen, _ = view(World(both, BLACK, 0.0, 0.0), np.zeros(3), np.eye(3), 60.0, (48, 64))
+        seen, _ = render_view(World(both, BLACK, 0.0, 0.0), np.zeros(3), np.eye(3), 60.0, (48, 64))
         assert seen[24, 32] == pytest.approx(0.8)
         assert seen[24, 50] == pytest.approx(0.3)
 
 
 def test_a_pixel_integrates_a_ramp_and_averages_what_is_finer():
     ramp = wall(np.broadcast_to(np.arange(256) / 256, (256, 256)), 8.0, 0.05, (12.8, 12.8))
-    seen, _ = view(alone(ramp), np.zeros(3), np.eye(3), 60.0, (32, 40))
+    seen, _ = render_view(alone(ramp), np.zeros(3), np.eye(3), 60.0, (32, 40))
     u = np.arange(40) - 19.5
     np.testing.assert_allclose(seen[16], 0.5 + (8 * u / 60 - 0.025) / 12.8, atol=1e-4)
     board = wall(np.indices((256, 256)).sum(0) % 2, 8.0, 0.05, (12.8, 12.8))
-    seen, _ = view(alone(board), np.zeros(3), np.eye(3), 20.0, (16, 16))
+    seen, _ = render_view(alone(board), np.zeros(3), np.eye(3), 20.0, (16, 16))
     np.testing.assert_allclose(seen, 0.5, atol=0.02)
 
 
@@ -152,7 +154,7 @@ def test_a_closure_takes_off_what_is_seen_of_the_shutter():
 def test_the_drift_is_a_random_walk_or_an_ornstein_uhlenbeck_process(time):
     settings = small(n_frames=61, drift=0.1, drift_time=time, offset_column=0.0, offset_row=0.0)
     zero = np.zeros(settings.shape)
-    found = offsets(settings, zero + 1, zero, np.zeros(61, bool), np.random.default_rng(0))
+    found = drifting_offsets(settings, zero + 1, zero, np.zeros(61, bool), np.random.default_rng(0))
     expected = 150**2 * (time / 2 * (1 - np.exp(-2 * 2.0 / time)) if time else 2.0)
     assert found[-1].var() == pytest.approx(expected, rel=0.1)
 
@@ -161,7 +163,7 @@ def test_the_drift_is_a_random_walk_or_an_ornstein_uhlenbeck_process(time):
 def test_the_step_response_of_a_pixel_is_exponential(substeps):
     settings = small(tau_ms=20.0, substeps=substeps, n_frames=8)
     flux = [np.float64(k > 0) for k in range(7 * substeps + 1)]
-    found = list(lagging(flux, settings))
+    found = list(lagged_frames(flux, settings))
     rise = 1000 / 30 / substeps  # ms of the flux, from zero to one
     shown, steps = 0.0, 2000
     expected = [0.0]

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.simulate.scenes import KINDS, procedural, sky
+from deepir.simulate.scenes.procedural import SCENE_PAINTERS, procedural, sky
 
 SHAPE = (256, 320)
-SEEDS = range(2 * len(KINDS))
+SEEDS = range(2 * len(SCENE_PAINTERS))
 
 
 @pytest.fixture(scope="module", params=SEEDS)
@@ -48,7 +48,7 @@ def test_no_shift_but_none_makes_a_scene_look_like_itself(picture):
 
 def test_the_seed_decides_everything():
     np.testing.assert_array_equal(procedural(3, (64, 80)), procedural(3, (64, 80)))
-    same_kind = procedural(0, SHAPE), procedural(len(KINDS), SHAPE)
+    same_kind = procedural(0, SHAPE), procedural(len(SCENE_PAINTERS), SHAPE)
     assert np.corrcoef(*(p.ravel() for p in same_kind))[0, 1] < 0.95
 
 
@@ -59,7 +59,7 @@ def test_the_layout_scales_with_the_height():
 
 @pytest.mark.parametrize("shape", [(40, 300), (300, 40), (33, 47)])
 def test_any_shape_is_drawn(shape):
-    for seed in range(len(KINDS)):
+    for seed in range(len(SCENE_PAINTERS)):
         assert np.isfinite(procedural(seed, shape)).all()
 
 

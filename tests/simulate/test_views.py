@@ -5,19 +5,19 @@ import pytest
 
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
-from deepir.simulate.pictures import picture
+from deepir.simulate.scenes.pictures import load_picture
 
 VIEWS = Settings(n_frames=3, shape=(32, 40), own_scenes=True, dead_pixels=0.0)
 
 
 def test_each_frame_shows_its_own_picture_through_the_same_sensor():
-    sim = simulate(picture("camera, moon,grass"), VIEWS, seed=2)
+    sim = simulate(load_picture("camera, moon,grass"), VIEWS, seed=2)
     truth = sim.truth
     assert truth.scene.shape == (3, 32, 40)
     rest = sim.frames - truth.gain * truth.scene - truth.offset
     assert rest.std() == pytest.approx(truth.read_noise, rel=0.05)
     alone = simulate(
-        picture("moon"), Settings(n_frames=1, shape=(32, 40), dead_pixels=0.0, max_shift=0.0), seed=2
+        load_picture("moon"), Settings(n_frames=1, shape=(32, 40), dead_pixels=0.0, max_shift=0.0), seed=2
     )
     np.testing.assert_allclose(truth.scene[1], alone.truth.scene, atol=1e-12)
 
@@ -40,8 +40,8 @@ def test_the_truth_can_be_finer_than_the_detector():
 
 def test_pictures_and_frames_have_to_fit():
     with pytest.raises(DataError, match=r"2 picture\(s\) for 3 frames"):
-        simulate(picture("camera,moon"), VIEWS)
+        simulate(load_picture("camera,moon"), VIEWS)
     with pytest.raises(DataError, match=r"2 pictures; for a frame of each, set simulate.own_scenes"):
-        simulate(picture("camera,moon"), Settings(n_frames=2))
+        simulate(load_picture("camera,moon"), Settings(n_frames=2))
     with pytest.raises(ConfigError, match=r"not together with simulate\.walker"):
         simulate(None, Settings(n_frames=2, own_scenes=True, walker=0.3))

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepir.errors import ConfigError, DataError
-from deepir.sweep.axes import bursts, folder_name, listed, split
+from deepir.sweep.axes import burst_axis, folder_name, parse_axes, split_at_commas
 
 PLAIN = st.text("abc0.:- ", min_size=1)
 BRACKETED = st.lists(PLAIN, min_size=1).map(lambda parts: f"[{', '.join(parts)}]")
@@ -13,11 +13,11 @@ BRACKETED = st.lists(PLAIN, min_size=1).map(lambda parts: f"[{', '.join(parts)}]
 
 @given(st.lists(PLAIN | BRACKETED | PLAIN.map(lambda text: f'"{text},{text}"'), min_size=1))
 def test_values_are_split_at_commas_outside_of_brackets_and_quotes(values):
-    assert split(",".join(values)) == values
+    assert split_at_commas(",".join(values)) == values
 
 
 def test_a_key_with_several_values_is_an_axis_and_one_with_one_is_a_setting():
-    fixed, axes = listed(["data.crop=[0, 40, 0, 48]", "prior=tv,pixels", "threads=1", "seed=0, 1,0"])
+    fixed, axes = parse_axes(["data.crop=[0, 40, 0, 48]", "prior=tv,pixels", "threads=1", "seed=0, 1,0"])
     assert fixed == ["data.crop=[0, 40, 0, 48]", "threads=1"]
     assert [(axis.key, list(axis.choices)) for axis in axes] == [
         ("prior", ["tv", "pixels"]),
@@ -28,11 +28,11 @@ def test_a_key_with_several_values_is_an_axis_and_one_with_one_is_a_setting():
 
 def test_one_value_given_twice_varies_nothing():
     with pytest.raises(ConfigError, match="prior=tv,tv: nothing varies, tv is listed 2 times"):
-        listed(["prior=tv,tv"])
+        parse_axes(["prior=tv,tv"])
 
 
 def test_of_a_key_given_twice_the_last_counts():
-    fixed, axes = listed(["seed=0,1", "prior=tv,pixels", "seed=2"])
+    fixed, axes = parse_axes(["seed=0,1", "prior=tv,pixels", "seed=2"])
     assert fixed == ["seed=2"]
     assert [axis.key for axis in axes] == ["prior"]
 
@@ -40,7 +40,7 @@ def test_of_a_key_given_twice_the_last_counts():
 def test_bursts_are_called_by_their_stems_and_meet_their_truth(tmp_path):
     for name in ("a.npz", "a_truth.npz", "b.tiff", "c_truth.npz"):
         (tmp_path / name).touch()
-    axis = bursts([f"{tmp_path}/*"])
+    axis = burst_axis([f"{tmp_path}/*"])
     assert axis.choices == {
         "a": [f"data.path={tmp_path}/a.npz", f"data.truth={tmp_path}/a_truth.npz"],
         "b": [f"data.path={tmp_path}/b.tiff"],
@@ -52,13 +52,13 @@ def test_bursts_of_one_name_are_called_by_their_paths(tmp_path):
     for folder in ("x", "y"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.npz").touch()
-    names = list(bursts([f"{tmp_path}/*/a.npz"]).choices)
+    names = list(burst_axis([f"{tmp_path}/*/a.npz"]).choices)
     assert names == [f"{tmp_path}/x/a.npz", f"{tmp_path}/y/a.npz"]
 
 
 def test_a_pattern_without_a_burst_is_named(tmp_path):
     with pytest.raises(DataError, match=r"none.*npz: no such file"):
-        bursts([f"{tmp_path}/none*.npz"])
+        burst_axis([f"{tmp_path}/none*.npz"])
 
 
 def test_a_cells_folder_says_its_values():

@@ -8,8 +8,8 @@ from documentation import ROOT, blocks
 
 from deepir.errors import ConfigError, DataError
 from deepir.storage.stored import run_into
-from deepir.sweep.axes import bursts, listed
-from deepir.sweep.cells import cells, check, check_inputs
+from deepir.sweep.axes import burst_axis, parse_axes
+from deepir.sweep.cells import check_cells, check_inputs, make_cells
 from deepir.sweep.sweep import prepare
 
 SMALL = "data.simulate={counts: true, shape: [40, 48], max_shift: 4}"
@@ -20,8 +20,8 @@ def made(tmp_path):
     """Cells of settings."""
 
     def make(*settings):
-        fixed, axes = listed([SMALL, *settings])
-        return cells("nuc", fixed, axes, tmp_path, 1)
+        fixed, axes = parse_axes([SMALL, *settings])
+        return make_cells("nuc", fixed, axes, tmp_path, 1)
 
     return make
 
@@ -38,7 +38,7 @@ def test_there_is_a_cell_for_each_combination_in_order(made, tmp_path):
 def test_numbers_of_frames_are_the_first_of_one_burst(made):
     three, seven = made("data.frames=3,7")
     assert {cell.config.data.simulate["n_frames"] for cell in (three, seven)} == {7}
-    check([three, seven])
+    check_cells([three, seven])
 
 
 def test_a_number_of_frames_that_is_simulated_stays(made):
@@ -65,7 +65,7 @@ def test_a_number_of_frames_that_is_simulated_stays(made):
 )
 def test_a_wrong_value_is_found_before_anything_runs(made, tmp_path, setting, says):
     with pytest.raises((ConfigError, DataError), match=says):
-        check(made("seed=0,1", setting))
+        check_cells(made("seed=0,1", setting))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -86,8 +86,8 @@ def test_a_finished_cell_of_another_configuration_is_refused(made):
 def test_a_finished_cell_of_other_data_is_refused(tmp_path, burst):
     np.savez(tmp_path / "burst.npz", frames=burst.frames)
     settings = [f"data.path={tmp_path}/burst.npz", "method=average,joint"]
-    fixed, axes = listed(settings)
-    found = cells("nuc", fixed, axes, tmp_path, 1)
+    fixed, axes = parse_axes(settings)
+    found = make_cells("nuc", fixed, axes, tmp_path, 1)
     run_into(found[0].config, found[0].folder.path)
     check_inputs(found)
     np.savez(tmp_path / "burst.npz", frames=burst.frames[::-1])
@@ -98,13 +98,13 @@ def test_a_finished_cell_of_other_data_is_refused(tmp_path, burst):
 def test_a_burst_that_cannot_be_read_is_left_to_its_run_once_another_is_finished(tmp_path, burst):
     np.savez(tmp_path / "good.npz", frames=burst.frames)
     (tmp_path / "bad.npz").write_text("hello")
-    found = cells("nuc", ["method=average"], [bursts([f"{tmp_path}/*.npz"])], tmp_path, 1)
-    check(found)
+    found = make_cells("nuc", ["method=average"], [burst_axis([f"{tmp_path}/*.npz"])], tmp_path, 1)
+    check_cells(found)
     bad, good = found
     with pytest.raises(DataError, match="not a format"):
-        check([bad])
+        check_cells([bad])
     run_into(good.config, good.folder.path)
-    check([bad], finished=[good])
+    check_cells([bad], finished=[good])
 
 
 @pytest.mark.parametrize(
@@ -113,8 +113,8 @@ def test_a_burst_that_cannot_be_read_is_left_to_its_run_once_another_is_finished
 )
 def test_runs_share_out_the_cores(tmp_path, monkeypatch, given, count, cores, workers, threads):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("deepir.sweep.cluster.cores", lambda: cores)
-    fixed, axes = listed([SMALL, "method=average", *given, f"seed={','.join(map(str, range(count)))}"])
+    monkeypatch.setattr("deepir.sweep.cluster.core_count", lambda: cores)
+    fixed, axes = parse_axes([SMALL, "method=average", *given, f"seed={','.join(map(str, range(count)))}"])
     sweep = prepare("nuc", fixed, axes, folder=tmp_path)
     assert sweep.workers == workers
     assert {cell.config.threads for cell in sweep.cells} == {threads}
@@ -129,8 +129,8 @@ def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
 def test_the_comparison_that_is_documented_is_one(tmp_path):
     text = next(text for _, text in blocks(ROOT / "docs/ablations.md", "sh") if "compare" in text)
     _, _, name, *settings = shlex.split(text)
-    fixed, axes = listed(settings)
-    assert len(cells(name, fixed, axes, tmp_path, 1)) == 36
+    fixed, axes = parse_axes(settings)
+    assert len(make_cells(name, fixed, axes, tmp_path, 1)) == 36
 
 
 def test_a_run_that_takes_its_worker_down_each_time_is_given_up():

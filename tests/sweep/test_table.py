@@ -7,7 +7,7 @@ from PIL import Image
 
 from deepir.errors import ConfigError
 from deepir.sweep.plots import write_plots
-from deepir.sweep.table import Row, check_free, grouped, lines, markdown, write_csv, write_markdown
+from deepir.sweep.table import Row, check_free, group_rows, markdown, table_lines, write_csv, write_markdown
 
 
 def row(prior, frames, seed, psnr=None, error=""):
@@ -27,7 +27,7 @@ def rows():
 
 
 def test_cells_that_differ_in_seeds_are_one_line_with_median_and_range(rows):
-    heads, body = lines(rows)
+    heads, body = table_lines(rows)
     assert heads == ["prior", "data.frames", "finished", "PSNR (dB)", "radiometric error", "seconds"]
     assert body[0] == ["tv", "3", "3/3", "34.00 (33.00 to 37.00)", "–", "2 (1 to 3)"]
     assert [line[:2] for line in body] == [["tv", "3"], ["tv", "5"], ["dip", "3"], ["dip", "5"]]
@@ -35,7 +35,7 @@ def test_cells_that_differ_in_seeds_are_one_line_with_median_and_range(rows):
 
 def test_what_failed_is_counted_and_explained(rows):
     rows[0] = row("tv", 3, 0, error="it | did not work")
-    assert lines(rows)[1][0][2:4] == ["2/3", "35.50 (34.00 to 37.00)"]
+    assert table_lines(rows)[1][0][2:4] == ["2/3", "35.50 (34.00 to 37.00)"]
     assert "Failed:\n\n- `tv30`: it | did not work\n" in markdown(rows, "deepir compare")
 
 
@@ -46,7 +46,10 @@ def test_the_machines_are_named_once():
 
 def test_without_truth_the_held_out_error_is_shown():
     rows = [Row("a", {"prior": "tv"}, {"held_out_rmse": 4.0, "seconds": 2.0})]
-    assert lines(rows) == (["prior", "finished", "held-out error", "seconds"], [["tv", "1/1", "4", "2"]])
+    assert table_lines(rows) == (
+        ["prior", "finished", "held-out error", "seconds"],
+        [["tv", "1/1", "4", "2"]],
+    )
 
 
 def test_the_csv_has_a_line_for_each_cell_and_each_column_once(rows, tmp_path):
@@ -68,8 +71,8 @@ def test_the_csv_has_a_line_for_each_cell_and_each_column_once(rows, tmp_path):
 
 
 def test_groups_leave_out_the_axes_that_are_averaged(rows):
-    assert len(grouped(rows)) == 4
-    assert [len(group.rows) for group in grouped(rows, ("seed", "data.frames"))] == [6, 6]
+    assert len(group_rows(rows)) == 4
+    assert [len(group.rows) for group in group_rows(rows, ("seed", "data.frames"))] == [6, 6]
 
 
 def test_plots_are_drawn_and_those_of_one_point_are_not(rows, tmp_path):

@@ -1,19 +1,19 @@
 """The file formats, one module each.
 
-A reader is a module in this folder with
+A reader is a module in one of the sub-folders `arrays`, `pictures` and `thermal`, or in this folder, with
 
-    SUFFIXES: tuple[str, ...]                       what its files are usually called
-    def sniff(head: bytes, path: Path) -> bool      is it mine? by its first 64 bytes, not its name
-    def read(path: Path, key: str | None) -> Array  the array as it is stored, of any shape and type
+    SUFFIXES: tuple[str, ...]                       usual suffixes of its files
+    def sniff(head: bytes, path: Path) -> bool      recognises a file by its first 64 bytes, not its name
+    def read(path: Path, key: str | None) -> Array  the stored array, of any shape and type
 
-and nothing else has to know of it. It may also have
+It needs no registration. It may also have
 
-    def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in pieces of many
-    def radiometry(path: Path) -> Radiometry | None             what its files say a count is in kelvin
+    def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in larger pieces
+    def radiometry(path: Path) -> Radiometry | None             conversion of counts to kelvin
 
-for recordings larger than the memory, and for radiometric ones. A reader of something general sets `GENERIC = True`
-and is asked last, so that a radiometric JPEG, say, can be recognised before a plain one. A reader may raise anything
-on a damaged file: `guarded` turns it into a `DataError`.
+for recordings larger than the memory, and for radiometric ones. A reader of a general format sets `GENERIC = True`
+and is tried last, so that a radiometric JPEG is recognised before a plain one. A reader may raise any exception on a
+damaged file: `decoding` turns it into a `DataError`.
 """
 
 from __future__ import annotations
@@ -37,66 +37,78 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 
 class Reader(Protocol):
-    """What a module in this folder offers."""
+    """The interface of a reader."""
 
     __name__: str
     SUFFIXES: tuple[str, ...]
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        """Whether this reader reads `path`, whose first bytes are `head` (empty for a folder or a glob)."""
+        """True if this reader reads `path`, whose first bytes are `head` (empty for a folder or a glob)."""
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The stored array, or for a format with masks of its own a masked one."""
+        """The stored array; masked for a format with masks."""
 
 
 @functools.cache
 def all_readers() -> tuple[Reader, ...]:
-    """Every reader in this folder, general ones last."""
-    names = sorted(module.name for module in pkgutil.iter_modules(__path__))
-    readers = [importlib.import_module(f"{__name__}.{name}") for name in names]
+    """Every reader in this folder and its sub-folders, in the order of the formats' names, general ones last."""
+    found = pkgutil.walk_packages(__path__, f"{__name__}.")
+    names = sorted((each.name for each in found if not each.ispkg), key=lambda name: name.rpartition(".")[2])
+    readers = [importlib.import_module(name) for name in names]
     return tuple(cast(list[Reader], sorted(readers, key=lambda reader: getattr(reader, "GENERIC", False))))
 
 
 def suffixes() -> list[str]:
-    """What the files of all readers are usually called."""
+    """Usual suffixes of all formats."""
     return sorted({suffix for reader in all_readers() for suffix in reader.SUFFIXES})
 
 
-def find(path: Path) -> Reader | None:
-    """The reader that recognises the contents of `path`, or None.
+def find_reader(path: Path) -> Reader | None:
+    """The reader that recognises the contents of a file; None if there is none.
 
-    Raises `DataError` where `path` is missing, empty, no ordinary file, or may not be read.
+    Raises:
+        DataError: The file is missing, empty, not an ordinary file, or not readable.
     """
-    with guarded(path):
+    with decoding(path):
         head = _head(path)
         return next((reader for reader in all_readers() if reader.sniff(head, path)), None)
 
 
 def read(path: Path, key: str | None = None) -> Array:
-    """The array stored in `path` (a file, a folder or a glob), as it is stored; `key` names it in an archive.
+    """The stored array of a file, a folder or a glob.
 
-    Raises `DataError` for whatever is wrong with the file.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+
+    Raises:
+        DataError: The file cannot be read.
     """
-    reader = find(path)
+    reader = find_reader(path)
     if reader is None:
         raise DataError(
             f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
             "Save it as .npz with an array `frames` (frames, height, width)."
         )
-    with guarded(path):
+    with decoding(path):
         return reader.read(path, key)
 
 
 def stream(path: Path, key: str | None = None) -> Iterator[Array]:
-    """The array stored in `path` in pieces: frames `(h, w)`, or as many at a time as `read` would give.
+    """The stored array in pieces: frames (h, w), or several at a time.
 
-    Raises `DataError` as `read` does, once the piece that is wrong is reached.
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+
+    Raises:
+        DataError: As `read`, when the damaged piece is reached.
     """
-    own = getattr(find(path), "stream", None)
+    own = getattr(find_reader(path), "stream", None)
     pieces = own(path, key) if own else iter([read(path, key)])
     empty = True
     while True:
-        with guarded(path):  # not around the loop: what is done with a piece is no business of ours
+        with decoding(path):  # not around the loop: errors of the caller pass
             piece = next(pieces, None)
         if piece is None:
             break
@@ -107,14 +119,18 @@ def stream(path: Path, key: str | None = None) -> Iterator[Array]:
 
 
 def radiometry(path: Path) -> Radiometry | None:
-    """What makes kelvin of the counts in `path`, if the file says it. Raises `DataError` as `read` does."""
-    own = getattr(find(path), "radiometry", None)
-    with guarded(path):
+    """Radiometry of a file; None if it has none.
+
+    Raises:
+        DataError: As `read`.
+    """
+    own = getattr(find_reader(path), "radiometry", None)
+    with decoding(path):
         return own(path) if own else None
 
 
 @contextmanager
-def guarded(path: Path) -> Iterator[None]:
+def decoding(path: Path) -> Iterator[None]:
     """Turn whatever a decoder raises inside into a `DataError` that names the file; hide its warnings."""
     try:
         with warnings.catch_warnings():
@@ -136,7 +152,7 @@ def guarded(path: Path) -> Iterator[None]:
 
 
 def is_glob(path: Path) -> bool:
-    """Whether `path` is a pattern such as `frames/*.png` rather than the name of something that exists."""
+    """True for a pattern such as `frames/*.png` that is not the name of an existing file."""
     return any(letter in str(path) for letter in "*?[") and not path.exists()
 
 

@@ -1,4 +1,4 @@
-"""Whole recordings in software: a camera that drives, walks, turns, stands or flies, with truth for each frame."""
+"""Simulated recordings: a camera that drives, walks, pans, stands or flies, with truth for each frame."""
 
 from deepir.simulate.recording.judging import residual_map, residual_pattern
 from deepir.simulate.recording.recording import Recording, RecordingTruth, simulate_recording

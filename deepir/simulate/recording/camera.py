@@ -1,4 +1,4 @@
-"""What a camera makes of the flux: lag, drift, shutter, gain control and compression."""
+"""The camera of a recording: lag, drift, shutter, gain control and compression."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from deepir.io.extras import needed
-from deepir.simulate.lag import response
+from deepir.io.extras import import_optional
+from deepir.simulate.detector.sensor import fixed_pattern
+from deepir.simulate.detector.thermal_lag import lag_coefficients
 from deepir.simulate.recording.settings import RecordingSettings
-from deepir.simulate.sensor import pattern
 
-CLOSED = 0.1  # duration of a closure of the shutter, s
-CALM = 0.5  # time constant of the automatic gain control, s
-SHOWN = (1.0, 99.0)  # percentiles of a frame that are stretched to TONES
-TONES = (16.0, 240.0)
+CLOSURE_DURATION = 0.1  # s that the shutter stays closed
+AGC_TIME_CONSTANT = 0.5  # s; time constant of the automatic gain control
+AGC_PERCENTILES = (1.0, 99.0)  # percentiles of a frame that are mapped to AGC_LEVELS
+AGC_LEVELS = (16.0, 240.0)  # grey levels of these percentiles
 
 
-def closures(settings: RecordingSettings) -> np.ndarray:
-    """(N,) bool: frames of the closed shutter. There was one just before the recording."""
+def shutter_closures(settings: RecordingSettings) -> np.ndarray:
+    """Frames (N,) bool of the closed shutter; one closure was just before the recording."""
     if not settings.shutter_every:
         return np.zeros(settings.n_frames, bool)
     frame = np.arange(settings.n_frames)
     every = max(2, round(settings.shutter_every * settings.frame_rate))
-    lasts = min(max(1, round(CLOSED * settings.frame_rate)), every - 1)
+    lasts = min(max(1, round(CLOSURE_DURATION * settings.frame_rate)), every - 1)
     return np.asarray((frame >= every) & (frame % every < lasts))
 
 
-def offsets(
+def drifting_offsets(
     settings: RecordingSettings,
     gain: np.ndarray,
     offset: np.ndarray,
@@ -37,15 +37,15 @@ def offsets(
 ) -> np.ndarray:
     """The offset of each frame, counts.
 
-    It drifts by independent steps of pixels, columns and rows in the proportions of their sigmas. With a shutter the
-    camera takes off what it sees of it: `(1 - gain) flat` and a residual are left after each closure.
+    Pixels, columns and rows drift by independent steps in the proportions of their sigmas. With a shutter, the camera
+    subtracts its picture: `(1 - gain) flat` and a residual remain after each closure.
 
     Args:
         settings: Drift and shutter.
         gain: (H, W), mean one.
         offset: (H, W), at the start of a recording without a shutter.
         closed: (N,) bool, frames of the closed shutter.
-        rng: Draws drift and residuals.
+        rng: Random stream of drift and residuals.
 
     Returns:
         (N, H, W), float32.
@@ -61,8 +61,8 @@ def offsets(
     size = settings.contrast * settings.drift * np.sqrt(variance)
 
     def after_closure() -> np.ndarray:
-        left = pattern(settings.sensor(settings.shutter_residual), rng, rng)[1]
-        return (1 - gain) * settings.flat + left - left.mean()
+        residual = fixed_pattern(settings.sensor(settings.shutter_residual), rng, rng)[1]
+        return (1 - gain) * settings.flat + residual - residual.mean()
 
     base = after_closure() if settings.shutter_every else offset
     drift, found = np.zeros((height, width)), np.empty((settings.n_frames, height, width), np.float32)
@@ -79,14 +79,14 @@ def offsets(
     return found
 
 
-def lagging(flux: Iterable[np.ndarray], settings: RecordingSettings) -> Iterator[np.ndarray]:
-    """Frames that pixels of time constant `tau_ms` show of the flux (H, W) at successive instants.
+def lagged_frames(flux: Iterable[np.ndarray], settings: RecordingSettings) -> Iterator[np.ndarray]:
+    """Frames of pixels with the time constant `tau_ms`, from the flux (H, W) at successive instants.
 
-    Exact for a flux that is linear between two instants. Before the first the pixels had settled.
+    Exact for a flux that is linear between two instants. Before the first instant the pixels have settled.
     """
     kept, old, new = 0.0, 0.0, 1.0
     if settings.tau_ms:
-        kept, old, new = response(1000 / (settings.frame_rate * settings.substeps) / settings.tau_ms)
+        kept, old, new = lag_coefficients(1000 / (settings.frame_rate * settings.substeps) / settings.tau_ms)
     instants = iter(flux)
     shown = before = next(instants)
     yield shown
@@ -96,42 +96,46 @@ def lagging(flux: Iterable[np.ndarray], settings: RecordingSettings) -> Iterator
             yield shown
 
 
-def stretched(
+def automatic_gain(
     raw: np.ndarray, closed: np.ndarray, good: np.ndarray, settings: RecordingSettings
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames of 8 bits of an automatic gain control, which follows the contrast slowly and not that of the shutter.
+    """8-bit frames of an automatic gain control, which follows the contrast slowly and ignores the shutter.
 
     Args:
         raw: (N, H, W), counts.
         closed: (N,) bool, frames of the closed shutter.
-        good: (H, W) bool, pixels that the control looks at.
+        good: (H, W) bool, pixels that the control uses.
         settings: Frame rate.
 
     Returns:
-        Frames (N, H, W), uint8, and the gain (N,) and the offset (N,) by which they come from counts.
+        Frames (N, H, W), uint8, and the gain (N,) and offset (N,) that map counts to grey levels.
     """
-    kept = np.exp(-1 / (settings.frame_rate * CALM))
+    kept = np.exp(-1 / (settings.frame_rate * AGC_TIME_CONSTANT))
     ends, state = np.empty((len(raw), 2)), None
     for k, frame in enumerate(raw):
         if state is None or not closed[k]:
-            now = np.percentile(frame[good], SHOWN)
+            now = np.percentile(frame[good], AGC_PERCENTILES)
             state = now if state is None else kept * state + (1 - kept) * now
         ends[k] = state
-    gain = (TONES[1] - TONES[0]) / np.maximum(ends[:, 1] - ends[:, 0], 1.0)
-    offset = TONES[0] - gain * ends[:, 0]
+    gain = (AGC_LEVELS[1] - AGC_LEVELS[0]) / np.maximum(ends[:, 1] - ends[:, 0], 1.0)
+    offset = AGC_LEVELS[0] - gain * ends[:, 0]
     frames = np.empty(raw.shape, np.uint8)
     for k, frame in enumerate(raw):
         frames[k] = np.clip(np.rint(gain[k] * frame + offset[k]), 0, 255)
     return frames, gain, offset
 
 
-def compressed(frames: np.ndarray, settings: RecordingSettings) -> np.ndarray:
-    """Frames (N, H, W), uint8, after a lossy codec; their grey is its luminance, in the full range.
+def compress(frames: np.ndarray, settings: RecordingSettings) -> np.ndarray:
+    """Frames after a lossy codec, with their grey as its luminance, in the full range.
+
+    Args:
+        frames: (N, H, W), uint8.
+        settings: Codec and bit rate.
 
     Raises:
         DataError: PyAV is not installed.
     """
-    av = needed("av", "video", f"recording.compression = {settings.compression}")
+    av = import_optional("av", "video", f"recording.compression = {settings.compression}")
     count, height, width = frames.shape
     padded = np.pad(frames, ((0, 0), (0, height % 2), (0, width % 2)), mode="edge")
     rows, columns = padded.shape[1:]

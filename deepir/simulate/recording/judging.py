@@ -1,4 +1,4 @@
-"""How much of the fixed pattern a correction of a recording leaves."""
+"""Residual fixed pattern of a corrected recording."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def residual_pattern(corrected: np.ndarray, recording: Recording) -> float:
 
 
 def residual_map(corrected: np.ndarray, recording: Recording) -> np.ndarray:
-    """What stays the same in all frames of a correction and is not the scene: the mean over frames of the error.
+    """Temporal mean of the error of a correction.
 
-    A level of each frame is free, and with an automatic gain control its gain, too: both by least squares. Left out are
-    bad pixels, frames of the shutter, and samples that an end of 8 bits cuts off.
+    The level of each frame is free and, with an automatic gain control, its gain too: both by least squares. Bad
+    pixels, frames of the shutter, and samples at an end of 8 bits are left out.
 
     Args:
         corrected: (N, H, W), in the units of the recording's frames.
         recording: With its truth.
 
     Returns:
-        (H, W), in sigmas of the noise of a sample (`truth.noise`), mean zero; NaN where no sample is left.
+        (H, W), in sigmas of the noise of a sample (`truth.noise`), mean zero; NaN without a sample.
 
     Raises:
         DataError: The shapes differ, or all frames are of the shutter.

@@ -1,4 +1,4 @@
-"""Loops of the renderer: each fine sample looks up where its ray meets a surface."""
+"""Kernels of the renderer: each fine sample looks up where its ray meets a surface."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from numba import njit
 
 from deepir.kernels.compile import compiled
 
-FINE = 2  # samples along a pixel's side
-PROBES = 5  # of a texture along the longer side of what a sample sees, at most
-CLEAR = 1e-3  # share of a sample that is as good as none
-NEAREST = 20.0  # inverse of the least depth that is seen, 1/m
+SAMPLES_PER_PIXEL = 2  # samples along a pixel's side
+MAX_TEXTURE_PROBES = 5  # samples of a texture along the longer side of a sample's footprint
+MIN_VISIBLE_SHARE = 1e-3  # share of a sample below which a surface is skipped
+MAX_INVERSE_DEPTH = 20.0  # inverse of the least depth that is rendered, 1/m
 
 
 @njit(inline="always")
@@ -65,11 +65,11 @@ def _average(
     if across > along:
         longer = u
         across, along = along, across
-    size = max(across, along / PROBES, 1.0)
+    size = max(across, along / MAX_TEXTURE_PROBES, 1.0)
     level = min(np.log2(size), len(levels) - 1.0)
     coarse = int(level)
     part = level - coarse
-    count = min(max(int(np.ceil(along / size)), 1), PROBES)
+    count = min(max(int(np.ceil(along / size)), 1), MAX_TEXTURE_PROBES)
     value = hides = 0.0
     for k in range(count):
         way = (k + 0.5) / count - 0.5
@@ -85,7 +85,7 @@ def _average(
 
 
 @compiled
-def paint(
+def paint_surface(
     values: np.ndarray,
     cover: np.ndarray,
     levels: np.ndarray,
@@ -101,17 +101,17 @@ def paint(
     moving: np.ndarray,
     through: np.ndarray,
 ) -> None:
-    """Paint a surface where it is nearer than what is opaque there.
+    """Paint a surface where it is nearer than the opaque surfaces so far.
 
-    An opaque one (no `cover`) writes to `near`, the inverse of the depth. What is cut out goes behind what has been
-    painted before it: `through` is the share of each sample that is still free.
+    An opaque one (no `cover`) writes to `near`, the inverse of the depth. A cut-out is painted behind earlier cut-outs:
+    `through` is the uncovered fraction of each sample.
     """
     for i in range(box[0], box[1]):
         v = first[1] + i * step
         for j in range(box[2], box[3]):
             u = first[0] + j * step
             w = H[2, 0] * u + H[2, 1] * v + H[2, 2]
-            if w <= near[i, j] or w > NEAREST or through[i, j] < CLEAR:
+            if w <= near[i, j] or w > MAX_INVERSE_DEPTH or through[i, j] < MIN_VISIBLE_SHARE:
                 continue
             s = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w
             t = (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
@@ -124,14 +124,14 @@ def paint(
             if len(cover) == 0:
                 seen[i, j], near[i, j] = value, w
                 moving[i, j] = 1.0 if moves else 0.0
-            elif hides > CLEAR:
+            elif hides > MIN_VISIBLE_SHARE:
                 seen[i, j] += through[i, j] * value
                 moving[i, j] += through[i, j] * hides if moves else 0.0
                 through[i, j] *= 1 - hides
 
 
 @compiled
-def surround(
+def paint_backdrop(
     values: np.ndarray,
     levels: np.ndarray,
     texel: float,
@@ -142,7 +142,7 @@ def surround(
     seen: np.ndarray,
     near: np.ndarray,
 ) -> None:
-    """Paint the backdrop at infinity where there is nothing before it; it begins at azimuth and elevation `start`."""
+    """Paint the backdrop at infinity behind everything; it begins at azimuth and elevation `start`."""
     for i in range(seen.shape[0]):
         v = first[1] + i * step
         for j in range(seen.shape[1]):

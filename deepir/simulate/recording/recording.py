@@ -1,4 +1,4 @@
-"""A recording and its truth."""
+"""A simulated recording and its truth."""
 
 from __future__ import annotations
 
@@ -10,19 +10,25 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.simulate.recording.camera import closures, compressed, lagging, offsets, stretched
+from deepir.simulate.detector.sensor import expose, fixed_pattern
+from deepir.simulate.recording.camera import (
+    automatic_gain,
+    compress,
+    drifting_offsets,
+    lagged_frames,
+    shutter_closures,
+)
 from deepir.simulate.recording.paths import CameraPath, camera_path
 from deepir.simulate.recording.settings import RecordingSettings
-from deepir.simulate.recording.surfaces import World, view
+from deepir.simulate.recording.surfaces import World, render_view
 from deepir.simulate.recording.worlds import world
-from deepir.simulate.sensor import expose, pattern
 
-DEFAULT = RecordingSettings()
+DEFAULT_RECORDING = RecordingSettings()
 
 
 @dataclass(frozen=True)
 class RecordingTruth:
-    """What made a recording, in counts: `agc_gain (gain scene + offset + noise) + agc_offset`."""
+    """Everything that made a recording, counts: `agc_gain (gain scene + offset + noise) + agc_offset`."""
 
     #: What pixels without pattern and noise would show of each frame, pedestal and lag included.
     scene: np.ndarray  # (N, H, W), float32
@@ -41,7 +47,7 @@ class RecordingTruth:
 
 @dataclass(frozen=True)
 class Recording:
-    """Frames (N, H, W), uint16 counts or uint8 grey levels, their times, and what made them."""
+    """Frames (N, H, W), uint16 counts or uint8 grey levels, their times, and their truth."""
 
     frames: np.ndarray
     times: np.ndarray  # (N,), s
@@ -65,33 +71,30 @@ class Recording:
         return path, beside
 
 
-def simulate_recording(settings: RecordingSettings = DEFAULT, *, seed: int = 0) -> Recording:
+def simulate_recording(settings: RecordingSettings = DEFAULT_RECORDING, *, seed: int = 0) -> Recording:
     """Record a world through which a camera moves.
 
-    Path, world, pattern, drift and noise have random streams of their own: with another noise the path stays.
+    Path, world, pattern, drift and noise have independent random streams: another noise leaves the path unchanged.
 
     Args:
         settings: The camera, its motion, and how frames are stored.
         seed: The same seed gives the same recording.
-
-    Returns:
-        Frames with their truth.
 
     Raises:
         DataError: Frames are to be compressed, and PyAV is not installed.
     """
     path_rng, world_rng, pattern_rng, shading_rng, drift_rng, noise_rng = np.random.default_rng(seed).spawn(6)
     path = camera_path(settings, path_rng)
-    closed = closures(settings)
+    closed = shutter_closures(settings)
     moving = np.zeros((settings.n_frames, *settings.shape), bool)
     flux = _flux(world(settings, seed, world_rng), path, closed, moving, settings)
-    scene = np.stack(list(lagging(flux, settings)))
+    scene = np.stack(list(lagged_frames(flux, settings)))
 
     sensor = settings.sensor()
-    gain, offset, defects = pattern(sensor, pattern_rng, shading_rng)
+    gain, offset, defects = fixed_pattern(sensor, pattern_rng, shading_rng)
     good = defects == 0
     gain, offset = gain / gain[good].mean(), offset - offset[good].mean()
-    offset = offsets(settings, gain, offset, closed, drift_rng)
+    offset = drifting_offsets(settings, gain, offset, closed, drift_rng)
     offset -= offset[:, good].mean(1)[:, None, None]
     frames = np.concatenate([
         expose(scene[k : k + 1], gain, offset[k], np.zeros(1), defects, sensor, noise_rng, noise_rng)
@@ -99,9 +102,9 @@ def simulate_recording(settings: RecordingSettings = DEFAULT, *, seed: int = 0) 
     ])  # fmt: skip
     agc_gain, agc_offset = np.ones(settings.n_frames), np.zeros(settings.n_frames)
     if settings.agc:
-        frames, agc_gain, agc_offset = stretched(frames, closed, good, settings)
+        frames, agc_gain, agc_offset = automatic_gain(frames, closed, good, settings)
     if settings.compression != "none":
-        frames = compressed(frames, settings)
+        frames = compress(frames, settings)
     each = slice(None, None, settings.substeps)
     truth = RecordingTruth(
         scene=scene,
@@ -123,14 +126,14 @@ def simulate_recording(settings: RecordingSettings = DEFAULT, *, seed: int = 0) 
 def _flux(
     seen: World, path: CameraPath, closed: np.ndarray, moving: np.ndarray, settings: RecordingSettings
 ) -> Iterator[np.ndarray]:
-    """What falls on the pixels at each instant, counts; writes `moving` of each frame."""
+    """Flux on the pixels at each instant, counts; fills `moving` of each frame."""
     for k, time in enumerate(path.times):
         frame, first = divmod(k, settings.substeps)
         # The instants between two frames belong to the later one.
         if closed[frame + (first > 0)]:
             yield np.full(settings.shape, settings.flat, np.float32)
             continue
-        values, moves = view(
+        values, moves = render_view(
             seen, path.position[k], path.rotation[k], settings.focal, settings.shape, settings.psf_sigma, time
         )
         if first == 0:

@@ -1,4 +1,4 @@
-"""What can be asked of a simulated recording."""
+"""Settings of a simulated recording."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from deepir.errors import ConfigError, nearest
-from deepir.simulate.settings import MOST, Settings
+from deepir.simulate.settings import MAX_SAMPLES, Settings
 
-KINDS = ("drive", "walk", "pan", "tripod", "drone")
-COMPRESSIONS = ("none", "mpeg4", "h264")
-SIDE = (16, 2048)  # least and largest height and width of a frame, px
+RECORDING_KINDS = ("drive", "walk", "pan", "tripod", "drone")  # how the camera moves
+COMPRESSIONS = ("none", "mpeg4", "h264")  # codecs
+FRAME_SIDE_LIMITS = (16, 2048)  # least and largest height and width of a frame, px
 
 
 @dataclass(frozen=True)
 class RecordingSettings:
-    """The camera, how it moves and how its frames are stored; a zero turns an effect off.
+    """The camera, its motion, and how frames are stored; zero turns an effect off.
 
     Magnitudes are those of 14-bit microbolometers. "Range" is `contrast`, the counts between scene values 0 and 1.
     """
@@ -53,19 +53,23 @@ class RecordingSettings:
     contrast: float = 1500.0  # counts between scene values 0 and 1
 
     def __post_init__(self) -> None:
-        for key, allowed in {"kind": KINDS, "compression": COMPRESSIONS}.items():
+        for key, allowed in {"kind": RECORDING_KINDS, "compression": COMPRESSIONS}.items():
             if (name := getattr(self, key)) not in allowed:
                 raise ConfigError(f"recording.{key}: '{name}' is unknown; {nearest(name, allowed)}")
         for key, value in asdict(self).items():
             if isinstance(value, int | float) and not 0 <= value < np.inf:
                 raise ConfigError(f"recording.{key} = {value}: must be zero or more, and finite")
-        if self.n_frames < 1 or not SIDE[0] <= min(self.shape) <= max(self.shape) <= SIDE[1]:
+        if (
+            self.n_frames < 1
+            or not FRAME_SIDE_LIMITS[0] <= min(self.shape) <= max(self.shape) <= FRAME_SIDE_LIMITS[1]
+        ):
             raise ConfigError(
-                f"recording: at least one frame (n_frames) with sides of {SIDE[0]} to {SIDE[1]} px (shape) is needed"
+                f"recording: at least one frame (n_frames) with sides of {FRAME_SIDE_LIMITS[0]} to "
+                f"{FRAME_SIDE_LIMITS[1]} px (shape) is needed"
             )
-        if (samples := math.prod((self.n_frames, *self.shape))) > MOST:
+        if (samples := math.prod((self.n_frames, *self.shape))) > MAX_SAMPLES:
             raise ConfigError(
-                f"recording: {samples:.3g} samples (n_frames times shape); at most {MOST:.3g} are simulated"
+                f"recording: {samples:.3g} samples (n_frames times shape); at most {MAX_SAMPLES:.3g} are simulated"
             )
         if not (self.frame_rate > 0 and self.contrast > 0 and 1 <= self.substeps <= 100):
             raise ConfigError(
@@ -98,7 +102,7 @@ class RecordingSettings:
         return self.pedestal + self.contrast / 2
 
     def sensor(self, offset: float = 1.0) -> Settings:
-        """The same sensor in the words of a burst; `offset` is a factor of its offset's sigmas."""
+        """The same sensor as `Settings` of a burst; `offset` is a factor of its offset's sigmas."""
         same = ("shape", "gain_pixel", "gain_column", "gain_row", "gain_shading", "read_noise", "dead_pixels")
         scaled = ("offset_pixel", "offset_column", "offset_row", "shading")
         return Settings(

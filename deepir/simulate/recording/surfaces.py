@@ -1,4 +1,4 @@
-"""Flat textured things of a world, and what a camera sees of them: true parallax, integrated over each pixel."""
+"""Flat textured surfaces of a world, rendered with true parallax and integrated over each pixel."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import ndimage
 
-from deepir.simulate.drawing import Canvas
 from deepir.simulate.recording import raster
+from deepir.simulate.recording.raster import SAMPLES_PER_PIXEL
+from deepir.simulate.scenes.drawing import Canvas
 
-FINE = raster.FINE
-NEAREST = 1 / raster.NEAREST  # depth of the nearest that is seen, m
-SEEN = 0.02  # share of a sample that a moving object covers, from which on it counts as moving
+#: Unit vectors of the world, see `deepir.simulate.recording.paths`.
+RIGHT, DOWN, AHEAD = np.eye(3)
+MIN_DEPTH = 1 / raster.MAX_INVERSE_DEPTH  # least depth that is rendered, m
+MIN_MOVING_COVER = 0.02  # covered share of a sample from which it counts as moving
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Texture:
 
 @dataclass(frozen=True)
 class Surface:
-    """A rectangle at `corner + velocity t`; its texture is mirrored where it is larger than that."""
+    """A rectangle at `corner + velocity t`; a texture smaller than it is mirrored."""
 
     textures: Sequence[Texture]  # shown in turn, `rate` a second
     corner: np.ndarray  # (3,), m, where the texture's first texel begins
@@ -37,17 +39,17 @@ class Surface:
     size: tuple[float, float]  # along and down, m
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m/s
     rate: float = 0.0  # Hz
-    #: Where depths of middles do not tell it: what is cut out is behind that of a lower layer.
+    #: Order of cut-outs: one of a higher layer is behind all of a lower layer, whatever their depths.
     layer: int = 0
 
     @property
     def cut(self) -> bool:
-        """Whether it is cut out, and what is behind it shows."""
+        """True for a cut-out, through which surfaces behind it show."""
         return bool(self.textures[0].cover.size)
 
     @property
     def moving(self) -> bool:
-        """Whether it moves by itself."""
+        """True if it moves by itself."""
         return bool(self.velocity.any())
 
 
@@ -62,7 +64,13 @@ class World:
 
 
 def texture(picture: np.ndarray, texel: float, cover: np.ndarray | None = None) -> Texture:
-    """A texture of a picture (height, width), float; `cover`: how opaque it is, in [0, 1], already in the picture."""
+    """A texture of a picture.
+
+    Args:
+        picture: (height, width).
+        texel: Side of a texel, m.
+        cover: (height, width), opacity in [0, 1], already multiplied into the picture; None: opaque.
+    """
     values, covers, levels, start = [], [], [], 0
     layers = [np.asarray(picture, np.float32)]
     layers += [np.asarray(cover, np.float32)] if cover is not None else []
@@ -85,7 +93,7 @@ def _halved(layer: np.ndarray) -> np.ndarray:
 
 
 def cut_out(seed: int, shape: tuple[int, int], draw: Callable[[Canvas], None], texel: float) -> Texture:
-    """What `draw` paints on a canvas, and nothing around it."""
+    """A cut-out with the painting of `draw` on a canvas."""
     canvas = Canvas(seed, shape)
     # Painting is linear: the imaginary part keeps how much of what is behind shows.
     canvas.image = np.full(shape, 1j)
@@ -96,7 +104,11 @@ def cut_out(seed: int, shape: tuple[int, int], draw: Callable[[Canvas], None], t
 def homography(
     surface: Surface, position: np.ndarray, rotation: np.ndarray, time: float
 ) -> np.ndarray | None:
-    """From rays (x, y, 1) of the camera to a surface's (s, t, 1), in m, over their depth; None: it is seen edge-on."""
+    """Homography from rays (x, y, 1) of the camera to points (s, t, 1) of a surface, m, over their depth.
+
+    Returns:
+        (3, 3); None if the surface is seen edge-on.
+    """
     reach = surface.corner + surface.velocity * time - position
     frame = np.stack([surface.along, surface.down, reach], axis=1)
     if abs(np.linalg.det(frame)) < 1e-9:
@@ -104,7 +116,7 @@ def homography(
     return np.asarray(np.linalg.inv(frame) @ rotation)
 
 
-def view(
+def render_view(
     world: World,
     position: np.ndarray,
     rotation: np.ndarray,
@@ -113,26 +125,26 @@ def view(
     psf_sigma: float = 0.0,
     time: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a camera sees of a world.
+    """Render a world.
 
-    Rays through `FINE` x `FINE` points of each pixel meet the surfaces exactly; the texture is averaged over what lies
-    between the points, then blurred by the optics and averaged over the pixel.
+    Rays through `SAMPLES_PER_PIXEL` x `SAMPLES_PER_PIXEL` points of each pixel meet the surfaces exactly. The texture
+    is averaged between the points, then blurred by the optics and averaged over the pixel.
 
     Args:
-        world: What there is to see.
+        world: The world.
         position: (3,), m.
         rotation: (3, 3), from the camera's axes to the world's.
         focal: Focal length, px.
         shape: Height and width of the frame, px.
         psf_sigma: Gaussian blur of the optics, px.
-        time: Of things that move, s.
+        time: Time of moving surfaces, s.
 
     Returns:
-        Scene values (H, W), float32, and where things that move are seen, (H, W) bool.
+        Scene values (H, W), float32, and pixels of moving surfaces, (H, W) bool.
     """
-    margin = FINE * int(np.ceil(3 * psf_sigma))
-    height, width = (FINE * n + 2 * margin for n in shape)
-    step = 1 / (FINE * focal)
+    margin = SAMPLES_PER_PIXEL * int(np.ceil(3 * psf_sigma))
+    height, width = (SAMPLES_PER_PIXEL * n + 2 * margin for n in shape)
+    step = 1 / (SAMPLES_PER_PIXEL * focal)
     first = (-(width - 1) / 2 * step, -(height - 1) / 2 * step)
     near, seen, moving, behind, behind_moving = np.zeros((5, height, width), np.float32)
     through = np.ones((height, width), np.float32)
@@ -147,20 +159,20 @@ def view(
     for _, surface, H, box in sorted(met, key=lambda each: each[0]):
         shown = surface.textures[int(time * surface.rate) % len(surface.textures)]
         into = (seen, moving) if surface.cut else (behind, behind_moving)
-        raster.paint(
+        raster.paint_surface(
             shown.values, shown.cover, shown.levels, shown.texel, surface.size, H, first, step, box,
             surface.moving, near, *into, through,
         )  # fmt: skip
     back = world.backdrop
     start = (world.azimuth, world.elevation)
-    raster.surround(back.values, back.levels, back.texel, start, rotation, first, step, behind, near)
+    raster.paint_backdrop(back.values, back.levels, back.texel, start, rotation, first, step, behind, near)
     seen += through * behind
     moving += through * behind_moving
     if psf_sigma:
-        seen = ndimage.gaussian_filter(seen, FINE * psf_sigma, truncate=3.0)
+        seen = ndimage.gaussian_filter(seen, SAMPLES_PER_PIXEL * psf_sigma, truncate=3.0)
     inner = (slice(margin, height - margin), slice(margin, width - margin))
-    blocks = (shape[0], FINE, shape[1], FINE)
-    mask = moving[inner].reshape(blocks).mean((1, 3)) > SEEN
+    blocks = (shape[0], SAMPLES_PER_PIXEL, shape[1], SAMPLES_PER_PIXEL)
+    mask = moving[inner].reshape(blocks).mean((1, 3)) > MIN_MOVING_COVER
     if psf_sigma:
         mask = ndimage.maximum_filter(mask, 3)
     return seen[inner].reshape(blocks).mean((1, 3)), mask
@@ -175,13 +187,13 @@ def _box(
     step: float,
     shape: tuple[int, int],
 ) -> tuple[int, int, int, int] | None:
-    """First and last row and column in which a surface may be seen; None: it is not."""
+    """First and last row and column in which a surface may be visible; None if it is not."""
     start = surface.corner + surface.velocity * time - position
     sides = surface.along * surface.size[0], surface.down * surface.size[1]
     corners = np.array([start + i * sides[0] + j * sides[1] for i in (0, 1) for j in (0, 1)]) @ rotation
-    if (corners[:, 2] < NEAREST).all():
+    if (corners[:, 2] < MIN_DEPTH).all():
         return None
-    if (corners[:, 2] < NEAREST).any():
+    if (corners[:, 2] < MIN_DEPTH).any():
         return 0, shape[0], 0, shape[1]
     at = (corners[:, :2] / corners[:, 2:] - first) / step
     x0, y0 = np.floor(at.min(0)).clip(0, shape[::-1]).astype(int)

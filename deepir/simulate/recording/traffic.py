@@ -1,58 +1,55 @@
-"""What moves in the worlds of recordings: cars and people, each at a steady speed."""
+"""Moving objects of recordings: cars and people, each at a constant speed."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.drawing import Canvas
-from deepir.simulate.objects import person
-from deepir.simulate.recording.paths import HEIGHT, LANE, PAVEMENT, SPEED
+from deepir.simulate.recording.paths import CAMERA_HEIGHTS, CAMERA_SPEEDS, LANE_CENTRE, PAVEMENT_CENTRE
 from deepir.simulate.recording.settings import RecordingSettings
-from deepir.simulate.recording.surfaces import Surface, Texture, cut_out, texture
+from deepir.simulate.recording.surfaces import AHEAD, DOWN, RIGHT, Surface, Texture, cut_out, texture
+from deepir.simulate.scenes.drawing import Canvas
+from deepir.simulate.scenes.objects import person
 
-X, DOWN, AHEAD = np.eye(3)
-CAR = (1.8, 4.3, 1.4)  # width, length and height, m
-ONCOMING = 9.0  # speed of the cars that come towards a camera, m/s
-GAP = 7.0  # half of what cars of one lane are apart, m
-PACE = 1.3  # of who walks, m/s
-STRIDES = 8  # pictures of a walker for two steps
-STEPS = 0.9  # pairs of steps a second
-PERSON = 1.8  # height of a person, m
-FEET = (
-    0.24,
-    0.34,
-)  # below the horizon, of those who walk across the view, fractions of the backdrop's height
+CAR_SIZE = (1.8, 4.3, 1.4)  # width, length and height, m
+ONCOMING_SPEED = 9.0  # speed of oncoming cars, m/s
+HALF_CAR_SPACING = 7.0  # half the distance between cars of one lane, m
+WALKING_SPEED = 1.3  # speed of pedestrians, m/s
+GAIT_PICTURES = 8  # pictures of a walker in one gait cycle (two steps)
+GAIT_RATE = 0.9  # gait cycles a second
+PERSON_HEIGHT = 1.8  # m
+#: Least and largest distance of walkers' feet below the horizon, in heights of the backdrop.
+FEET_POSITIONS = (0.24, 0.34)
 
 
 def cars_ahead(
     settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
 ) -> list[Surface]:
-    """One car before the camera in its lane, the others on the opposite one, met at times spread over the recording."""
+    """One car ahead in the lane of the camera, the others oncoming, distributed over the duration."""
     found = []
     for k in range((settings.objects + 1) // 2):
-        speed = SPEED["drive"] if k == 0 else -ONCOMING
+        speed = CAMERA_SPEEDS["drive"] if k == 0 else -ONCOMING_SPEED
         meets = duration * (k - rng.uniform(0.2, 0.8)) / max((settings.objects - 1) // 2, 1)
-        z = 14.0 if k == 0 else (SPEED["drive"] + ONCOMING) * meets + 6.0
+        z = 14.0 if k == 0 else (CAMERA_SPEEDS["drive"] + ONCOMING_SPEED) * meets + 6.0
         look = cut_out(seed + k, (128, 160), _rear if k == 0 else _front, 2.0 / 160)
-        corner = np.array([(LANE if k == 0 else -LANE) - 1.0, -1.6, z])
-        found.append(Surface((look,), corner, X, DOWN, (2.0, 1.6), speed * AHEAD))
+        corner = np.array([(LANE_CENTRE if k == 0 else -LANE_CENTRE) - 1.0, -1.6, z])
+        found.append(Surface((look,), corner, RIGHT, DOWN, (2.0, 1.6), speed * AHEAD))
     return found
 
 
 def people(
     settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
 ) -> list[Surface]:
-    """People on the pavements who cross the street before the camera or walk along it."""
+    """People on the pavements who cross the street or walk along it."""
     found = []
     for k in range(settings.objects // 2):
         side, meets = (-1) ** k, duration * (k + rng.uniform(0.2, 0.8)) / max(settings.objects // 2, 1)
-        away = rng.uniform(9, 16) + SPEED[settings.kind] * meets
+        away = rng.uniform(9, 16) + CAMERA_SPEEDS[settings.kind] * meets
         if k % 2:  # across
-            velocity = -side * PACE * X
+            velocity = -side * WALKING_SPEED * RIGHT
             start = np.array([-side * rng.uniform(0, 3), 0, away]) - velocity * meets
         else:
-            velocity = (-1) ** (k // 2) * PACE * AHEAD
-            start = np.array([side * (PAVEMENT - 0.9), 0, away]) - velocity * meets
+            velocity = (-1) ** (k // 2) * WALKING_SPEED * AHEAD
+            start = np.array([side * (PAVEMENT_CENTRE - 0.9), 0, away]) - velocity * meets
         found.append(_walker(seed + k, start, velocity, rng))
     return found
 
@@ -65,15 +62,24 @@ def people_across(
     reach: float,
     tall: float,
 ) -> list[Surface]:
-    """People who pass before a camera that stays where it is, at azimuths within `reach` to either side, rad.
+    """People who pass before a camera at rest.
 
-    Their feet are on the ground of a backdrop that is `tall` times as high as it is away.
+    Args:
+        settings: Number of people, kind.
+        seed: Of their looks.
+        rng: Random stream of their motion.
+        duration: Of the recording, s.
+        reach: Largest azimuth to either side, rad.
+        tall: Height of the backdrop, on whose ground they walk, over its distance.
     """
     found = []
     for k in range(settings.objects):
-        away, way = HEIGHT[settings.kind] / (tall * rng.uniform(*FEET)), rng.choice([-1.0, 1.0])
+        away, way = (
+            CAMERA_HEIGHTS[settings.kind] / (tall * rng.uniform(*FEET_POSITIONS)),
+            rng.choice([-1.0, 1.0]),
+        )
         meets = duration * (k + rng.uniform(0, 1)) / settings.objects
-        velocity = way * PACE * rng.uniform(0.7, 1.3) * X
+        velocity = way * WALKING_SPEED * rng.uniform(0.7, 1.3) * RIGHT
         start = np.array([away * np.tan(reach * rng.uniform(-0.9, 0.9)), 0, away]) - velocity * meets
         found.append(_walker(seed + k, start, velocity, rng))
     return found
@@ -87,9 +93,13 @@ def cars_below(
     for k in range(settings.objects):
         way = (-1) ** k
         meets = duration * (k + rng.uniform(0, 1)) / settings.objects
-        z = 18.0 + GAP * k if way > 0 else (SPEED["drone"] + ONCOMING) * meets + 22.0
-        side = texture(np.full((32, 32), 0.5), CAR[1] / 32)
-        found += box((road + 1.75 * way, z), CAR, _roof(way), side, way * ONCOMING * AHEAD)
+        z = (
+            18.0 + HALF_CAR_SPACING * k
+            if way > 0
+            else (CAMERA_SPEEDS["drone"] + ONCOMING_SPEED) * meets + 22.0
+        )
+        side = texture(np.full((32, 32), 0.5), CAR_SIZE[1] / 32)
+        found += box((road + 1.75 * way, z), CAR_SIZE, _roof(way), side, way * ONCOMING_SPEED * AHEAD)
     return found
 
 
@@ -100,29 +110,37 @@ def box(
     wall: Texture,
     velocity: np.ndarray | None = None,
 ) -> list[Surface]:
-    """A roof on four walls; `place` is x and z of its middle, `size` along x, z and up, m."""
+    """A roof on four walls.
+
+    Args:
+        place: x and z of its middle, m.
+        size: Along x, z and up, m.
+        roof: Texture of the roof.
+        wall: Texture of the walls.
+        velocity: (3,), m/s; None: at rest.
+    """
     (x, z), (wide, deep, tall) = place, size
     low, high = np.array([x - wide / 2, -tall, z - deep / 2]), np.array([x + wide / 2, -tall, z + deep / 2])
     speed = np.zeros(3) if velocity is None else velocity
     return [
-        Surface((roof,), low, X, AHEAD, (wide, deep), speed),
-        Surface((wall,), low, X, DOWN, (wide, tall), speed),
-        Surface((wall,), high, -X, DOWN, (wide, tall), speed),
+        Surface((roof,), low, RIGHT, AHEAD, (wide, deep), speed),
+        Surface((wall,), low, RIGHT, DOWN, (wide, tall), speed),
+        Surface((wall,), high, -RIGHT, DOWN, (wide, tall), speed),
         Surface((wall,), low, AHEAD, DOWN, (deep, tall), speed),
         Surface((wall,), high, -AHEAD, DOWN, (deep, tall), speed),
     ]
 
 
 def _walker(seed: int, feet: np.ndarray, velocity: np.ndarray, rng: np.random.Generator) -> Surface:
-    swings = 0.16 * np.sin(2 * np.pi * np.arange(STRIDES) / STRIDES)
-    tall = PERSON * rng.uniform(0.9, 1.05)
+    swings = 0.16 * np.sin(2 * np.pi * np.arange(GAIT_PICTURES) / GAIT_PICTURES)
+    tall = PERSON_HEIGHT * rng.uniform(0.9, 1.05)
     looks = [
         cut_out(seed, (160, 128), lambda c, s=swing: person(c, c.aspect / 2, 0.98, 0.95, s), tall / 152)  # type: ignore[misc]
         for swing in swings
     ]
     size = (128 * tall / 152, 160 * tall / 152)
     corner = feet + np.array([-size[0] / 2, -size[1], 0])
-    return Surface(looks, corner, X, DOWN, size, velocity, STRIDES * STEPS)
+    return Surface(looks, corner, RIGHT, DOWN, size, velocity, GAIT_PICTURES * GAIT_RATE)
 
 
 def _rear(c: Canvas) -> None:
@@ -156,4 +174,4 @@ def _roof(way: int) -> Texture:
     c.box(0.06, 0.62 if ahead else 0.26, 0.3, 0.1, 0.2)
     c.box(0.06, 0.2 if ahead else 0.74, 0.3, 0.07, 0.25)
     c.glow(0.21, 0.88 if ahead else 0.12, 0.12, 0.08, 0.4)
-    return texture(c.image, CAR[1] / 128)
+    return texture(c.image, CAR_SIZE[1] / 128)

@@ -1,26 +1,25 @@
-"""What the camera of each kind of recording looks at."""
+"""The worlds of the kinds of recordings."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.drawing import Canvas, fractal
-from deepir.simulate.objects import house, tree
-from deepir.simulate.recording.paths import LANE, PAN, PAVEMENT, SPEED
+from deepir.simulate.recording.paths import CAMERA_SPEEDS, LANE_CENTRE, MAX_PAN_YAW, PAVEMENT_CENTRE
 from deepir.simulate.recording.settings import RecordingSettings
-from deepir.simulate.recording.surfaces import Surface, Texture, World, cut_out, texture
+from deepir.simulate.recording.surfaces import AHEAD, DOWN, RIGHT, Surface, Texture, World, cut_out, texture
 from deepir.simulate.recording.traffic import box, cars_ahead, cars_below, people, people_across
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.drawing import Canvas, fractal_noise
+from deepir.simulate.scenes.objects import house, tree
+from deepir.simulate.scenes.procedural import procedural
 
-X, DOWN, AHEAD = np.eye(3)
-FAR = 1500.0  # m, at which the ground ends
-WALL = 9.0  # distance of the houses from the middle of the street, m
-TALL = 12.8  # height that a row of houses is drawn on, m
-TREES = 9.0  # m between trees along the street
-OVER = 1.6  # height of the backdrop, heights of the frame
-DENSE = 1.6  # texels of the backdrop for each px
-ROAD = 6.0  # x of the road below a drone, m
-SIDES = 64  # a backdrop's height and width are multiples of it, so that its averages fit when mirrored
+GROUND_LENGTH = 1500.0  # m at which the ground ends
+HOUSE_DISTANCE = 9.0  # distance of the houses from the middle of the street, m
+HOUSE_ROW_HEIGHT = 12.8  # height of the picture of a row of houses, m
+TREE_SPACING = 9.0  # distance between trees along the street, m
+BACKDROP_HEIGHT_RATIO = 1.6  # height of the backdrop over that of the frame
+BACKDROP_RESOLUTION = 1.6  # texels of the backdrop per px
+ROAD_POSITION = 6.0  # x of the road below a drone, m
+BACKDROP_SIDE_MULTIPLE = 64  # texels; averages of a backdrop then fit where it is mirrored
 
 
 def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> World:
@@ -28,8 +27,8 @@ def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> W
 
     Args:
         settings: Kind, frames and their size.
-        seed: Of all that is drawn.
-        rng: Places what stands and moves there.
+        seed: Of the drawn textures.
+        rng: Random stream of the objects' places.
 
     Returns:
         Surfaces and backdrop, in scene values from 0 to about 1.
@@ -38,7 +37,7 @@ def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> W
     if settings.kind == "drone":
         return _country(settings, seed, rng, duration)
     if settings.kind in ("pan", "tripod"):
-        reach = np.deg2rad(PAN) if settings.kind == "pan" else 0.0
+        reach = np.deg2rad(MAX_PAN_YAW) if settings.kind == "pan" else 0.0
         found = people_across(settings, seed, rng, duration, reach, _tall(settings))
         return _surrounded(found, settings, seed, reach)
     surfaces = _street(settings, seed, rng, duration)
@@ -51,10 +50,13 @@ def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> W
 def _surrounded(
     surfaces: list[Surface], settings: RecordingSettings, seed: int, reach: float, street: bool = False
 ) -> World:
-    """Surfaces before a picture that is seen as far as a camera turns, `reach` to either side, rad."""
-    texel = 1 / (DENSE * settings.focal)
+    """Surfaces before a backdrop that covers a pan of `reach` to either side, rad."""
+    texel = 1 / (BACKDROP_RESOLUTION * settings.focal)
     wide = 2 * (reach + np.deg2rad(settings.field_of_view))
-    rows, columns = (SIDES * int(np.ceil(side / texel / SIDES)) for side in (_tall(settings), wide))
+    rows, columns = (
+        BACKDROP_SIDE_MULTIPLE * int(np.ceil(side / texel / BACKDROP_SIDE_MULTIPLE))
+        for side in (_tall(settings), wide)
+    )
     if street:
         c = Canvas(seed, (rows, columns))
         c.sky(0.02, 0.16, 0.5, 0.02)
@@ -69,39 +71,39 @@ def _surrounded(
 
 def _tall(settings: RecordingSettings) -> float:
     """Height of the backdrop over its distance."""
-    return OVER * settings.shape[0] / settings.focal
+    return BACKDROP_HEIGHT_RATIO * settings.shape[0] / settings.focal
 
 
 def _ground(
     picture: Texture, corner: tuple[float, float, float], size: tuple[float, float], layer: int = 0
 ) -> Surface:
-    """Something flat that lies; x of its texture is the world's, y runs ahead."""
-    return Surface((picture,), np.array(corner), X, AHEAD, size, layer=layer)
+    """A horizontal surface; x of its texture is the world's, y runs ahead."""
+    return Surface((picture,), np.array(corner), RIGHT, AHEAD, size, layer=layer)
 
 
 def _street(
     settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float
 ) -> list[Surface]:
     """Road, pavements, land, houses at both sides and trees; nearest things on the ground first."""
-    length = SPEED[settings.kind] * duration
-    land = texture(0.33 + 0.03 * fractal(rng, (512, 512), 1.2), 0.25)
+    length = CAMERA_SPEEDS[settings.kind] * duration
+    land = texture(0.33 + 0.03 * fractal_noise(rng, (512, 512), 1.2), 0.25)
     found = [
-        _ground(_road(seed), (-8 * 1.28, 0, -20), (16 * 1.28, FAR)),
-        _ground(land, (-400, 0.02, -20), (800, FAR), layer=1),
+        _ground(_road(seed), (-8 * 1.28, 0, -20), (16 * 1.28, GROUND_LENGTH)),
+        _ground(land, (-400, 0.02, -20), (800, GROUND_LENGTH), layer=1),
     ]
     for side in (-1, 1):
-        for k, (far, low) in enumerate(((WALL, 0.0), (3.5 * WALL, 3.0))):
-            front = cut_out(seed + 10 * k + side + 2, (256, 2048 >> k), _row, TALL / 256)
-            corner = np.array([side * far, -TALL - low, -20.0 - 13 * k - 31 * (side > 0)])
-            size = (length + 300, TALL)
+        for k, (far, low) in enumerate(((HOUSE_DISTANCE, 0.0), (3.5 * HOUSE_DISTANCE, 3.0))):
+            front = cut_out(seed + 10 * k + side + 2, (256, 2048 >> k), _row, HOUSE_ROW_HEIGHT / 256)
+            corner = np.array([side * far, -HOUSE_ROW_HEIGHT - low, -20.0 - 13 * k - 31 * (side > 0)])
+            size = (length + 300, HOUSE_ROW_HEIGHT)
             found.append(Surface((front,), corner, AHEAD, DOWN, size, layer=k + 1))
     crowns = [
         cut_out(seed + k, (256, 256), lambda c: tree(c, 0.5, 1.0, 0.98, 0.34), 6 / 256) for k in range(3)
     ]
-    for k, z in enumerate(np.arange(8, length + 150, TREES)):
-        x = (-1) ** k * (PAVEMENT + 1.4) + rng.uniform(-0.3, 0.3)
+    for k, z in enumerate(np.arange(8, length + 150, TREE_SPACING)):
+        x = (-1) ** k * (PAVEMENT_CENTRE + 1.4) + rng.uniform(-0.3, 0.3)
         corner = np.array([x - 3, -6.0, z + rng.uniform(-2, 2)])
-        found.append(Surface((crowns[k % 3],), corner, X, DOWN, (6, 6)))
+        found.append(Surface((crowns[k % 3],), corner, RIGHT, DOWN, (6, 6)))
     return found
 
 
@@ -120,7 +122,7 @@ def _road(seed: int) -> Texture:
     per_m = 1 / 81.92  # picture heights
     middle = c.aspect / 2
     c.image[:] = 0.4 + 0.02 * c.soft + 0.012 * c.rough
-    for x in (-LANE - 0.8, -LANE + 0.8, LANE - 0.8, LANE + 0.8):
+    for x in (-LANE_CENTRE - 0.8, -LANE_CENTRE + 0.8, LANE_CENTRE - 0.8, LANE_CENTRE + 0.8):
         c.image += 0.05 * np.exp(-(((c.x - middle) / per_m - x) ** 2) / 0.1)
     for _ in range(30):
         at, down = c.vary(-3.5, 3.5) * per_m + middle, c.vary(0, 1)
@@ -142,7 +144,7 @@ def _road(seed: int) -> Texture:
 
 def _country(settings: RecordingSettings, seed: int, rng: np.random.Generator, duration: float) -> World:
     """Fields, a road, trees and houses from above."""
-    length, across = SPEED["drone"] * duration + 160, 122.88
+    length, across = CAMERA_SPEEDS["drone"] * duration + 160, 122.88
     c = Canvas(seed, (2048, 1024))
     per_m = 1 / 245.76
     c.image[:] = 0.3 + 0.03 * c.soft + 0.03 * c.rough
@@ -150,7 +152,7 @@ def _country(settings: RecordingSettings, seed: int, rng: np.random.Generator, d
         x, y, value = c.vary(0, c.aspect), c.vary(0, 1), c.vary(0.2, 0.45)
         wide, deep = c.vary(10, 40) * per_m, c.vary(10, 50) * per_m
         c.box(x, y, wide, deep, value, warmer=c.vary(-0.05, 0.05), rough=0.04)
-    road = c.aspect / 2 + ROAD * per_m
+    road = c.aspect / 2 + ROAD_POSITION * per_m
     c.box(road - 3.5 * per_m, 0.0, 7 * per_m, 1.0, 0.48, rough=0.02)
     for z in np.arange(0, 245, 9):
         c.box(road - 0.15 * per_m, z * per_m, 0.3 * per_m, 3 * per_m, 0.4)
@@ -163,8 +165,8 @@ def _country(settings: RecordingSettings, seed: int, rng: np.random.Generator, d
     for z in np.arange(-20, length, 14).tolist():
         x = float(rng.choice([-1, 1]) * rng.uniform(14, 45))
         found += _house(seed, rng, (x, z + rng.uniform(-4, 4)), 0.15 + 0.3 * rng.random())
-    found += cars_below(settings, rng, duration, ROAD)
-    nothing = texture(np.full((SIDES, SIDES), 0.1), 0.1)
+    found += cars_below(settings, rng, duration, ROAD_POSITION)
+    nothing = texture(np.full((BACKDROP_SIDE_MULTIPLE, BACKDROP_SIDE_MULTIPLE), 0.1), 0.1)
     return World(found, nothing, azimuth=0.0, elevation=0.0)
 
 

@@ -11,9 +11,9 @@ from scipy.ndimage import correlate
 
 from deepir.priors.penalties.foe import Experts, FoE, counted
 from deepir.priors.penalties.tv import TV
-from deepir.simulate.scenes import procedural
+from deepir.simulate.scenes.procedural import procedural
 from deepir.training import foe
-from deepir.training.foe import PHOTOGRAPHS, FieldsOfExperts
+from deepir.training.foe import FOE_PHOTOGRAPHS, FieldsOfExperts
 
 
 def picture(shape=(20, 24)):
@@ -123,7 +123,7 @@ def test_its_stiffness_is_that_of_its_second_derivatives():
 
 
 def test_training_goes_down_the_slope_of_its_minimum(monkeypatch):
-    monkeypatch.setattr(foe, "STEPS", 150)  # as near to the minimum as the slope is asked for
+    monkeypatch.setattr(foe, "LBFGS_ITERATIONS", 150)  # as near to the minimum as the slope is asked for
     torch.manual_seed(0)
     network = Experts()
     # Bursts that come near: of others how far depends on the threads and the processor.
@@ -145,4 +145,4 @@ def test_training_goes_down_the_slope_of_its_minimum(monkeypatch):
 def test_nothing_is_learnt_from_pictures_that_bursts_are_judged_by(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parents[3] / "benchmarks"))
     regimes = importlib.import_module("nuc_regimes").REGIMES
-    assert not set(PHOTOGRAPHS) & {picture for each in regimes.values() for picture in each.pictures}
+    assert not set(FOE_PHOTOGRAPHS) & {picture for each in regimes.values() for picture in each.pictures}

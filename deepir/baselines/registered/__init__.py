@@ -1,0 +1,1 @@
+"""Methods that estimate scene or sensor from registered frames."""

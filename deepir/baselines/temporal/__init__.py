@@ -1,0 +1,1 @@
+"""Methods that compare the frames pixel by pixel over time, without registration."""

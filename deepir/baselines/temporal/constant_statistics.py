@@ -1,0 +1,35 @@
+"""Constant statistics: all pixels see the same mean and deviation in the long run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deepir.baselines.average import Array, correct_and_average, fill_invalid
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.registry import register
+from deepir.result import Result
+
+
+@register("method", "constant_statistics")
+def constant_statistics(burst: Burst, config: Config) -> Result:
+    """Give all pixels the same mean and deviation over time, then register and average.
+
+    The method needs hundreds of frames that cross the whole scene; in a short burst the scene remains in the pattern.
+
+    Source: J. G. Harris, Y.-M. Chiang: Nonuniformity correction of infrared image sequences using the
+    constant-statistics constraint, IEEE Trans. Image Processing 8 (1999).
+    """
+    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels).astype(np.float64)
+    mean, deviation = running_statistics(frames)
+    gain = deviation / deviation.mean()
+    return correct_and_average(burst, config, gain, mean - gain * mean.mean())
+
+
+def running_statistics(frames: Array) -> tuple[Array, Array]:
+    """Mean and mean absolute deviation of each pixel, (h, w), by the paper's recursion over frames (N, h, w)."""
+    mean, deviation = frames[0].copy(), np.zeros(frames.shape[1:])
+    for n, frame in enumerate(frames[1:], 2):
+        mean += (frame - mean) / n
+        deviation += (np.abs(frame - mean) - deviation) / n
+    return mean, deviation

@@ -1,0 +1,109 @@
+"""`deepir analyze`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Settings, recording_config
+
+if TYPE_CHECKING:
+    from deepir.analysis import Statistics, Verdict
+    from deepir.result import Array
+
+
+def analyze(
+    what: Annotated[
+        str, typer.Argument(metavar="FILE|RUN", help="A burst, or the folder of a run.", show_default=False)
+    ],
+    settings: Settings = None,
+    flat: Annotated[bool, typer.Option("--flat", help="The frames are of a uniform source.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(help="The picture; runs/NAME-analysis.png, or RUN/analysis.png.", show_default=False),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Report the jitter and the frames that a camera needs: deepir analyze burst.npz, or shutter.npz --flat.
+
+    A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
+    file's format.
+    """
+    from deepir.analysis.verdict import report_lines
+    from deepir.errors import ConfigError, DataError
+    from deepir.paths import expanded
+    from deepir.report.analysis import write_analysis
+
+    path = expanded(what)
+    if output is not None and output.suffix != ".png":
+        raise ConfigError(f"--output {output}: a picture's name ends in .png")
+    if output is not None and output.exists() and not overwrite:
+        raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
+    in_run = (path / "result.npz").is_file()
+    verdict: Verdict | None = None
+    scene_deviation: Array | None = None
+    if flat:
+        statistics = _of_flat(path, settings or [])
+    elif in_run:
+        if settings:
+            raise ConfigError(f"{what}: a finished run takes no settings")
+        statistics, verdict, scene_deviation = _of_run(path)
+    else:
+        statistics, verdict, scene_deviation = _of_burst(path, settings or [])
+    for line in report_lines(statistics, verdict, scene_deviation):
+        typer.echo(line)
+    picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    write_analysis(picture, statistics, verdict, scene_deviation)
+    typer.echo(f"picture: {picture}")
+
+
+def _of_flat(path: Path, settings: list[str]) -> Statistics:
+    from deepir.analysis import flat_statistics
+    from deepir.burst import load
+
+    flat = load(recording_config(str(path), settings, ("data",)).data, needs=2)
+    return flat_statistics(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
+
+
+def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | None, Array | None]:
+    import deepir
+
+    result = deepir.run("nuc", *settings, f"data.path={path}", output={})
+    scene_deviation = result.uncertainty.get("scene")
+    return *_judged(
+        result.gain, result.offset, result.scene, result.motion, result.bad_pixels
+    ), scene_deviation
+
+
+def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
+    import numpy as np
+
+    with np.load(path / "result.npz") as stored:
+        found = [stored[name] for name in ("gain", "offset", "scene", "motion", "bad_pixels")]
+    beside, scene_deviation = path / "uncertainty.npz", None
+    if beside.exists():
+        with np.load(beside) as stored:
+            # With a scene for each frame there is no single map.
+            scene_deviation = stored["scene"] if stored["scene"].ndim == 2 else None
+    return *_judged(*found), scene_deviation
+
+
+def _judged(
+    gain: Array, offset: Array, scene: Array, motion: Array, bad: Array
+) -> tuple[Statistics, Verdict | None]:
+    """Statistics of the pattern of a result at the mean flux, and its verdict."""
+    import numpy as np
+
+    from deepir.analysis import assess, map_statistics
+
+    pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
+    statistics = map_statistics(pattern, ~bad)
+    finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
+    coarser = np.diag([1 / finer, 1 / finer, 1])
+    seen = motion[np.isfinite(motion).all((1, 2))]
+    if len(seen) < 2 or scene.ndim > 2:  # no motion across the pattern
+        return statistics, None
+    return statistics, assess(statistics, coarser @ seen @ np.linalg.inv(coarser))

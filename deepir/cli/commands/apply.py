@@ -1,0 +1,104 @@
+"""`deepir apply`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Settings, recording_config
+
+if TYPE_CHECKING:
+    from deepir.calibration import CorrectionMaps
+    from deepir.config import Config, Data
+    from deepir.io.radiometry import Radiometry
+
+MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
+ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")  # keys
+
+
+def apply(
+    maps: Annotated[
+        Path, typer.Argument(metavar="MAPS", help="Maps of `deepir calibrate`, or the folder of a run.")
+    ],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of the same camera.")],
+    settings: Settings = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.", show_default=False
+        ),
+    ] = None,
+    float32: Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")] = False,
+    overwrite: Overwrite = False,
+) -> int:
+    """Correct a whole recording, frame by frame: deepir apply maps.npz flight.seq --output flight.mp4.
+
+    The recording may be larger than the memory. Settings: data.key, data.raw, data.radiometry, output.palette,
+    output.tones.
+    """
+    from deepir.calibration import read_maps
+    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.errors import DataError
+
+    config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
+    target = output or Path(f"{Path(file).stem}_corrected.tif")
+    if target.exists() and Path(str(config.data.path)).exists() and target.samefile(str(config.data.path)):
+        raise DataError(f"{target} is the recording itself: give another --output")
+    if target.exists() and not overwrite:
+        raise DataError(f"{target} exists; replace it with --overwrite, or give another --output")
+    try:
+        with Interruptible():
+            typer.echo(_apply(read_maps(maps), config, target, rounded=not float32))
+    except Interrupted as error:
+        return report_aborted(error)
+    return 0
+
+
+def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool) -> str:
+    """Write all frames; a line with the result."""
+    import itertools
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+    from deepir.io import stream_frames
+    from deepir.io.output.recording import open_writer, output_type
+    from deepir.io.radiometry import unit_metadata
+
+    data, shown = config.data, config.output
+    frames = stream_frames(str(data.path), key=data.key, raw=data.raw)
+    first = next(frames)
+    maps.check(first, str(data.path))
+    if (ratio := maps.roughness_ratio(first)) > MAX_ROUGHNESS_RATIO:
+        typer.echo(
+            f"{data.path}: its first frame is {ratio:.1f} times as rough without these maps' pattern as with it. "
+            "Are they of another camera, in other units (counts, kelvin, 8 bits), or out of date?",
+            err=True,
+        )
+    dtype = output_type(first.dtype, rounded=rounded)
+    begun, count = time.perf_counter(), 0
+    written: Future[None] | None = None
+    with (
+        open_writer(target, dtype, unit_metadata(_radiometry(data)), shown.palette, shown.tones) as write,
+        ThreadPoolExecutor(1) as behind,  # a frame is written while the next is corrected
+    ):
+        for frame in itertools.chain([first], frames):
+            corrected = maps.correct(frame)
+            if written is not None:
+                written.result()
+            written = behind.submit(write, corrected)
+            count += 1
+        if written is not None:
+            written.result()
+    speed = count / (time.perf_counter() - begun)
+    return f"{target}: {count} frame(s) of {' x '.join(map(str, first.shape))} px, {speed:.0f} frames/s"
+
+
+def _radiometry(data: Data) -> Radiometry | None:
+    from deepir.io import readers
+    from deepir.io.radiometry import resolve_radiometry
+    from deepir.paths import expanded
+
+    found = readers.radiometry(expanded(str(data.path))) if data.raw is None else None
+    return resolve_radiometry(found, data.radiometry)

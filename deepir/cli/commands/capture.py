@@ -1,0 +1,85 @@
+"""`deepir capture`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+
+if TYPE_CHECKING:
+    from deepir.cameras.capture import Captured
+
+
+def capture(
+    out: Annotated[Path, typer.Argument(metavar="OUT.npz", help="The burst.")],
+    settings: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY=VALUE]...", help="Of the driver, for example device=/dev/video2", show_default=False
+        ),
+    ] = None,
+    camera: Annotated[str, typer.Option(help="The driver: v4l2, boson.")] = "v4l2",
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="How many.")] = 10,
+    every: Annotated[float, typer.Option(min=0, help="Seconds between frames, at least.")] = 0.4,
+    overwrite: Overwrite = False,
+    plugin: Plugins = None,
+) -> int:
+    """Take a burst from a live camera, with advice on its motion: deepir capture burst.npz device=/dev/video2."""
+    load_plugins(plugin)
+    from deepir.cameras.capture import FREEZE_TIME
+    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.errors import DataError
+    from deepir.io import write_npz
+
+    if out.suffix != ".npz" or not out.parent.is_dir():
+        raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
+    if out.exists() and not overwrite:
+        raise DataError(f"{out} exists; replace it with --overwrite, or give another name")
+    try:
+        with Interruptible():
+            burst = _capture(camera, settings or (), frames, every)
+    except Interrupted as error:
+        return report_aborted(error)
+    write_npz(out, {"frames": burst.frames, "time": burst.times})
+    if burst.longest_freeze > FREEZE_TIME:
+        _notify(
+            f"the picture stood still for {burst.longest_freeze:.1f} s in the midst of the burst, as when the shutter "
+            "closes: the pattern may have changed then. Switch the automatic correction off, or take the burst again"
+        )
+    size = " x ".join(map(str, burst.frames.shape[1:]))
+    typer.echo(
+        f"{out}: {frames} frame(s) of {size} px, {burst.frames.dtype}, in {burst.times[-1]:.1f} seconds"
+    )
+    typer.echo(f"does it move enough? deepir analyze {out}")
+    typer.echo(f"to correct it: deepir run nuc data.path={out}")
+    return 0
+
+
+def _capture(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
+    from deepir.cameras.camera import Array
+    from deepir.cameras.capture import advice, capture, motion_span
+    from deepir.config.components import make, options_schema
+    from deepir.config.overrides import parse_settings
+    from deepir.registry import lookup
+
+    options: dict[str, Any] = dict(parse_settings(settings, options_schema(lookup("camera", name, "camera"))))
+
+    def on_frame(frames: Sequence[Array]) -> None:
+        next_move = advice(motion_span(frames)) if len(frames) > 1 else "move the camera, in a small circle"
+        _notify(
+            f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}"
+        )
+
+    with make("camera", name, options, "camera") as camera:
+        if camera.correction:
+            _notify(camera.correction)
+        return capture(camera, count, every, on_frame)
+
+
+def _notify(line: str) -> None:
+    print(f"deepir: {line}", file=sys.stderr, flush=True)

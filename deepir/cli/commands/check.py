@@ -1,0 +1,120 @@
+"""`deepir check`."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deepir.cli.arguments import Plugins, Settings, load_plugins
+
+if TYPE_CHECKING:
+    from deepir.config import Config, Data
+
+REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
+
+
+def check(
+    what: Annotated[
+        str, typer.Argument(metavar="FILE|CONFIG", help="A burst, or a configuration.", show_default=False)
+    ],
+    settings: Settings = None,
+    plugin: Plugins = None,
+) -> None:
+    """Describe a burst, or what a configuration would do, without a run."""
+    load_plugins(plugin)
+    from deepir.config import load, shipped_names
+    from deepir.errors import ConfigError
+
+    if what in shipped_names() or Path(what).suffix in (".yaml", ".yml"):
+        _configuration(what, settings or [])
+    elif Path(what).exists() or (not settings and ("*" in what or Path(what).suffix)):
+        if wrong := next((each for each in settings or () if not each.startswith("data.")), None):
+            raise ConfigError(
+                f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}"
+            )
+        lines = _burst(load("nuc", [f"data.path={what}", *(settings or ())]).data)
+        for line in lines:
+            typer.echo(line)
+        if lines[1].startswith("  1 frame"):
+            typer.echo(
+                f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
+                f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
+            )
+        elif not lines[-1].startswith(REFUSAL):
+            command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
+            still = any(line.startswith("  motion: none") for line in lines)
+            typer.echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
+    else:
+        _configuration(what, settings or [])
+
+
+def _burst(data: Data) -> list[str]:
+    import numpy as np
+
+    from deepir.errors import DataError
+    from deepir.io import describe, read_frames, validate
+    from deepir.io.inspection.checks import unusable_frames
+    from deepir.io.radiometry import resolve_radiometry
+
+    frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
+    kelvin = resolve_radiometry(frames.radiometry, data.radiometry)
+    lines = describe(replace(frames, radiometry=kelvin))
+    lines = [f"data: {frames.source}", *(f"  {line}" for line in lines)]
+    try:
+        validate(np.delete(frames.frames, [*unusable_frames(frames.frames)], axis=0), frames.source)
+    except DataError as error:
+        lines.append(f"{REFUSAL}: {error}")
+    return lines
+
+
+def _configuration(name: str, settings: list[str]) -> None:
+    from deepir.cli.commands.run import output_folder
+    from deepir.config import load
+    from deepir.pipeline.method import chosen
+    from deepir.storage.folder import RunFolder
+
+    config = load(name, settings)
+    folder = RunFolder(output_folder(config, name))
+    state = folder.state()
+    data = _data(config)
+    typer.echo(f"configuration {name} is valid; problem {config.problem}, method {chosen(config)[0]}")
+    for stage, slots in config.physics.items():
+        typer.echo(f"  {stage}: {_short(slots) or 'no options'}")
+    typer.echo(f"  scene: prior {config.prior}, {_short(config.scene)}")
+    for line in data:
+        typer.echo(line)
+    if state == "new":
+        typer.echo(f"output folder: {folder.path} (new)")
+    else:
+        typer.echo(f"output folder: {folder.path} already contains a run ({state}); use --overwrite")
+
+
+def _data(config: Config) -> list[str]:
+    """Describe the data in lines; check the components against them, or against zeros if there are none."""
+    import numpy as np
+
+    from deepir.burst import Burst
+    from deepir.runner import check_components, prepare
+
+    if config.data.simulate is not None:
+        burst = prepare(config)
+        return [f"data: {burst.source}, {len(burst.frames)} frames of {burst.size[0]} x {burst.size[1]} px"]
+    if config.data.path is not None:
+        prepare(config)
+        return _burst(config.data)
+    frames = np.zeros((2, 64, 80), np.float32)
+    check_components(config, Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool)))
+    return ["data: none given (data.path=burst.npz)"]
+
+
+def _short(settings: Any) -> str:
+    """A mapping in one line."""
+    if isinstance(settings, dict):
+        return ", ".join(
+            f"{key} {_short(value)}" if key != "type" else str(value) for key, value in settings.items()
+        )
+    return str(settings)

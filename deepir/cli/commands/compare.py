@@ -1,0 +1,181 @@
+"""`deepir compare` and `deepir batch`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Plugins, load_plugins, split_arguments
+
+if TYPE_CHECKING:
+    from deepir.sweep.cells import Cell
+    from deepir.sweep.sweep import Sweep
+    from deepir.sweep.table import Row
+
+Workers = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes to start; by default one for each core.", show_default=False),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="tcp://HOST:PORT", help="Use a running Dask cluster.", show_default=False),
+]
+
+
+def compare(
+    config: Annotated[
+        str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)
+    ],
+    settings: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY=VALUE,VALUE,...]...", help="Settings; all combinations are run.", show_default=False
+        ),
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    overwrite: Overwrite = False,
+    plugin: Plugins = None,
+) -> int:
+    """Run all combinations of values: deepir compare nuc data.path=burst.npz method=joint,average data.frames=3,5,10.
+
+    Results go to output.dir (runs/NAME-compare): a folder for each run, report.html, table.md, table.csv and
+    quality.png. The same command again continues an interrupted comparison.
+    """
+    plugins = load_plugins(plugin)
+    from deepir.sweep.axes import parse_axes
+    from deepir.sweep.sweep import prepare
+
+    fixed, axes = parse_axes(settings or ())
+    remote = scheduler is not None
+    checked = prepare(
+        config,
+        fixed,
+        axes,
+        folder=sweep_folder(config, "compare"),
+        workers=workers,
+        remote=remote,
+        overwrite=overwrite,
+    )
+    return run_and_report(checked, ["compare", config, *(settings or ())], scheduler, plugins)
+
+
+def batch(
+    config: Annotated[
+        str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)
+    ],
+    what: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="BURST... [KEY=VALUE]...",
+            help="Files, folders of pictures or globs of these; settings for all of them.",
+            show_default=False,
+        ),
+    ],
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    overwrite: Overwrite = False,
+    plugin: Plugins = None,
+) -> int:
+    """Correct many bursts the same way: deepir batch nuc 'bursts/*.tiff' [prior=tv ...].
+
+    Results go to output.dir (runs/NAME-batch): a folder for each burst, table.md and table.csv.
+    The same command again continues an interrupted comparison.
+    """
+    plugins = load_plugins(plugin)
+    from deepir.errors import ConfigError, DataError
+    from deepir.sweep.axes import burst_axis, parse_axes
+    from deepir.sweep.sweep import prepare
+
+    patterns, settings = split_arguments(what)
+    if not patterns:
+        raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")
+    if any(each.partition("=")[0].strip() == "data.path" for each in settings):
+        raise ConfigError("data.path: bursts are given without it, for example deepir batch nuc burst.npz")
+    fixed, axes = parse_axes(settings)
+    checked = prepare(
+        config,
+        fixed,
+        [burst_axis(patterns), *axes],
+        folder=sweep_folder(config, "batch"),
+        workers=workers,
+        remote=scheduler is not None,
+        overwrite=overwrite,
+    )
+    return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
+
+
+def sweep_folder(config: str, kind: str) -> Path:
+    """Default output folder: runs/NAME-KIND of the configuration's name."""
+    return Path("runs") / f"{Path(config).stem if Path(config).is_file() else config}-{kind}"
+
+
+def run_and_report(
+    checked: Sweep, command: Sequence[str], scheduler: str | None, plugins: Sequence[str]
+) -> int:
+    """Run the missing cells, then write and print the table.
+
+    Args:
+        checked: The sweep, checked.
+        command: The command line, for the table's title.
+        scheduler: Address of a Dask scheduler; None: local workers.
+        plugins: Modules to import on the workers.
+
+    Returns:
+        The exit status.
+    """
+    from deepir.cli.signals import Interrupted, Interruptible
+
+    status = 0
+    try:
+        with Interruptible():
+            checked.run(_Progress(checked), scheduler, plugins)
+    except Interrupted as error:
+        print("deepir: interrupted; the same command continues with the missing runs", file=sys.stderr)
+        status = error.status
+    _report(checked.write(shlex.join(["deepir", *command])), checked.folder)
+    return status or int(bool(checked.errors))
+
+
+class _Progress:
+    """A line on stderr for each finished cell."""
+
+    def __init__(self, checked: Sweep) -> None:
+        todo, self.total = len(checked.unfinished()), len(checked.cells)
+        self.done = self.total - todo
+        if self.done:
+            print(
+                f"deepir: {self.done} of {self.total} runs are finished already", file=sys.stderr, flush=True
+            )
+
+    def __call__(self, cell: Cell, error: str | None) -> None:
+        from deepir.sweep.table import metrics_line
+
+        self.done += 1
+        end = f"failed: {error}" if error else metrics_line(cell)
+        print(f"deepir: {self.done}/{self.total} {cell.name}: {end}", file=sys.stderr, flush=True)
+
+
+def _report(rows: Sequence[Row], where: Path) -> None:
+    """Print the table and the paths of the files."""
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from deepir.sweep.table import table_lines
+
+    heads, body = table_lines(rows)
+    shown = Table(*map(escape, heads), box=box.SIMPLE)
+    for line in body:
+        shown.add_row(*map(escape, line))
+    Console(width=None if sys.stdout.isatty() else 200).print(shown)
+    plots = "; plots: quality.png" * (where / "quality.png").exists()
+    typer.echo(
+        f"results: {where}/table.md, table.csv and a folder for each run{plots}; to look at: report.html"
+    )

@@ -1,0 +1,61 @@
+"""`deepir train`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+
+if TYPE_CHECKING:
+    from deepir.training.training import TrainingProgress
+
+REPORT_INTERVAL = 250  # iterations between two lines of progress
+
+
+def train(
+    name: Annotated[str, typer.Argument(help="What to train: see `deepir list`.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.safetensors", help="The weights; NAME.safetensors.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the first weights and of all that is drawn.")] = 0,
+    iterations: Annotated[int | None, typer.Option(min=0, help="As many as the training says.")] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Threads; with others, other weights.")] = 1,
+    overwrite: Overwrite = False,
+    plugin: Plugins = None,
+) -> None:
+    """Train a network on the CPU: deepir train denoiser."""
+    load_plugins(plugin)
+    import torch
+
+    import deepir
+    from deepir import weights
+    from deepir.errors import DataError
+    from deepir.registry import lookup
+    from deepir.training import training
+
+    kind = lookup("training", name, "train")
+    path = out or Path(f"{name}.safetensors")
+    if path.suffix != ".safetensors" or not path.parent.is_dir():
+        raise DataError(f"{path}: give the name of a .safetensors file in a folder that exists")
+    if path.exists() and not overwrite:
+        raise DataError(f"{path} exists; replace it with --overwrite, or give another name with --out")
+    torch.set_num_threads(threads)
+    network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
+    about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
+    about |= {"deepir": deepir.__version__, "torch": torch.__version__}
+    weights.save(network, path, about)
+    typer.echo(f"weights: {path}")
+
+
+def _report_progress(now: TrainingProgress) -> None:
+    if now.iteration % REPORT_INTERVAL == 0 or now.iteration == now.iterations:
+        left = now.seconds / now.iteration * (now.iterations - now.iteration)
+        print(
+            f"{now.iteration}/{now.iterations}: loss {now.loss:.4f}, about {left:.0f} s to go",
+            file=sys.stderr,
+            flush=True,
+        )

@@ -1,0 +1,1 @@
+"""Containers that several formats share: FFF records, JPEG segments, named arrays."""

@@ -1,0 +1,141 @@
+"""FLIR's FFF: a directory of records, in radiometric JPEGs and in SEQ and CSQ recordings.
+
+Layout and names after the public description by P. Harvey, https://exiftool.org/TagNames/FLIR.html.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import mmap
+import struct
+from pathlib import Path
+
+import imagecodecs
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io.containers import jpeg
+from deepir.io.guards import check_size
+from deepir.io.radiometry import Planck, air_transmission
+from deepir.io.readers import Array
+from deepir.io.readers.pictures import png
+
+FFF_MAGIC = b"FFF\0"  # first bytes of a file
+RAW_RECORD = 1  # kind of the record with the raw plane
+CAMERA_RECORD = 32  # kind of the record with calibration and settings
+HEADER_BYTES = 64  # length of the file header
+ENTRY_BYTES = 32  # length of an entry of the directory
+PIXELS_OFFSET = 32  # bytes before the pixels of a raw plane
+CAMERA_RECORD_BYTES = 0x310  # least length of a camera record
+MAX_RECORDS = 1000  # records of a directory; more mean damage
+#: Byte offsets of the user's settings in the camera record.
+SETTING_OFFSETS = {
+    "emissivity": 0x20,
+    "reflected": 0x28,
+    "atmosphere": 0x2C,
+    "window": 0x30,
+    "window_transmission": 0x34,
+}
+
+Records = dict[int, bytes]
+
+
+def read_records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[Records, int]:
+    """Records of an FFF.
+
+    Args:
+        data: The bytes.
+        path: The file, for messages.
+        start: First byte of the FFF.
+
+    Returns:
+        The records by their kind, and the first byte after the FFF.
+
+    Raises:
+        DataError: The directory or a record lies outside the data.
+    """
+    order = ">" if data[start + 20 : start + 22] == b"\0\0" else "<"
+    directory, count = struct.unpack_from(f"{order}II", data, start + 24)
+    directory += start
+    end = max(start + HEADER_BYTES, directory + ENTRY_BYTES * count)
+    if count > MAX_RECORDS or end > len(data):
+        raise DataError(f"{path}: truncated: FLIR's directory of {count} records lies outside the file")
+    found: Records = {}
+    for k in range(count):
+        kind, _, _, _, offset, length = struct.unpack_from(
+            f"{order}HHIIII", data, directory + ENTRY_BYTES * k
+        )
+        first, after = start + offset, start + offset + length
+        if kind and after > len(data):
+            raise DataError(f"{path}: truncated: a record of FLIR's ends beyond the end of the file")
+        if kind in (RAW_RECORD, CAMERA_RECORD):
+            found.setdefault(kind, data[first:after])
+        if kind:
+            end = max(end, after)
+    return found, end
+
+
+def read_raw_plane(found: Records, path: Path) -> Array:
+    """The raw counts (h, w), uint16: plain, or packed as PNG or JPEG-LS.
+
+    Raises:
+        DataError: There are none, or their size differs from the record's.
+    """
+    if RAW_RECORD not in found:
+        raise DataError(f"{path}: FLIR's records hold no raw plane; export a radiometric file")
+    record = found[RAW_RECORD]
+    order = byte_order(record)
+    width, height = struct.unpack_from(f"{order}HH", record, 2)
+    packed = record[PIXELS_OFFSET:]
+    if packed.startswith(b"\x89PNG"):
+        plane = png.decode(packed, path).byteswap()  # FLIR's PNGs are little-endian, against the standard
+    elif packed.startswith(jpeg.JPEG_SIGNATURE):
+        plane = _jpeg_ls(packed, path)
+    else:
+        check_size(path, 2 * width * height, len(packed))
+        plane = np.frombuffer(packed, f"{order}u2", width * height).reshape(height, width).astype(np.uint16)
+    if plane.shape != (height, width) or plane.dtype != np.uint16:
+        raise DataError(f"{path}: damaged: its raw plane is {plane.shape}, its record says {(height, width)}")
+    return plane
+
+
+def read_radiometry(found: Records) -> Planck | None:
+    """Radiometry of the camera and the settings of its user; None if they are missing or impossible."""
+    record = found.get(CAMERA_RECORD, b"")
+    if len(record) < CAMERA_RECORD_BYTES:
+        return None
+    order = byte_order(record)
+
+    def number(at: int, kind: str = "f") -> float:
+        value = struct.unpack_from(f"{order}{kind}", record, at)[0]
+        return round(value, 9) if math.isfinite(value) else 0.0
+
+    r1, b, r2, humidity = number(0x58), number(0x5C), number(0x30C), number(0x3C)
+    setting = {name: number(at) for name, at in SETTING_OFFSETS.items()}
+    try:
+        through = air_transmission(
+            number(0x24),
+            humidity / 100 if humidity > 2 else humidity,
+            setting["atmosphere"],
+            (number(0x70), number(0x74)),
+            (number(0x78), number(0x7C)),
+            number(0x80),
+        )
+    except (ValueError, OverflowError):  # a root or a power of nonsense
+        return None
+    fractions = (setting["emissivity"], setting["window_transmission"], through)
+    if min(r1, b, r2, *setting.values(), through) <= 0 or max(fractions) > 1:
+        return None
+    return Planck(r1, b, number(0x60), number(0x308, "i"), r2, transmission=through, **setting)
+
+
+def byte_order(record: bytes) -> str:
+    """Byte order of a record, which begins with the number 2."""
+    return "<" if record[:2] == b"\2\0" else ">"
+
+
+def _jpeg_ls(packed: bytes, path: Path) -> Array:
+    height, width = jpeg.picture_size(io.BytesIO(packed)) or (0, 0)
+    check_size(path, 2 * height * width, len(packed), compressed=True)
+    return np.asarray(imagecodecs.jpegls_decode(packed))

@@ -1,0 +1,1 @@
+"""What frames hold: unusable samples, ends of the range, telemetry rows, noise and motion."""

@@ -1,0 +1,149 @@
+"""A burst in words, for `deepir check FILE`."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from deepir.io.frames import Frames
+from deepir.io.inspection.checks import unusable_frames
+from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
+from deepir.io.radiometry import ZERO_CELSIUS
+
+Array = np.ndarray[Any, np.dtype[np.float32]]
+
+FULL_SCALE_COUNTS = [2**bits - 1 for bits in (8, 10, 12, 14, 16)]  # largest counts of common converters
+TLINEAR_COUNTS = (23315, 42315)  # counts of TLinear (K x 100) from -40 to 150 °C
+BLOCK_SIDE = 8  # px; side of the blocks whose means show motion
+MIN_VISIBLE_MOTION = 0.1  # px between frames below which a camera counts as still
+MIN_F_STATISTIC = 10.0  # F statistic above which a shift is significant
+
+
+def describe(burst: Frames) -> list[str]:
+    """Lines on number, size and type of the frames, their values, unusable samples, noise and motion."""
+    frames = burst.frames
+    count, height, width = frames.shape
+    finite = frames[np.isfinite(frames)]
+    lines = [f"{count} frame(s) of {height} x {width} px (height x width), stored as {burst.dtype}"]
+    if not finite.size:
+        return [*lines, "no finite value at all"]
+    lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
+    lines += _temperatures(burst, finite)
+    lines += _unusable(burst, finite)
+    unusable = unusable_frames(frames)
+    lines += [f"frame {k} shows unusable: it is {why}" for k, why in unusable.items()]
+    frames = np.delete(frames, [*unusable], axis=0)
+    if len(frames) and (rows := telemetry_rows(frames)):
+        lines.append(telemetry_message(rows, (height, width)))
+        frames = np.delete(frames, rows, axis=1)
+    return lines + _noise_and_motion(frames)
+
+
+def _temperatures(burst: Frames, finite: Array) -> list[str]:
+    ends = np.array([finite.min(), finite.max()])
+    if burst.radiometry is not None:
+        low, high = burst.radiometry.kelvin(ends) - ZERO_CELSIUS
+        return [f"radiometric: {low:.2f} to {high:.2f} °C by {burst.radiometry}"]
+    if burst.dtype == "uint16" and np.all((ends > TLINEAR_COUNTS[0]) & (ends < TLINEAR_COUNTS[1])):
+        low, high = ends / 100 - ZERO_CELSIUS
+        return [f"{low:.2f} to {high:.2f} °C if these are K x 100 (TLinear): data.radiometry.scale=0.01"]
+    return []
+
+
+def _unusable(burst: Frames, finite: Array) -> list[str]:
+    frames = burst.frames
+    lines = []
+    if missing := frames.size - finite.size:
+        why = "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN or infinite"
+        lines.append(f"{missing} sample(s) are {why} ({missing / frames.size:.2%})")
+    if stuck := int((frames == 0).all(axis=0).sum()):
+        lines.append(f"{stuck} pixel(s) are zero in every frame")
+    top = finite.max()
+    if burst.dtype.startswith("uint") and top in FULL_SCALE_COUNTS:
+        lines.append(f"{int((finite == top).sum())} sample(s) are at full scale ({top:g}): saturated")
+    return lines
+
+
+def _noise_and_motion(frames: Array) -> list[str]:
+    if _is_little(frames):
+        return ["too few or too small frames to measure temporal noise and motion"]
+    noise = f"{temporal_noise(frames):.3g} (standard deviation of a sample"
+    if shift := visible_motion(frames):
+        return [
+            f"temporal noise at most {noise}; moving texture included, which a run separates)",
+            f"motion: yes, roughly {shift:.1f} px between frames, or more",
+        ]
+    return [
+        f"temporal noise about {noise})",
+        "motion: none detected; without motion the fixed pattern cannot be separated from the scene",
+    ]
+
+
+def visible_motion(frames: Array) -> float:
+    """Motion between consecutive frames (N, h, w), px, roughly; zero if none is significant."""
+    if _is_little(frames) or not np.isfinite(frames).any():
+        return 0.0
+    shift, evidence = apparent_motion(frames)
+    return shift if shift > MIN_VISIBLE_MOTION and evidence > MIN_F_STATISTIC else 0.0
+
+
+def _is_little(frames: Array) -> bool:
+    """True if frames (N, h, w) are too few or too small to show noise and motion."""
+    return len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK_SIDE
+
+
+def temporal_noise(frames: Array) -> float:
+    """Temporal noise of a sample from differences of consecutive frames.
+
+    Differences cancel the fixed pattern; the diagonal detail of 2 x 2 blocks cancels most of the motion, but not fine
+    texture: with motion it is an upper bound.
+
+    Args:
+        frames: (N, h, w).
+
+    Returns:
+        Standard deviation, in the data's units; NaN if there is no such difference.
+
+    Source: the median estimate of Donoho and Johnstone, Ideal spatial adaptation by wavelet shrinkage (1994).
+    """
+    with np.errstate(invalid="ignore"):
+        d = np.diff(frames, axis=0)[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2]
+        detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
+    detail = np.abs(detail[np.isfinite(detail)])
+    return float(1.4826 * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
+
+
+def apparent_motion(frames: Array) -> tuple[float, float]:
+    """Shift between consecutive frames, by one Lucas-Kanade step on block means.
+
+    It is rough, and too small where the motion is large, but zero for a still camera.
+
+    Args:
+        frames: (N, h, w).
+
+    Returns:
+        Median shift, px, and median F statistic.
+    """
+    finite = np.isfinite(frames)
+    means = _block_means(np.where(finite, frames, np.median(frames[finite])))
+    shifts, evidence = [], []
+    for a, b in pairwise(means):
+        gradients = [g.ravel() for g in np.gradient((a + b) / 2)]
+        model = np.stack([*gradients, np.ones(a.size)], axis=1)
+        change = (b - a).ravel()
+        solution = np.linalg.lstsq(model, change, rcond=None)[0]
+        explained = np.var(model @ solution)
+        rest = np.var(change - model @ solution)
+        shifts.append(BLOCK_SIDE * np.hypot(*solution[:2]))
+        evidence.append(explained / max(rest, np.finfo(np.float64).tiny) * (a.size - 3) / 2)
+    return float(np.median(shifts)), float(np.median(evidence))
+
+
+def _block_means(frames: Array) -> np.ndarray[Any, np.dtype[np.float64]]:
+    count, rows, columns = len(frames), frames.shape[1] // BLOCK_SIDE, frames.shape[2] // BLOCK_SIDE
+    blocks = frames[:, : rows * BLOCK_SIDE, : columns * BLOCK_SIDE].reshape(
+        count, rows, BLOCK_SIDE, columns, BLOCK_SIDE
+    )
+    return blocks.mean(axis=(2, 4), dtype=np.float64)

@@ -1,0 +1,60 @@
+"""Telemetry rows: rows at the upper or lower edge of frames that hold numbers of the camera."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+MAX_TELEMETRY_ROWS = 4  # telemetry rows at one edge
+COMPARED_ROWS = 4  # picture rows next to them, with which they are compared
+ROUGHNESS_QUANTILE = 0.9  # quantile of a row's absolute differences that is its roughness
+MIN_ROUGHNESS_RATIO = 8.0  # roughness of a telemetry row over that of a picture row
+SAMPLED_FRAMES = 8  # frames that are inspected
+ROW_STRIDE = 8  # every n-th row of the middle of a frame is inspected
+
+
+def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
+    """Telemetry rows of frames: pictures are continuous from row to row, numbers are not.
+
+    Args:
+        frames: (N, h, w).
+
+    Returns:
+        Row numbers.
+    """
+    count, height, _ = frames.shape
+    edge = MAX_TELEMETRY_ROWS + COMPARED_ROWS
+    if height < 2 * edge:
+        return []
+    some = frames[:: max(1, count // SAMPLED_FRAMES)]
+    inside = some[:, edge:-edge:ROW_STRIDE] if height >= 4 * edge else some
+    usual = float(np.median(_rough(inside)))
+    above, below = (_at_start(_rough(rows), usual) for rows in (some[:, :edge], some[:, : -edge - 1 : -1]))
+    return [*range(above), *range(height - below, height)]
+
+
+def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Roughness (K,) of rows (N, K, w): a high quantile of their absolute differences, in a typical frame."""
+    known = np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
+    steps = np.nan_to_num(np.abs(np.diff(known, axis=-1)))
+    found: np.ndarray[Any, Any] = np.median(np.quantile(steps, ROUGHNESS_QUANTILE, axis=-1), axis=0)
+    return found
+
+
+def _at_start(rough: np.ndarray[Any, Any], usual: float) -> int:
+    """Number of telemetry rows at the start, by the roughness of these and the next rows, from the edge on."""
+    for count in range(MAX_TELEMETRY_ROWS, 0, -1):
+        beside = max(usual, float(rough[count : count + COMPARED_ROWS].max()))
+        if rough[:count].min() > MIN_ROUGHNESS_RATIO * beside > 0:
+            return count
+    return 0
+
+
+def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
+    """A warning on telemetry rows of frames of a shape (h, w)."""
+    height, width = shape
+    above = sum(row < height / 2 for row in rows)
+    box = [above, height - len(rows) + above, 0, width]
+    some = f"row {rows[0]} shows" if len(rows) == 1 else f"rows {', '.join(map(str, rows))} show"
+    return f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off"

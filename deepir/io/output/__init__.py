@@ -1,0 +1,1 @@
+"""Writing files: results, recordings, tone-mapped pictures."""

@@ -1,0 +1,45 @@
+"""MATLAB's `.mat`, versions 5 to 7: named arrays whose last axis is that of the frames. Version 7.3 is HDF5."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+from deepir.errors import DataError
+from deepir.io.containers.named_arrays import choose_array
+from deepir.io.guards import check_size
+from deepir.io.readers import Array
+
+SUFFIXES = (".mat",)
+#: Bytes per value of MATLAB's numeric classes; cells, structures and function handles are not frames.
+BYTES_PER_VALUE = {"single": 4, "double": 8} | {
+    f"{sign}int{n}": n // 8 for sign in ("", "u") for n in (8, 16, 32, 64)
+}
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """The text at the head of files of MATLAB, Octave and SciPy."""
+    return head.startswith(b"MATLAB 5.0 MAT-file")
+
+
+def read(path: Path, key: str | None) -> Array:
+    """The array, (h, w) or (N, h, w); MATLAB stores (h, w, N).
+
+    Raises:
+        DataError: It is not an array of numbers, or several are possible.
+    """
+    with path.open("rb") as file:
+        known = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(file)}
+        name = choose_array(
+            {each: shape for each, (shape, kind) in known.items() if kind in BYTES_PER_VALUE}, path, key
+        )
+        shape, kind = known[name]
+        check_size(path, math.prod(shape) * BYTES_PER_VALUE[kind], path.stat().st_size, compressed=True)
+        file.seek(0)
+        array: Array = scipy.io.loadmat(file, variable_names=[name])[name]
+    if array.shape != tuple(shape):
+        raise DataError(f"{path}: damaged: {name} is {array.shape} where its header says {shape}")
+    return np.moveaxis(array, -1, 0) if array.ndim == 3 else array

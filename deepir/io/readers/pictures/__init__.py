@@ -1,0 +1,1 @@
+"""Formats of pictures: TIFF, PNG, JPEG, videos, and folders of pictures."""

@@ -1,0 +1,107 @@
+"""A folder, or a glob such as `flight/*.tiff`: one burst from many files, in natural order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io import readers
+from deepir.io.guards import GIB, MAX_ARRAY_BYTES
+from deepir.io.radiometry import Radiometry
+from deepir.io.readers import Array
+
+SUFFIXES = ()
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """A folder, or a name with wildcards that is not itself a file."""
+    return path.is_dir() or readers.is_glob(path)
+
+
+def read(path: Path, key: str | None) -> Array:
+    """Frames (N, h, w) of all pictures; a file of several pages gives several frames.
+
+    Raises:
+        DataError: There are none, or they differ in size or type.
+    """
+    stacks: list[Array] = []
+    files, total = burst_files(path), 0
+    for file in files:
+        frames = readers.read(file, key)
+        stacks.append(frames if frames.ndim == 3 else frames[None])
+        _check_alike(files[0], stacks[0], file, stacks[-1])
+        total += frames.nbytes
+        if total > MAX_ARRAY_BYTES:
+            raise DataError(
+                f"{path}: more than {MAX_ARRAY_BYTES // GIB} GiB of pictures; name fewer with a glob"
+            )
+    return np.ma.concatenate(stacks) if any(map(np.ma.isMaskedArray, stacks)) else np.concatenate(stacks)
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Frame after frame, file after file."""
+    for file in burst_files(path):
+        yield from readers.stream(file, key)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """Radiometry of the first picture."""
+    return readers.radiometry(burst_files(path)[0])
+
+
+def burst_files(path: Path) -> list[Path]:
+    """Files of a folder or a glob, in natural order (frame2 before frame10), without hidden files.
+
+    A folder's files are those recognised by their contents, or with a known suffix, so that a damaged file is an error
+    and not a missing frame. A glob stands for all its files.
+
+    Raises:
+        DataError: There are none.
+    """
+    if path.is_dir():
+        entries = [file for file in path.iterdir() if _is_picture(file)]
+    else:
+        entries = [file for file in _expand(path) if file.is_file() and not file.name.startswith(".")]
+    if not entries:
+        what = "no pictures in this folder" if path.is_dir() else "no file matches"
+        raise DataError(f"{path}: {what} ({', '.join(readers.suffixes())} are read)")
+    return sorted(entries, key=natural_key)
+
+
+def natural_key(path: Path) -> list[Any]:
+    """A sorting key that compares digits as numbers."""
+    parts = re.split("([0-9]+)", str(path))
+    return [int(part) if i % 2 else part.casefold() for i, part in enumerate(parts)]
+
+
+def _expand(pattern: Path) -> list[Path]:
+    root = Path(pattern.anchor or ".")
+    return list(root.glob(str(pattern.relative_to(pattern.anchor))))
+
+
+def _is_picture(file: Path) -> bool:
+    if file.name.startswith(".") or not file.is_file():
+        return False
+    return file.suffix.lower() in readers.suffixes() or (
+        file.stat().st_size > 0 and readers.find_reader(file) is not None
+    )
+
+
+def _check_alike(first: Path, a: Array, other: Path, b: Array) -> None:
+    if a.shape[1:] != b.shape[1:]:
+        sizes = [
+            f"{file.name} is {' x '.join(map(str, x.shape[1:]))}" for file, x in ((first, a), (other, b))
+        ]
+        raise DataError(
+            f"{first.parent}: pictures differ in size: {', '.join(sizes)}; name one kind with a glob"
+        )
+    if a.dtype != b.dtype:
+        raise DataError(
+            f"{first.parent}: pictures differ in type: {first.name} is {a.dtype}, {other.name} is {b.dtype}; "
+            "name one kind with a glob"
+        )

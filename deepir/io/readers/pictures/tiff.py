@@ -1,0 +1,123 @@
+"""TIFF of one or many pages, 8 to 64 bit, integer or float, in any compression that imagecodecs knows."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+
+from deepir.config import schema
+from deepir.errors import ConfigError, DataError
+from deepir.io.guards import check_size, to_grey
+from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
+from deepir.io.readers import Array
+
+SUFFIXES = (".tif", ".tiff")
+PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture
+
+# Python prints messages of a library's logger that nobody handles; ours become errors instead.
+logging.getLogger("tifffile").addHandler(logging.NullHandler())
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """TIFF and BigTIFF, in either byte order."""
+    return head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+def read(path: Path, key: str | None) -> Array:
+    """All pages of full size, (N, h, w).
+
+    Raises:
+        DataError: Pages differ in size, lie outside the file, or are in colour.
+    """
+    with _open(path) as tiff:
+        series = _series(tiff, path)
+        check_size(path, sum(p.nbytes for p in series), path.stat().st_size, compressed=True)
+        stacks = [_stack(part.asarray(), part.axes, path) for part in series]
+    sizes = {stack.shape[1:] for stack in stacks}
+    if len(sizes) > 1:
+        raise DataError(f"{path}: its pages differ in size: {' and '.join(map(str, sorted(sizes)))}")
+    return np.ma.concatenate(stacks) if len(stacks) > 1 else stacks[0]
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Page after page (h, w); if all are contiguous, a memory map (N, h, w)."""
+    with _open(path) as tiff:
+        for part in _series(tiff, path):
+            if part.dataoffset is not None:
+                dtype = part.dtype.newbyteorder(tiff.byteorder)
+                yield _stack(np.memmap(path, dtype, "r", part.dataoffset, part.shape), part.axes, path)
+            else:
+                yield from (_stack(page.asarray(), part.axes, path) for page in part.pages)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """Radiometry that deepir wrote into the description, see `deepir.io.radiometry.unit_metadata`."""
+    with _open(path) as tiff:
+        try:
+            description = json.loads(tiff.pages.first.description)
+            if description.get("unit") == "K":
+                return KELVIN
+            return resolve_radiometry(None, schema.Radiometry(**description["radiometry"]))
+        except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
+            return None
+
+
+def _open(path: Path) -> tifffile.TiffFile:
+    # OME metadata may name other files, which would be opened: read this file's own pages only.
+    return tifffile.TiffFile(path, is_ome=False)
+
+
+def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:
+    series = [part for part in tiff.series if not part.keyframe.is_reduced]
+    if not series:
+        raise DataError(f"{path}: a TIFF without a picture")
+    _check_last(tiff, path)
+    for part in series:
+        _check(part, path)
+    return series
+
+
+def _check(part: Any, path: Path) -> None:
+    """Refuse data that tifffile would fill with zeros: outside the file, or of missing pages."""
+    page, size = part.keyframe, path.stat().st_size
+    if page.photometric == PALETTE_PHOTOMETRIC:
+        raise DataError(f"{path}: a palette picture carries no radiometry. Export raw 16-bit data instead.")
+    compressed = page.compression != tifffile.COMPRESSION.NONE
+    check_size(path, part.nbytes, size, compressed=compressed, at_once=False)
+    if part.dataoffset is not None:
+        ends = [part.dataoffset + part.nbytes]
+    else:
+        ends = [
+            offset + count
+            for each in part.pages
+            for offset, count in zip(each.dataoffsets, each.databytecounts, strict=True)
+        ]
+    if not ends or max(ends) > size:
+        raise DataError(f"{path}: truncated: its data end beyond the end of the file")
+
+
+def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
+    """Refuse a broken chain of pages, which tifffile would only log."""
+    layout, page = tiff.tiff, tiff.pages[-1]
+    with path.open("rb") as file:
+        file.seek(page.offset)
+        (tags,) = struct.unpack(layout.tagnoformat, file.read(layout.tagnosize))
+        file.seek(tags * layout.tagsize, os.SEEK_CUR)
+        (following,) = struct.unpack(layout.offsetformat, file.read(layout.offsetsize))
+    if following:
+        raise DataError(f"{path}: truncated: only {len(tiff.pages)} of its pages can be found")
+
+
+def _stack(pixels: Array, axes: str, path: Path) -> Array:
+    # Samples in separate planes are frames: the default of tifffile for a burst of three or four.
+    if axes.endswith("S"):
+        pixels = to_grey(pixels, path)
+    return pixels.reshape(-1, *pixels.shape[-2:])

@@ -1,0 +1,54 @@
+"""Grey videos: AVI, MP4, Matroska, MOV. Needs the extra `video`. Most are 8 bits, stretched by the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io.extras import import_optional
+from deepir.io.guards import check_size, stack_frames, to_grey
+from deepir.io.readers import Array
+
+GENERIC = True
+#: Difference of the channels, as a share of the range, that a lossy codec may give a grey film.
+GREY_TOLERANCE = 0.02
+SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """The signatures of AVI, MP4 and MOV, and Matroska."""
+    return (
+        head[4:8] == b"ftyp" or (head[:4], head[8:12]) == (b"RIFF", b"AVI ") or head[:4] == b"\x1aE\xdf\xa3"
+    )
+
+
+def read(path: Path, key: str | None) -> Array:
+    """All frames (N, h, w), uint8 or uint16.
+
+    Raises:
+        DataError: The film is in colour.
+    """
+    return stack_frames(stream(path, key), path)
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Frame after frame (h, w)."""
+    av = import_optional("av", "video", str(path))
+    with path.open("rb") as file, av.open(file) as container:
+        if not container.streams.video:
+            raise DataError(f"{path}: a film without pictures")
+        context = container.streams.video[0].codec_context
+        check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
+        for frame in container.decode(video=0):
+            deep = any(component.bits > 8 for component in frame.format.components)
+            if len(frame.format.components) == 1 and not frame.format.has_palette:
+                yield frame.to_ndarray(format="gray16le" if deep else "gray")
+            else:
+                pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
+                if np.ptp(pixels, axis=2).max() <= GREY_TOLERANCE * np.iinfo(pixels.dtype).max:
+                    yield frame.to_ndarray(format="gray16le" if deep else "gray")
+                else:
+                    yield to_grey(pixels, path)

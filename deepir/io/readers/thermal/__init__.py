@@ -1,0 +1,1 @@
+"""Formats of thermal cameras: FLIR, DJI, CPTV."""

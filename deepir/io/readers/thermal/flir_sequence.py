@@ -1,0 +1,44 @@
+"""FLIR's recordings SEQ and CSQ: one FFF for each frame, raw in SEQ and packed as JPEG-LS in CSQ."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Iterator
+from pathlib import Path
+
+from deepir.io.containers import fff
+from deepir.io.guards import stack_frames
+from deepir.io.radiometry import Radiometry
+from deepir.io.readers import Array
+
+SUFFIXES = (".seq", ".csq", ".fff")
+
+
+def sniff(head: bytes, path: Path) -> bool:
+    """First bytes of an FFF."""
+    return head.startswith(fff.FFF_MAGIC)
+
+
+def read(path: Path, key: str | None) -> Array:
+    """All frames (N, h, w), uint16 counts.
+
+    Raises:
+        DataError: They differ in size.
+    """
+    return stack_frames(stream(path, key), path)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """Radiometry of the first frame."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return fff.read_radiometry(fff.read_records(data, path)[0])
+
+
+def stream(path: Path, key: str | None) -> Iterator[Array]:
+    """Frame after frame (h, w)."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        start = 0
+        while start != -1:
+            found, end = fff.read_records(data, path, start)
+            yield fff.read_raw_plane(found, path)
+            start = data.find(fff.FFF_MAGIC, end)

@@ -1,0 +1,1 @@
+"""From flux to data: fixed pattern, defects, noise, thermal lag."""
