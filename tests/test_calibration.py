@@ -172,11 +172,11 @@ def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene)
         [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
     )
     frame = see(scene, 1)[0]
-    assert found.roughens(frame) < 0.3
-    assert found.roughens(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3
-    assert found.roughens(frame / 50 + 200) > 5
+    assert found.roughness_ratio(frame) < 0.3
+    assert found.roughness_ratio(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3
+    assert found.roughness_ratio(frame / 50 + 200) > 5
     for nothing in (8000.0, np.nan):
-        assert found.roughens(np.full(SHAPE, nothing)) == 1.0
+        assert found.roughness_ratio(np.full(SHAPE, nothing)) == 1.0
 
 
 def test_frames_of_a_scene_are_no_flats():

@@ -74,7 +74,7 @@ def test_check_describes_a_configuration_and_writes_nothing(deepir, folder):
     before = sorted(folder.rglob("*"))
     status, out, _ = deepir("check", "nuc", "data.path=burst.npz", "physics.warp.motion=affine")
     assert status == 0
-    for words in ("problem nuc", "motion affine", "prior foe", "3 frame(s)", "runs/nuc, free"):
+    for words in ("problem nuc", "motion affine", "prior foe", "3 frame(s)", "runs/nuc (new)"):
         assert words in out
     assert sorted(folder.rglob("*")) == before
 

@@ -119,7 +119,7 @@ class TestHere:
             patch.setattr("deepir.sweep.cluster.run_cells", interrupted)
             status, _, err = deepir(*METHODS)
         assert status == 130
-        assert "the same command goes on" in err
+        assert "the same command continues" in err
         assert [row["seconds"] != "" for row in table(folder / "runs/nuc-compare")] == [
             True,
             False,

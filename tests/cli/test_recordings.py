@@ -94,7 +94,7 @@ def test_a_film_is_written(deepir, folder, maps):
         ("apply maps.npz burst.npz --output maps.npz", "maps.npz exists; replace it with --overwrite"),
         ("apply maps.npz burst.npz --output a.avi", "a.avi: a recording is written as .tif"),
         ("apply maps.npz burst.npz --output nowhere/a.tif", "cannot be written"),
-        ("apply maps.npz burst.npz prior=tv", "prior=tv: of the settings only data.key, data.raw"),
+        ("apply maps.npz burst.npz prior=tv", "prior=tv: only settings of data.key, data.raw"),
         ("apply maps.npz burst.npz output.palette=iron", "'white-hot' or 'black-hot' or 'ironbow'"),
         ("calibrate maps.npz burst.npz", "maps.npz exists; replace it with --overwrite"),
         ("calibrate a.tif burst.npz", "give the name of an .npz"),
@@ -102,7 +102,7 @@ def test_a_film_is_written(deepir, folder, maps):
         ("calibrate a.npz small.npy small.npy", "two temperatures are needed"),
         ("calibrate a.npz --burst burst.npz small.npy", "2 recordings given: one with --burst"),
         ("calibrate a.npz data.key=frames", "0 recordings given"),
-        ("calibrate a.npz burst.npz seed=1", "seed=1: of the settings only data.key, data.raw"),
+        ("calibrate a.npz burst.npz seed=1", "seed=1: only settings of data.key, data.raw"),
     ],
 )
 def test_what_is_wrong_is_said_and_nothing_is_written(deepir, folder, maps, line, message):
@@ -166,5 +166,5 @@ def test_a_burst_that_stands_still_is_corrected_only_if_it_moved(deepir, folder)
     frames = np.random.default_rng(0).normal(8000, 50, (64, 80)) * np.ones((4, 1, 1))
     np.save("still.npy", frames + np.random.default_rng(1).normal(0, 5, frames.shape))
     out = deepir("check", "still.npy")[1]
-    assert "motion: none to be seen" in out
+    assert "motion: none detected" in out
     assert "if it moved all the same: deepir run nuc data.path=still.npy" in out
