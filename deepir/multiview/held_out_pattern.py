@@ -41,14 +41,20 @@ class Left:
     """What a correction leaves.
 
     `change` is the root mean square change of brightness along the displacements of the scene, robust, and `detail` the
-    deviation of the fine pattern, in the frames' units; `nats` and `detail_nats` minus the logarithms of their
-    likelihoods, but for a constant that all corrections share. The fine pattern's are NaN where it is not judged.
+    deviation of the fine pattern, in the frames' units; `pair_nats` and `detail_nats` minus the logarithms of their
+    likelihoods, the former for each pair of frames, but for constants that all corrections share. The fine pattern's
+    are NaN where it is not judged.
     """
 
     change: float
-    nats: float
+    pair_nats: Array
     detail: float
     detail_nats: float
+
+    @property
+    def nats(self) -> float:
+        """Those of all pairs."""
+        return float(self.pair_nats.sum())
 
 
 class Judge:
@@ -100,15 +106,16 @@ class Judge:
         """What a correction leaves; None where the frames do not tell."""
         if not self.found:
             return None
-        frames, nats, spreads = self.coarse(gain, offset), 0.0, []
+        frames, spreads = self.coarse(gain, offset), []
+        nats = {(each.first, each.second): 0.0 for each in self.found}
         for found, scale in zip(self.found, self.scales, strict=True):
             change = _change(frames, found)
-            nats += float(np.log1p((change / scale) ** 2).sum()) / CORRELATED
+            nats[found.first, found.second] += float(np.log1p((change / scale) ** 2).sum()) / CORRELATED
             spreads.append(_spread(change))
         shared, count = self._detail_shared(gain, offset)
         detail = max(shared / count, 0.0) ** 0.5 if count else np.nan
         fine = shared / self.deviation**2 / CORRELATED_DETAIL / 2 if count else np.nan
-        return Left(float(np.mean(spreads)) / 2**0.5, nats, detail, fine)
+        return Left(float(np.mean(spreads)) / 2**0.5, np.array(list(nats.values())), detail, fine)
 
     def _find_detail(self) -> None:
         """Where the scene of each pair has moved by more than its detail reaches, and the detail's deviation."""

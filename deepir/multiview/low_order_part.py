@@ -17,7 +17,7 @@ from scipy.stats import median_abs_deviation
 Array = np.ndarray[Any, Any]
 
 #: Standard deviation, px, of the Gaussian below which a pattern is slow.
-SLOW_SIGMA = 8.0
+SLOW_SIGMA = 4.0
 #: Side, px, of the windows whose median is taken off for the fine part.
 FINE_SIDE = 5
 #: Largest ratio of the slow part's standard deviation to the fine part's, robust, that a sensor is believed to have.

@@ -78,7 +78,7 @@ def joint(
     cost = nuc_penalty_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, burst, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
-    return safeguarded(result, burst) if recipe.judged else result
+    return safeguarded(result, burst, registered=motion is not None) if recipe.judged else result
 
 
 def _demand_scene(problem: Problem) -> None:

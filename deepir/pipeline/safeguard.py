@@ -2,7 +2,8 @@
 
 First the fine part of gain and offset, then their slow part: as estimated, as an estimate that registers no frames has
 it, or none. Each is judged by frames of the same recording that the estimate did not use, where there are any, else by
-the burst's own, which judge no fine part.
+the burst's own, which judge no fine part. A slow part that no registration has found needs evidence: scenes share slow
+slopes (the sky is above), and an estimate takes these for the sensor's.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ Array = np.ndarray[Any, Any]
 
 #: Nats by which a simpler correction has to be likelier than the one that was found, for that to be given up.
 MARGIN = 10.0
+#: Standard errors over pairs of frames by which a slow part that no registration found has to be likelier than none.
+CERTAINTY = 3.0
 #: Pairs of the burst's own frames that are compared, and frames apart.
 OWN_PAIRS, GAPS = 4, (1, 2)
 #: Frames below which no pattern is estimated without registration.
@@ -43,10 +46,11 @@ class Correction:
     left: Left
 
 
-def safeguarded(result: Result, burst: Burst) -> Result:
+def safeguarded(result: Result, burst: Burst, *, registered: bool) -> Result:
     """The result, or one with a simpler correction that leaves less pattern; a message says so.
 
-    It has to leave clearly less, or the result more than uncorrected frames.
+    It has to leave clearly less, or the result more than uncorrected frames. A slow part stays without evidence only in
+    a result of `registered` frames.
     """
     judge = _judge(burst, [(result.gain, result.offset)], result.level)
     found = _candidates("gain and offset as estimated", judge, burst, result.gain, result.offset)
@@ -58,7 +62,7 @@ def safeguarded(result: Result, burst: Burst) -> Result:
     if len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
         free = _candidates(UNREGISTERED, judge, burst, one, offset)
-    best = _best(found, free, raw, judge)
+    best = _best(found, free, raw, judge, registered=registered)
     result.metrics["fixed_pattern_left"] = _figures(raw.whole.left, best.left)
     if best is found.whole:
         return result
@@ -67,6 +71,10 @@ def safeguarded(result: Result, burst: Burst) -> Result:
         f"{'frames beside the burst' if burst.beside is not None else 'the frames'}, {best.name} "
         f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}"
     )
+    if best is found.fine and result.scene.shape == burst.frames.shape:
+        scene = (result.scene + found.slow / result.gain).astype(np.float32)
+        offset = best.offset.astype(np.float32)
+        return dataclasses.replace(result, scene=scene, offset=offset, messages=[message, *result.messages])
     return _replaced(result, burst, best, message)
 
 
@@ -84,7 +92,7 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
     raw = _candidates("no correction", judge, burst, one, zero)
     if found is None or raw is None:
         raise refusal
-    best = _best(found, None, raw, judge)
+    best = _best(found, None, raw, judge, registered=False)
     result = neutral(burst.frames[0], len(burst.frames), burst.size, burst.bad_pixels)
     result.metrics = {
         "iterations": 0,
@@ -136,7 +144,9 @@ def _doubtful(found: _Candidates, raw: _Candidates, shared: Left) -> bool:
     return half or shared.nats < min(found.whole.left.nats, found.fine.left.nats)
 
 
-def _best(found: _Candidates, free: _Candidates | None, raw: _Candidates, judge: Judge) -> Correction:
+def _best(
+    found: _Candidates, free: _Candidates | None, raw: _Candidates, judge: Judge, *, registered: bool
+) -> Correction:
     """The fine part of the one or the other, or none; with the slow part of the one or the other, or none."""
     fine = found
     if free and free.fine_nats < found.fine_nats - MARGIN:
@@ -146,12 +156,22 @@ def _best(found: _Candidates, free: _Candidates | None, raw: _Candidates, judge:
     best = raw.whole if fine is raw else fine.fine
     for each in filter(None, (found, free)):
         other = each.whole if each is fine else _mixed(fine, each, judge)
-        margin = -MARGIN
-        if each is fine and each.plausible:
-            margin = MARGIN if each is found and each.whole.left.nats <= raw.whole.left.nats else 0.0
-        if other.left.nats <= best.left.nats + margin:
+        own, gain = each is fine and each.plausible, best.left.nats - other.left.nats
+        if registered and own and each is found and each.whole.left.nats <= raw.whole.left.nats:
+            taken = gain >= -MARGIN
+        else:
+            certain = _is_certain(best.left.pair_nats - other.left.pair_nats)
+            taken = certain and gain >= (0.0 if own else MARGIN)
+        if taken:
             best = other
     return raw.whole if best.left.nats > raw.whole.left.nats + MARGIN else best
+
+
+def _is_certain(gains: Array) -> bool:
+    """Whether nats that pairs of frames gain, (pairs,), have a mean above zero, by its standard error."""
+    if len(gains) < 2:
+        return False
+    return bool(gains.mean() > CERTAINTY * gains.std(ddof=1) / len(gains) ** 0.5)
 
 
 def _mixed(fine: _Candidates, slow: _Candidates, judge: Judge) -> Correction:

@@ -15,6 +15,7 @@ from deepir.errors import ConfigError, DataError
 from deepir.estimation.penalty_weights import weigh_scene
 from deepir.fields.sensor_maps import Part
 from deepir.fields.shading import Shading
+from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.frame_gains import frame_gains
 from deepir.multiview.low_order_part import is_implausible, slow_part
 from deepir.multiview.low_order_pattern import slow_pattern
@@ -27,7 +28,6 @@ from deepir.schedule import Schedule, Stage, Step
 
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared
-SAME = 2.0  # variance of the blocks' means in a difference of frames, to that of white noise
 SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated ones
 #: Share of the slow part, from none and from all, within which its division is no guess.
 GUESS = 0.1
@@ -51,10 +51,10 @@ class MultiviewNUC(Recipe):
         """The sensor, from the frames alone, the noise that it leaves, and the scenes as they then look.
 
         Raises:
-            DataError: The frames are all the same.
+            DataError: The camera stands still.
         """
         frames, usable = problem.data[:, 0], problem.precision[:, 0] > 0
-        self.messages = _demand_different(frames)
+        self.messages = _demand_different(frames, usable)
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
         edges, pattern, slow = find_pattern(frames, usable, gain, offset)
         for _ in range(CONTRAST_ROUNDS if problem.noise is None else 0):
@@ -92,15 +92,12 @@ class MultiviewNUC(Recipe):
         return Schedule([Stage("scene", (Step(("scene",)),), 40)])
 
 
-def _demand_different(frames: Tensor) -> list[str]:
+def _demand_different(frames: Tensor, usable: Tensor) -> list[str]:
     """Messages for frames (N, h, w) that are few, or much alike; `DataError` if they show all the same."""
-    change = frames - frames.roll(len(frames) // 2, 0)
-    means = F.avg_pool2d(change[:, None], BLOCK)[:, 0]
-    slow, whole, contrast = (each.flatten(1).var(1).median() for each in (means, change, frames))
-    if BLOCK**2 * slow <= SAME * whole <= SAME * contrast:
+    if is_at_rest(frames.cpu().numpy(), usable.cpu().numpy()):
         raise DataError(
-            "the frames all show the same: what stands still in all of them is taken for the sensor's pattern. "
-            "Take frames of different scenes, or move the camera and take problem 'nuc'"
+            "the frames all show the same, from a camera at rest: what stands still in all of them is taken for the "
+            "sensor's pattern. Take frames of different scenes, or move the camera and take problem 'nuc'"
         )
     means = F.avg_pool2d(frames[:, None], BLOCK)[:, 0]
     means = means - means.mean((1, 2), keepdim=True)

@@ -9,6 +9,7 @@ from deepir.burst import Burst
 from deepir.errors import DataError
 from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.result import neutral
+from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
 
 SIZE = (120, 160)
 
@@ -46,7 +47,7 @@ def result(frames, offset):
 def test_a_good_correction_stays(drive, beside):
     frames = drive + STRIPES
     found = result(frames, STRIPES)
-    kept = safeguarded(found, burst(frames, beside=beside))
+    kept = safeguarded(found, burst(frames, beside=beside), registered=True)
     assert kept is found
     assert kept.messages == []
     left = kept.metrics["fixed_pattern_left"]
@@ -57,14 +58,34 @@ def test_a_good_correction_stays(drive, beside):
 def test_a_false_slope_is_taken_out(drive, beside):
     frames = drive + STRIPES
     slope = np.linspace(-300, 300, SIZE[0])[:, None]
-    kept = safeguarded(result(frames, STRIPES + slope), burst(frames, beside=beside))
+    kept = safeguarded(result(frames, STRIPES + slope), burst(frames, beside=beside), registered=True)
     assert np.corrcoef(kept.offset.ravel(), np.broadcast_to(STRIPES, SIZE).ravel())[0, 1] > 0.8
     assert "uncorrected frames" in kept.messages[0]
 
 
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_slow_part_without_evidence_and_registration_is_left_to_the_scenes(beside):
+    """The camera drives; the estimate has taken a slope of the scenes for the sensor's."""
+    settings = RecordingSettings(n_frames=48, frame_rate=16, shape=(64, 80), shutter_every=60.0)
+    film = simulate_recording(settings, seed=1)
+    level = film.frames.mean()
+    slope = 15 * film.truth.noise * np.linspace(-1, 1, 64)[:, None]
+    offset = film.truth.offset.mean(0) + (film.truth.gain - 1) * level + slope
+    frames = film.frames[::6].astype(np.float32)
+    others = film.frames[np.add.outer([1, 9, 17, 25, 33, 40], [0, 4]).ravel()].astype(np.float32)
+    valid = np.ones(frames.shape, bool)
+    data = Burst(frames, valid, film.truth.bad_pixels, beside=others if beside else None)
+    found = neutral(frames - offset, 8, (64, 80), film.truth.bad_pixels)
+    found.offset = offset.astype(np.float32)
+    kept = safeguarded(found, data, registered=False)
+    assert "without its slow part" in kept.messages[0]
+    assert residual_pattern(film.frames - kept.offset, film) < residual_pattern(film.frames, film)
+    assert np.allclose(kept.scene, frames - kept.offset, atol=1)
+
+
 def test_where_nothing_is_to_be_corrected_a_wrong_correction_is_given_up(drive):
     scene = drive[0] - ndimage.gaussian_filter(drive[0], 20)
-    kept = safeguarded(result(drive, scene), burst(drive))
+    kept = safeguarded(result(drive, scene), burst(drive), registered=True)
     assert np.abs(kept.offset).max() == 0
     assert "the result has no correction" in kept.messages[0]
     assert np.array_equal(kept.scene, drive[0])

@@ -9,6 +9,7 @@ import deepir
 from deepir.config import prior_names
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
+from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
 from deepir.simulate.scenes.pictures import load_picture
 
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
@@ -229,3 +230,29 @@ def test_different_frames_are_met_with_silence(result):
 def test_what_cannot_work_is_refused(sim, change, message):
     with pytest.raises(ConfigError, match=message):
         deepir.run("multiview_nuc", change, frames=sim.frames)
+
+
+# ---- recordings ----
+
+
+def recording(kind, shape, count):
+    """A camera whose shutter has closed just before."""
+    settings = RecordingSettings(
+        kind=kind, n_frames=count, frame_rate=15, shape=shape, shutter_every=60.0, drift=0.01
+    )
+    return simulate_recording(settings, seed=7)
+
+
+@pytest.mark.slow
+def test_a_drive_is_not_made_worse():
+    drive = recording("drive", (96, 112), 120)
+    result = deepir.run("multiview_nuc", frames=drive.frames, data={"frames": "::12"}, **QUICK)
+    corrected = (drive.frames - result.offset) / result.gain
+    assert residual_pattern(corrected, drive) < residual_pattern(drive.frames, drive)
+    assert np.median(np.abs(corrected[::12] - result.scene)) < 10 * drive.truth.noise
+    assert "without its slow part" in result.messages[0]
+
+
+def test_a_camera_at_rest_is_refused():
+    with pytest.raises(DataError, match="from a camera at rest"):
+        deepir.run("multiview_nuc", frames=recording("tripod", (64, 80), 48).frames[::6], **QUICK)
