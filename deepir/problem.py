@@ -166,7 +166,7 @@ class Problem(nn.Module):
 
     def shown(self, name: str, value: Tensor, penalty: Penalty) -> Tensor:
         """What a penalty on an unknown is of: its value, or the picture that the scene shows."""
-        return self.operator.image(value) if penalty.of_image and name == "scene" else value
+        return self.operator.to_pixels(value) if penalty.acts_on_pixels and name == "scene" else value
 
     def represent(self, name: str, field: Field, penalties: Mapping[str, Penalty]) -> None:
         """Let another field of the same shape, with penalties of its own, stand for an unknown.
@@ -177,7 +177,7 @@ class Problem(nn.Module):
         for old in before:
             for new in penalties.values():
                 if isinstance(old, SpatiallyWeighted) and isinstance(new, SpatiallyWeighted):
-                    new.go_on_from(old)
+                    new.inherit_weights(old)
         self.fields[name] = field  # type: ignore[index]
         self.penalties[name] = nn.ModuleDict(penalties)  # type: ignore[index]
 

@@ -99,7 +99,7 @@ def test_the_image_of_a_scene_is_what_a_frame_at_rest_shows():
     coefficients = picture()[None, None]
     operator = Warp((11, 12), (21, 24), (5, 6))
     at_rest = operator(coefficients, motion=homography()[None])
-    assert torch.allclose(at_rest, operator.image(coefficients)[..., 5:16, 6:18])
+    assert torch.allclose(at_rest, operator.to_pixels(coefficients)[..., 5:16, 6:18])
 
 
 def test_warps_pull_so_plus_x_looks_right_and_plus_y_looks_down():

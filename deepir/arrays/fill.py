@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
-def nearest_filled(image: Tensor, known: Tensor) -> Tensor:
+def fill_nearest(image: Tensor, known: Tensor) -> Tensor:
     """Replace unknown pixels (S, C, H, W) by the nearest known one of the row, or, where none is, of the column."""
     for axis in (-1, -2):
         side = image.shape[axis]
@@ -20,7 +20,7 @@ def nearest_filled(image: Tensor, known: Tensor) -> Tensor:
     return image
 
 
-def pull_push_filled(image: Tensor, known: Tensor) -> Tensor:
+def fill_pull_push(image: Tensor, known: Tensor) -> Tensor:
     """Replace unknown pixels (S, C, H, W) by means of what is known around, over ever larger squares.
 
     (Pull and push: Gortler et al. 1996, "The lumigraph".)
@@ -31,6 +31,6 @@ def pull_push_filled(image: Tensor, known: Tensor) -> Tensor:
     odd = (0, width % 2, 0, height % 2)
     share = F.avg_pool2d(F.pad(known.to(image), odd), 2)
     total = F.avg_pool2d(F.pad(image.where(known, 0), odd), 2)
-    coarse = pull_push_filled(total / share.clamp(min=1e-6), share > 0)
+    coarse = fill_pull_push(total / share.clamp(min=1e-6), share > 0)
     fine = F.interpolate(coarse, scale_factor=2, mode="bilinear")[..., :height, :width]
     return torch.where(known, image, fine)

@@ -28,7 +28,7 @@ def sample_noise(frames: Tensor, usable: Tensor) -> float:
     return MAD * median(found) if found.numel() else 0.0
 
 
-def flat_noise(frames: Tensor, usable: Tensor) -> float:
+def noise_in_flat_windows(frames: Tensor, usable: Tensor) -> float:
     """Standard deviation of a sample's noise, from the flattest parts of frames (N, h, w); usable, bool.
 
     For frames of different scenes that have no pattern left. Diagonal second differences have a median in each window:

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.arrays.noise_level import flat_noise
+from deepir.arrays.noise_level import noise_in_flat_windows
 from deepir.baselines.average import Array, averaged, whole
 from deepir.baselines.mire import WIDTHS, midway
 from deepir.burst import Burst
@@ -55,5 +55,5 @@ def local_variation(frame: Array, deviation: float) -> Array:
 def denoised(frame: Array) -> Array:
     """A frame (h, w) less white noise, of the strength that its flattest parts show."""
     picture = torch.from_numpy(frame.astype(np.float32))[None]
-    noise = flat_noise(picture, torch.ones_like(picture, dtype=torch.bool))
+    noise = noise_in_flat_windows(picture, torch.ones_like(picture, dtype=torch.bool))
     return dct(picture, noise)[0].numpy()

@@ -77,7 +77,7 @@ def hardie_droege2007(
         z, iterations = model.solve(z)
         found, bias = model.sensor(model.look(z))
         y0, y1, x0, x1 = geometry.window
-        image = problem.operator.image(z)[0, 0, y0:y1, x0:x1]
+        image = problem.operator.to_pixels(z)[0, 0, y0:y1, x0:x1]
     result = neutral(image.numpy(), len(used), burst.size, burst.bad_pixels)
     result.gain, result.offset = found[0, 0].numpy(), bias[0, 0].numpy()
     if motion is not None:
@@ -139,7 +139,7 @@ class Model:
                 moved = self.usable * (moved - more * flux - higher)
                 return noise * self.back(gain * moved) + smooth * roughness(step)
 
-            step, iterations = conjugate_gradients(curvature, slope, weight)
+            step, iterations = conjugate_gradient(curvature, slope, weight)
             z, count = z + step, count + iterations
         return z, count
 
@@ -169,7 +169,7 @@ def roughness(z: Tensor) -> Tensor:
     return F.conv_transpose2d(rest(z), KERNEL)
 
 
-def conjugate_gradients(
+def conjugate_gradient(
     curvature: Callable[[Tensor], Tensor], slope: Tensor, weight: Tensor
 ) -> tuple[Tensor, int]:
     """`curvature(step) = slope`, preconditioned by the diagonal `weight`; the step, and after how many iterations."""

@@ -142,11 +142,11 @@ def _operator(
         options = {k: v for k, v in (settings or {}).items() if k in known}
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
         ratio = (twice[0] - out[0]) / size[0]
-        canvas, origin = footprint(None if motion is None else instants.through(motion), out, ratio)
+        canvas, origin = footprint(None if motion is None else instants.interpolate(motion), out, ratio)
         place = {"size": out, "canvas": canvas, "origin": origin}
         stage = make("operator", kind, options, where, **place, instants=instants, fps=config.data.fps)
         stages[name] = stage
-        instants = stage.path if stage.path != Trajectory() else instants
+        instants = stage.trajectory if stage.trajectory != Trajectory() else instants
         out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
     chain = Chain(dict(reversed(stages.items())))
     shapes = chain.slots((1, 1, *out), n_frames)

@@ -13,7 +13,7 @@ from deepir.config.components import make
 from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.fields.constant import Constant
-from deepir.fields.sensor_maps import Sum
+from deepir.fields.sensor_maps import SumField
 from deepir.operators.geometry import Geometry, scaled
 from deepir.priors.penalties.base import Penalty
 
@@ -57,7 +57,7 @@ def make_field(
         members = [name.strip() for name in kind.split("+")]
         if unknown := sorted(set(options) - set(members)):
             raise ConfigError(f"{where}: no option '{unknown[0]}'; {nearest(unknown[0], members)}")
-        field = Sum(shape, neutral, {
+        field = SumField(shape, neutral, {
             name: _fitting(name, options.get(name) or {}, f"{where}.{name}", {**context, "neutral": 0.0}, fits)
             for name in members
         })  # fmt: skip

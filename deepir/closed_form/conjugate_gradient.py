@@ -7,7 +7,7 @@ from collections.abc import Callable
 from torch import Tensor
 
 
-def conjugate_gradients(
+def conjugate_gradient(
     product: Callable[[Tensor], Tensor],
     rhs: Tensor,
     start: Tensor,

@@ -145,7 +145,7 @@ class Pixels:
         return symmetric(self.maps[:3], x)
 
 
-class PixelsOnCPU(Pixels):
+class PixelEquationsCPU(Pixels):
     """The same, each in one pass by a compiled loop."""
 
     def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:

@@ -20,8 +20,8 @@ from collections.abc import Iterator, Sequence
 import torch
 from torch import Tensor
 
-from deepir.closed_form.normal_equations import Pixels, PixelsOnCPU, symmetric
-from deepir.fields.sensor_maps import Part
+from deepir.closed_form.normal_equations import PixelEquationsCPU, Pixels, symmetric
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 
 #: What tells parts apart: the axes along which they are constant; a shading is none of these.
@@ -36,11 +36,14 @@ class Elimination:
     """
 
     def __init__(
-        self, parts: Sequence[dict[Kind, Part]], solved: dict[Kind, Pixels | _Lines | _Smooth], values: Tensor
+        self,
+        parts: Sequence[dict[Kind, GaussianMap]],
+        solved: dict[Kind, Pixels | _Lines | _Smooth],
+        values: Tensor,
     ) -> None:
         self.parts, self.solved, self.values = parts, solved, values
 
-    def blocks(self) -> Iterator[tuple[list[Part | None], Tensor, Tensor]]:
+    def blocks(self) -> Iterator[tuple[list[GaussianMap | None], Tensor, Tensor]]:
         """For pixels, columns and rows: the parts (gain, offset), what the data say of each, (3, K), and means (2, K).
 
         The former is the matrix (aa, ab, bb) with all else held, but the pixels' own parts in that of a line.
@@ -50,13 +53,13 @@ class Elimination:
             if any(parts):
                 yield parts, *self._block(kind, parts)
 
-    def _block(self, kind: Kind, parts: list[Part | None]) -> tuple[Tensor, Tensor]:
+    def _block(self, kind: Kind, parts: list[GaussianMap | None]) -> tuple[Tensor, Tensor]:
         pixels, solved = self.solved[PIXEL], self.solved[kind]
         assert isinstance(pixels, Pixels)
         if isinstance(solved, _Lines):
             return (pixels.down if kind == COLUMN else pixels.across)[:3], solved.values
         nothing = pixels.maps.new_zeros(pixels.maps[0].numel())
-        white = torch.stack([part.white.detach().flatten() if part else nothing for part in parts])
+        white = torch.stack([part.whitened.detach().flatten() if part else nothing for part in parts])
         return pixels.information().flatten(1), pixels.sigma[:, None] * white
 
     def freedom(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -72,7 +75,7 @@ class Elimination:
         """
         return [
             [
-                part.scales.square() * self.solved[kind].variance(i).reshape(part.white.shape)
+                part.prior_sigma.square() * self.solved[kind].variance(i).reshape(part.whitened.shape)
                 for kind, part in mine.items()
             ]
             for i, mine in enumerate(self.parts)
@@ -84,8 +87,8 @@ def eliminate(
     flux: Tensor,
     data: Tensor,
     precision: Tensor,
-    gain: Sequence[Part],
-    offset: Sequence[Part],
+    gain: Sequence[GaussianMap],
+    offset: Sequence[GaussianMap],
     *,
     level: Tensor | None = None,
     neutral: tuple[float, float] = (0.0, 0.0),
@@ -108,7 +111,7 @@ def eliminate(
     sigma = dict(zip(KINDS, _sigmas(parts, flux.device), strict=True))
     start = torch.tensor(neutral, dtype=torch.float64, device=flux.device)
     levels = start[1] + (start.new_zeros(len(flux)) if level is None else level.flatten().double())
-    make = PixelsOnCPU if flux.device.type == "cpu" else Pixels
+    make = PixelEquationsCPU if flux.device.type == "cpu" else Pixels
     lines = torch.maximum(sigma[COLUMN], sigma[ROW])
     pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL], lines)
     columns, rows = _Lines(pixels.down, sigma[COLUMN]), _Lines(pixels.across, sigma[ROW])
@@ -116,7 +119,7 @@ def eliminate(
     finite = _solve(columns, rows, smooth, pixels)
     # Flux that is not a number spreads to a column: the trial went too far, and what was found before stays.
     white = [
-        mine[PIXEL].white.detach()[0, 0] if finite and PIXEL in mine else torch.empty_like(pixels.maps[0])
+        mine[PIXEL].whitened.detach()[0, 0] if finite and PIXEL in mine else torch.empty_like(pixels.maps[0])
         for mine in parts
     ]
     errors, values = pixels.finish(
@@ -128,7 +131,7 @@ def eliminate(
     for i, mine in enumerate(parts):
         for kind, part in mine.items():
             if finite and kind != PIXEL:
-                part.white.copy_(solved[kind].white[i].reshape(part.white.shape))  # type: ignore[union-attr]
+                part.whitened.copy_(solved[kind].white[i].reshape(part.whitened.shape))  # type: ignore[union-attr]
     return Elimination(parts, solved, values)
 
 
@@ -184,9 +187,9 @@ class _Smooth:
             self.to_rows, self.to_columns = (sigma.new_zeros(0, 2 * side) for side in self.size)
             self.root, self.rhs, self.sigma = sigma.new_zeros(0, 0), sigma[:0], sigma[:0]
             return
-        self.sigma = torch.outer(sigma[self.of], shading.share).flatten()
-        down = shading.down(pixels.maps)
-        by_column = self._blocks(shading.by_column(down[:3]))
+        self.sigma = torch.outer(sigma[self.of], shading.relative_sigma).flatten()
+        down = shading.column_moments(pixels.maps)
+        by_column = self._blocks(shading.column_sums(down[:3]))
         to_columns = (columns.root * (columns.sigma * by_column)[:, None]).sum(2).flatten(1)
         gram = self._blocks(shading.gram(down[:3]))[:, self.of].flatten(1) * self.sigma
         gram.diagonal().add_(1)
@@ -195,8 +198,8 @@ class _Smooth:
         self.root = torch.linalg.solve_triangular(triangle, one, upper=False)
         #: Couplings to the lines, (terms, 2 lines), in the coordinates of `Pixels.solve`.
         self.to_columns = self.root @ to_columns
-        self.to_rows = self.root @ self._blocks(shading.by_row(pixels.maps[:3])).flatten(1)
-        self.rhs = self.root @ (self.sigma * shading.sums_of(down[3:])[self.of].flatten())
+        self.to_rows = self.root @ self._blocks(shading.row_sums(pixels.maps[:3])).flatten(1)
+        self.rhs = self.root @ (self.sigma * shading.analyse_moments(down[3:])[self.of].flatten())
 
     def _blocks(self, each: Tensor) -> Tensor:
         """`[aa ab; ab bb]` of three (terms, n), times this one's sigma, (all terms, 2, n)."""
@@ -208,7 +211,7 @@ class _Smooth:
         """The values in each row as a combination (2, h, n) of functions of x, (n, w)."""
         if self.shading is None or not self.of:
             return self.root.new_zeros(2, self.size[0], 0), self.root.new_zeros(0, self.size[1])
-        return self.shading.in_rows(self._spread(self.sigma * self.found)), self.shading.in_x
+        return self.shading.row_coefficients(self._spread(self.sigma * self.found)), self.shading.basis_x
 
     @functools.cached_property
     def white(self) -> Tensor:
@@ -222,8 +225,8 @@ class _Smooth:
     def _spread(self, found: Tensor) -> Tensor:
         """(2, terms), zero without a strength."""
         assert self.shading is not None
-        spread = found.new_zeros(2, len(self.shading.white))
-        for i, each in zip(self.of, found.split(len(self.shading.white)), strict=False):
+        spread = found.new_zeros(2, len(self.shading.whitened))
+        for i, each in zip(self.of, found.split(len(self.shading.whitened)), strict=False):
             spread[i] = each
         return spread
 
@@ -243,8 +246,8 @@ def _solve(columns: _Lines, rows: _Lines, smooth: _Smooth, pixels: Pixels) -> bo
     return bool(found.isfinite().all())
 
 
-def _by_kind(parts: Sequence[Part]) -> dict[Kind, Part]:
-    found = {SHADING if isinstance(part, Shading) else part.along: part for part in parts}
+def _by_kind(parts: Sequence[GaussianMap]) -> dict[Kind, GaussianMap]:
+    found = {SHADING if isinstance(part, Shading) else part.constant_axes: part for part in parts}
     if len(found) < len(parts) or not found.keys() <= {PIXEL, COLUMN, ROW, SHADING}:
         raise ValueError(
             f"no closed form for parts {[type(part).__name__.lower() for part in parts]}: at most one each of "
@@ -253,12 +256,12 @@ def _by_kind(parts: Sequence[Part]) -> dict[Kind, Part]:
     return found
 
 
-def _shading(parts: Sequence[dict[Kind, Part]]) -> Shading | None:
+def _shading(parts: Sequence[dict[Kind, GaussianMap]]) -> Shading | None:
     """One of the shading parts, whose terms are the same; None if there is none."""
     return next((part for each in parts if isinstance(part := each.get(SHADING), Shading)), None)
 
 
-def _sigmas(parts: Sequence[dict[Kind, Part]], device: torch.device) -> Tensor:
+def _sigmas(parts: Sequence[dict[Kind, GaussianMap]], device: torch.device) -> Tensor:
     """Prior standard deviations of (gain, offset) for each kind of part, (4, 2), float64; zero where there is none."""
     zero = torch.zeros((), dtype=torch.float64, device=device)
     found = [each[kind].sigma.double() if kind in each else zero for kind in KINDS for each in parts]

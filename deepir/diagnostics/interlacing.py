@@ -25,7 +25,7 @@ def are_interlaced(frames: Tensor, motion: Tensor, ignore: Tensor | None = None)
     """
     if len(frames) < ENOUGH:
         return False
-    steps = steps_of_rows(middle(frames[:MOST]), motion[:MOST], None if ignore is None else middle(ignore))
+    steps = row_class_shifts(middle(frames[:MOST]), motion[:MOST], None if ignore is None else middle(ignore))
     first, second, third, fourth = steps.unbind()
     between = (first - second + third - fourth) / 2
     within = torch.stack((first + second - third - fourth, first - second - third + fourth)) / 2
@@ -41,7 +41,7 @@ def middle(images: Tensor) -> Tensor:
     return images
 
 
-def steps_of_rows(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tensor:
+def row_class_shifts(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tensor:
     """The shift `(4, N, 2)` in px that every fourth row of frames, from the first four on, asks for beside the motion.
 
     A step of Gauss and Newton for each, scene and pattern being those of all rows: what all four ask for alike is an

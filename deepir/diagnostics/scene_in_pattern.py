@@ -65,7 +65,7 @@ def _rough(image: Tensor, good: Tensor) -> Tensor:
     image = image.double()
     image = image - image.median(1, keepdim=True).values
     image = image - image.median(0, keepdim=True).values
-    image = image - polynomials(*image.shape, image.device).nearest(image)
+    image = image - polynomials(*image.shape, image.device).project(image)
     limit = OUTLIER * MAD * median(image.abs())
     return image.clamp(-limit, limit) * good
 

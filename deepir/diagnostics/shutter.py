@@ -15,7 +15,7 @@ APART = 1.3  # times as far from each other: frames of two patterns
 
 
 @torch.no_grad()
-def one_pattern(frames: Tensor, usable: Tensor) -> slice:
+def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
     """The longer part of frames (N, h, w) where the pattern changes in between, or all; usable (N, h, w), bool.
 
     The finest detail of frames is pattern and noise, mostly. Frames before and after a shutter differ by more of it

@@ -41,14 +41,14 @@ def start_line_levels(problem: Problem) -> bool:
     """
     names = [name for name in level_names(problem) if name in problem.free()]
     fields = [module for name in names for module in problem.fields[name].modules()]
-    drifts = [field for field in fields if isinstance(field, Drift) and not field.given]
+    drifts = [field for field in fields if isinstance(field, Drift) and not field.sigma_is_fixed]
     level = level_residuals(problem)
     level -= level.mean()
     data, precision, expected = subsample(problem.data, problem.precision, problem.predict(problem.values()))
     rest = masked_values(data - expected - level.flatten(1), precision > 0)
     if not drifts or not level.abs().max() > JUMP * rest.std():
         return False
-    drifts[0].jumps.add_(level)
+    drifts[0].level_offsets.add_(level)
     return True
 
 
@@ -57,7 +57,7 @@ def drift_message(problem: Problem) -> list[str]:
     least = DRIFT * median_sigma(problem.precision)
     if all(name in problem.free() for name in level_names(problem)):
         found = [problem.fields[name]().detach().mean((1, 2, 3)) for name in level_names(problem)]
-        chance = sum(each.in_level for each in problem.modules() if isinstance(each, LineNoise))
+        chance = sum(each.frame_mean_variance for each in problem.modules() if isinstance(each, LineNoise))
         least += CHANCE * chance**0.5
         return [
             f"the level of whole frames drifts, by {each.std():.3g}: "

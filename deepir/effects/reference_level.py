@@ -69,7 +69,11 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
         return None
     values = problem.values()
     parts, information, means = next(problem.solved(values, closed).blocks())
-    known = [part for part in parts if part and not part.along and not part.given and part.sigma > 0]
+    known = [
+        part
+        for part in parts
+        if part and not part.constant_axes and not part.sigma_is_fixed and part.sigma > 0
+    ]
     if len(known) < 2 or not _follows_level(problem, values):
         return None
     sigma = torch.stack([part.sigma.double() for part in known])

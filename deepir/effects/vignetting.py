@@ -9,7 +9,7 @@ import torch
 from deepir.effects.effect import Effect, Rounds
 from deepir.effects.shading import doubt, low_order_unknowns
 from deepir.estimation.gain_offset_evidence import GainOffsetEvidence, gain_and_offset
-from deepir.estimation.line_levels import lines_jump
+from deepir.estimation.line_levels import has_line_noise
 from deepir.fields.shading import Shading
 from deepir.problem import Problem
 from deepir.registry import register
@@ -27,7 +27,7 @@ def unknown_gain_shadings(problem: Problem) -> list[Shading]:
     if not offsets or stray or len(problem.data) < ENOUGH:
         return []
     parts = gain_and_offset(problem)[0].parts()
-    return [part for part in parts if isinstance(part, Shading) and not part.given]
+    return [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed]
 
 
 def detect_vignetting(problem: Problem) -> bool:
@@ -46,7 +46,7 @@ def estimate_vignetting(problem: Problem) -> None:
         part.sigma.fill_(gain)
     for part in offsets:  # a gain may stand in for it, but where the scene is even
         part.sigma.fill_(max(offset, float(part.sigma)))
-    if not lines_jump(problem):  # without the means of lines the levels are not seen
+    if not has_line_noise(problem):  # without the means of lines the levels are not seen
         for field in drifts:
             field.sigma.fill_(drift)
 
@@ -57,7 +57,7 @@ def _likeliest(problem: Problem) -> list[float] | None:
 
     It has to be likelier where the frames' slow parts may be wrong, too: this is asked last, for it takes longer.
     """
-    drift = bool(low_order_unknowns(problem)[2]) and not lines_jump(problem)
+    drift = bool(low_order_unknowns(problem)[2]) and not has_line_noise(problem)
     for of in (None, doubt):
         evidence = GainOffsetEvidence(problem, doubt=of and of(problem))
         even, _ = evidence.best(shaded=False, drift=drift)

@@ -42,7 +42,7 @@ def cross_validation_stages(
 ) -> list[Stage]:
     """The stages of the search, from the power `first` on down to `least`; none for weights that are given."""
     penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
-    if not penalties or any(penalty.given is not None for penalty in penalties):
+    if not penalties or any(penalty.user_weight is not None for penalty in penalties):
         return []
     prepare = functools.partial(_try, first=first, least=least)
     return [Stage(f"weight {i + 1}", (Step(("scene",)),), iterations, prepare=prepare) for i in range(TRIALS)]

@@ -19,8 +19,8 @@ from torch import Tensor
 from deepir.arrays.median import median
 from deepir.arrays.subsample import masked_values
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
-from deepir.estimation.line_levels import lines_jump, subtract_line_means
-from deepir.estimation.low_order_evidence import RARE, jumps
+from deepir.estimation.line_levels import has_line_noise, subtract_line_means
+from deepir.estimation.low_order_evidence import RARE, frame_level_offsets
 from deepir.estimation.marginal_likelihood import MarginalLikelihood, normal_matrix
 from deepir.fields.base import Field
 from deepir.fields.shading import Shading
@@ -47,11 +47,11 @@ class GainOffsetEvidence:
         problem.eliminate(values, problem.closed_form(), flux=flux)
         self.slow = LowOrderModel(problem, tuple(values["scene"].shape))
         frame = self.slow.frame
-        self.low = (frame.of_y + frame.of_x <= WRONG) & (doubt is not None)
-        self.doubt = frame.share[self.low] if doubt is None else doubt[1:][self.low]  # none, or some
+        self.low = (frame.order_y + frame.order_x <= WRONG) & (doubt is not None)
+        self.doubt = frame.relative_sigma[self.low] if doubt is None else doubt[1:][self.low]  # none, or some
         step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
         some = slice(1, -1, step), slice(1, -1, step)
-        seen = flux, problem.data - jumps(problem), problem.fitted()
+        seen = flux, problem.data - frame_level_offsets(problem), problem.fitted()
         self.shape = flux[0, 0, *some].shape
         z, data, precision = (each[:, 0, *some].flatten(1) for each in seen)
         self.level = float(z.double().square().mean().sqrt())
@@ -72,18 +72,18 @@ class GainOffsetEvidence:
         residual = middle + (residual - middle).clamp(-limit, limit)
         z = z.double() / self.level
         own = torch.stack((pixels[0] ** 0.5 * z, pixels[1] ** 0.5 * torch.ones_like(z)), 1)
-        terms = frame.sampled(*some)
+        terms = frame.sample_basis(*some)
         moves = _moves(flux[:, 0], step).double()
         moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
         shown = (data - problem.middle()).double() / self.spread if contrasts else z[:0]
         maps = terms, z, moves, shown, residual.double(), precision.double(), own
         normal = z.new_zeros(())
-        jump = lines_jump(problem)
+        jump = has_line_noise(problem)
         count = self.shape.numel() if jump else FEW  # few are in the cache
         for *few, told, of_pixels in zip(*(each.split(count, -1) for each in maps), strict=True):
             normal = normal + normal_matrix(self._columns(*few, jump=jump), told, of_pixels)
         self.count = len(flux)
-        free = 2 * (len(frame.white) + 1) + (3 + contrasts) * (self.count - 1)
+        free = 2 * (len(frame.whitened) + 1) + (3 + contrasts) * (self.count - 1)
         self.evidence = MarginalLikelihood(normal[:-1, :-1], normal[:-1, -1], free)
 
     def _columns(
@@ -139,7 +139,7 @@ class GainOffsetEvidence:
     def _prior(self, strengths: Tensor) -> Tensor:
         """Variances of φ, levels and γ, (K, unknowns)."""
         offset, drift, gain = strengths.square().T[..., None]
-        shape = self.slow.frame.share.square().cpu()
+        shape = self.slow.frame.relative_sigma.square().cpu()
         of_offset, of_gain = (each.cpu() for each in self.expected)
         smooth = of_offset + offset * shape, of_gain + self.level**2 * gain * shape
         wrong = self.doubt.cpu().repeat(self.count).expand(len(drift), -1)
@@ -157,16 +157,16 @@ def _variances(field: Field) -> Variances:
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0}
     for part in field.parts():
         if not isinstance(part, Shading):
-            found[part.along] += float(part.sigma) ** 2
+            found[part.constant_axes] += float(part.sigma) ** 2
     return found
 
 
 def _quick_lines(field: Field, frame: Shading) -> Tensor:
     """The columns and rows of gain or offset less what is slow of them, (h, w)."""
-    lines = [part.values for part in field.parts() if not isinstance(part, Shading) and part.along]
-    values = sum(lines, torch.zeros(1, dtype=torch.float64, device=frame.share.device))
+    lines = [part.values for part in field.parts() if not isinstance(part, Shading) and part.constant_axes]
+    values = sum(lines, torch.zeros(1, dtype=torch.float64, device=frame.relative_sigma.device))
     values = values.expand(frame.shape)[0, 0]
-    return values - frame.nearest(values)
+    return values - frame.project(values)
 
 
 def _moves(flux: Tensor, step: int) -> Tensor:

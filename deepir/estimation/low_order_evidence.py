@@ -14,9 +14,9 @@ from deepir.closed_form.variable_projection import COLUMN, ROW
 from deepir.estimation.line_levels import line_noise_in_polynomials
 from deepir.estimation.marginal_likelihood import MarginalLikelihood
 from deepir.fields.basis_expansion import BasisExpansion
-from deepir.fields.drift import WOBBLE, Drift
+from deepir.fields.drift import WALK_SIGMA_RATIO, Drift
 from deepir.fields.shading import Shading
-from deepir.operators.homography import displaced
+from deepir.operators.homography import displacement_at
 from deepir.optim.low_order_model import LowOrderModel, expected, variances
 from deepir.problem import Problem, Values
 
@@ -45,12 +45,12 @@ class LowOrderEvidence:
         variance = variances(problem, eliminated)
         self.expected = expected(variance, self.slow.frame)
         #: Variances of the polynomials for a strength of one.
-        self.shape = self.slow.frame.share.square()
+        self.shape = self.slow.frame.relative_sigma.square()
         if strays:
             self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
                 0
             )
-        self.jumps = float(jumps(problem).square().mean().sqrt())
+        self.jumps = float(frame_level_offsets(problem).square().mean().sqrt())
         residual = _slow_residual(problem, values, self.slow.frame)
         (some,) = subsample(residual[:, None])
         middle = median(some)
@@ -69,7 +69,7 @@ class LowOrderEvidence:
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[LowOrderModel, MarginalLikelihood, Tensor]:
         """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
-        slow, free = self.slow.doubted(variance), len(self.slow.scene.white) + 1
+        slow, free = self.slow.doubted(variance), len(self.slow.scene.whitened) + 1
         levels = slow.levels()
         normal = slow.normal(levels)
         rhs = slow.score(seen, levels)
@@ -94,7 +94,7 @@ class LowOrderEvidence:
         """Strengths of shading and drift; zero for what makes the frames not by `CERTAIN` nats, or `RARE`, likelier."""
         grid = self.contrast * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
         # Levels that jump drift by as much, and what was known of the jumps already follows slopes.
-        levels = grid.new_tensor([self.jumps / WOBBLE]) if self.jumps else grid
+        levels = grid.new_tensor([self.jumps / WALK_SIGMA_RATIO]) if self.jumps else grid
         used = torch.cartesian_prod(
             torch.arange(1 + smooth), torch.arange(int(drift and self.jumps > 0), 1 + drift)
         )
@@ -148,11 +148,11 @@ class LowOrderEvidence:
 
     def slow_pattern(self, smooth: float, drift: float) -> Tensor:
         """What is slow of the pattern, (h, w)."""
-        return self.slow.frame.spread(self._posterior(smooth, drift)[1][: -self.count])
+        return self.slow.frame.synthesise(self._posterior(smooth, drift)[1][: -self.count])
 
     def slow_scene(self, smooth: float, drift: float) -> Tensor:
         """What the scene lacks, on its grid."""
-        return self.slow.scene.spread(self._posterior(smooth, drift)[0][:-1])
+        return self.slow.scene.synthesise(self._posterior(smooth, drift)[0][:-1])
 
 
 def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
@@ -166,13 +166,15 @@ def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:
         quick[kind] = values[name]
         if name in closed:
             own = (values[name] - neutral)[0, 0].double()
-            quick[kind] = quick[kind] - frame.nearest(own).to(quick[kind])
-    return torch.addcmul(problem.data - quick["offset"] - jumps(problem), quick["gain"], flux, value=-1)[:, 0]
+            quick[kind] = quick[kind] - frame.project(own).to(quick[kind])
+    return torch.addcmul(
+        problem.data - quick["offset"] - frame_level_offsets(problem), quick["gain"], flux, value=-1
+    )[:, 0]
 
 
-def jumps(problem: Problem) -> Tensor:
+def frame_level_offsets(problem: Problem) -> Tensor:
     """Known levels of the frames, (N, 1, 1, 1) or as one."""
-    found = [module.jumps for module in problem.modules() if isinstance(module, Drift)]
+    found = [module.level_offsets for module in problem.modules() if isinstance(module, Drift)]
     return sum(found, problem.data.new_zeros(1, 1, 1, 1))
 
 
@@ -181,7 +183,7 @@ def shifts(problem: Problem) -> Tensor:
     values = [field() for name in problem.slots.values() if (field := problem.fields[name]).model]
     if not values:
         return problem.data.new_zeros(len(problem.data), 2).double()
-    moved = displaced(values[0].detach().double(), problem.data.new_zeros(2).double())
+    moved = displacement_at(values[0].detach().double(), problem.data.new_zeros(2).double())
     return moved - moved.mean(0)
 
 

@@ -47,7 +47,7 @@ def _misfit(problem: Problem) -> torch.Tensor:
 def _flat(problem: Problem) -> float:
     """The share of the scene that its penalty makes flat; NaN if there is not one that its noise gives its weight."""
     penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
-    if len(penalties) != 1 or penalties[0].given is not None:
+    if len(penalties) != 1 or penalties[0].user_weight is not None:
         return math.nan
     scene = problem.values()["scene"]
-    return penalties[0].flat(problem.shown("scene", scene, penalties[0]))
+    return penalties[0].fraction_shrunk_to_zero(problem.shown("scene", scene, penalties[0]))

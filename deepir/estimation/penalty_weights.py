@@ -27,12 +27,12 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
     average = median(masked_values(precision, precision > 0)) ** -0.5
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         noise = average * problem.operator.noise_gain
-        if penalty.of_image and first.moves:  # it sees pixels, not the spline's coefficients
+        if penalty.acts_on_pixels and first.moves:  # it sees pixels, not the spline's coefficients
             noise /= first.noise_gain
-        natural = penalty.natural(noise)
-        if isinstance(penalty, SpatiallyWeighted) and not penalty.follows:  # by places, as the others do
+        natural = penalty.default_weight(noise)
+        if isinstance(penalty, SpatiallyWeighted) and not penalty.adapts:  # by places, as the others do
             natural *= 2 ** float(problem.plain)
-        natural *= 2 ** max(float(problem.plain) - penalty.clear, 0.0)
-        penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
+        natural *= 2 ** max(float(problem.plain) - penalty.smooth_scene_threshold, 0.0)
+        penalty.weight.fill_(factor * (natural if penalty.user_weight is None else penalty.user_weight))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.fields.psf.base import PSF
 
 #: Of the scene's power spectrum: the mean of natural scenes, and how far it is followed.
@@ -33,7 +33,7 @@ def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
         frames: (N, 1, h, w), their pattern taken out.
         usable: Where they count, bool; elsewhere they are like their nearest neighbour.
     """
-    misfit, trial = _Misfit(nearest_filled(frames, usable)), copy.deepcopy(field).double()
+    misfit, trial = _Misfit(fill_nearest(frames, usable)), copy.deepcopy(field).double()
     # The likelihood has several optima in the width, so that it is asked at many first, and followed from the best.
     starts = sorted(trial.starts(), key=lambda start: _minimised(misfit, trial, start, []))
     ends = []
@@ -50,7 +50,7 @@ def spectral_noise(psf: Tensor, frames: Tensor, usable: Tensor) -> float:
 
     Arguments as for `fit_psf`. A texture, which looks like noise from pixel to pixel, does not pass a blur.
     """
-    misfit = _Misfit(nearest_filled(frames, usable))
+    misfit = _Misfit(fill_nearest(frames, usable))
     noise = _followed(misfit, lambda: misfit.response(psf.double()), [])[1][2]
     return math.sqrt(misfit.unit * math.exp(noise))
 

@@ -22,7 +22,7 @@ def tv_minimising_fit(frame: Tensor, usable: Tensor, field: BasisExpansion) -> T
     taken for stray flux.
     """
     one = torch.eye(len(field.values), dtype=frame.dtype, device=frame.device)
-    terms = torch.stack([field.spread(each) for each in one[field.frequency <= SLOW]])
+    terms = torch.stack([field.synthesise(each) for each in one[field.frequency <= SLOW]])
     side = max(1, min(frame.shape) // SIDE)
     share = F.avg_pool2d(usable.double()[None], side)
     maps = F.avg_pool2d(torch.cat((frame[None], terms)).double() * usable, side) / share.clamp(min=1e-6)

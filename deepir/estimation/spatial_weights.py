@@ -34,17 +34,17 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
     if problem.fields["scene"].shape[0] > 1:
         return
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    free = [each for each in penalties if isinstance(each, SpatiallyWeighted) and each.free]
+    free = [each for each in penalties if isinstance(each, SpatiallyWeighted) and each.is_adaptive]
     sure, usual = _information(problem)
     above = 10 ** (cost / 20)
-    image = problem.operator.image(problem.fields["scene"]())
+    image = problem.operator.to_pixels(problem.fields["scene"]())
     gradient = squared_gradient(image)
     plain = smoothness_exponent(float(gradient[sure > UNEVEN[0] * usual].sqrt().mean()) * usual**0.5)
     share = above * weight_from_gradients((gradient * sure).sqrt_(), plain, above) * (sure / usual).sqrt_()
     problem.plain.fill_(plain)
     for penalty in free:
-        if penalty.follows:
-            penalty.share.copy_(share[0, 0])
+        if penalty.adapts:
+            penalty.weight_map.copy_(share[0, 0])
         else:
             penalty.weight.mul_(2**plain)
 

@@ -47,7 +47,7 @@ def uncertainty(problem: Problem, cost: float) -> Maps:
     if closed and len(seen) == 1:
         for name, variances in problem.eliminate(values, closed, precision=problem.precision).items():
             parts = problem.fields[name].parts()
-            total = sum(part.over_map(each) for part, each in zip(parts, variances, strict=True))
+            total = sum(part.map_variance(each) for part, each in zip(parts, variances, strict=True))
             if isinstance(total, Tensor):
                 found[name] = total.expand(problem.fields[name].shape)[0, 0].sqrt()
         if problem.reference and len(closed) == 2:

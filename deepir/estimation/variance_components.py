@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.fields.sensor_maps import Part
+from deepir.fields.sensor_maps import GaussianMap
 
 ENOUGH = 8_000  # of the pixels are asked
 #: Squared prior standard deviations, and medians of them, beyond which a value is an outlier, and is not asked.
@@ -147,12 +147,12 @@ def _typical(values: Tensor, u: float, v: float) -> Tensor:
 MAX_SIGMA_RATIO = 2.0
 
 
-def high_pass(pattern: Tensor, part: Part) -> Tensor:
+def high_pass(pattern: Tensor, part: GaussianMap) -> Tensor:
     """The part's own share of a pattern: differences of neighbours, of the same variance.
 
     A part's values are independent, what the scene leaves in the pattern is mostly smooth.
     """
-    own = pattern.mean(part.along, keepdim=True) if part.along else pattern
-    for axis in {-2, -1} - set(part.along):
+    own = pattern.mean(part.constant_axes, keepdim=True) if part.constant_axes else pattern
+    for axis in {-2, -1} - set(part.constant_axes):
         own = own.diff(dim=axis) / 2**0.5
     return own

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from torch import Tensor, nn
 
 if TYPE_CHECKING:
-    from deepir.fields.sensor_maps import Part
+    from deepir.fields.sensor_maps import GaussianMap
 
 Shape = tuple[int, ...]
 
@@ -23,7 +23,7 @@ class Field(nn.Module):
     """
 
     #: Whether `init_from` takes any value over that the field can represent; a network cannot.
-    exact: ClassVar[bool] = True
+    can_represent: ClassVar[bool] = True
     #: Of a motion: the registration's model at which it starts.
     model: ClassVar[str | None] = None
 
@@ -43,7 +43,7 @@ class Field(nn.Module):
         """The field's own negative log-prior in nats, or None."""
         return None
 
-    def parts(self) -> Sequence[Part]:
+    def parts(self) -> Sequence[GaussianMap]:
         """Gaussian parts that add up to the deviation from neutral: what can be solved in closed form."""
         return ()
 
@@ -53,10 +53,10 @@ class Field(nn.Module):
         return cls((1, 1, 6, 7))
 
 
-def counted(**counts: tuple[int, int]) -> None:
+def check_counts(**counts: tuple[int, int]) -> None:
     """Raise `ValueError` for a number, given with the most that is allowed, that is not 1 to that.
 
-    >>> counted(width=(64, 1024))
+    >>> check_counts(width=(64, 1024))
     """
     for name, (value, most) in counts.items():
         if not 1 <= value <= most:

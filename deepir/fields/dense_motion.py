@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from deepir.arrays.differences import squared_gradient
 from deepir.fields.base import Field, Shape
-from deepir.fields.motion import STEP
-from deepir.operators.warp import coords
+from deepir.fields.motion import PARAMETER_SCALE
+from deepir.operators.warp import project_pixels
 from deepir.registry import register
 
 #: Nats that a step of one px costs for each px of its length. Where the scene has no texture nothing else holds it.
@@ -58,11 +58,11 @@ class Flow(Field):
         if not 0 <= weight < math.inf:
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
         self.size, self.ratio, self.spacing = (size[0], size[1]), ratio, spacing
-        self.step = STEP / spacing
+        self.preconditioning_scale = PARAMETER_SCALE / spacing
         # How many samples feel a step of one parameter: the spline's square, summed.
-        self.felt = (0.479 * spacing * ratio) ** 2
+        self.n_samples_affected = (0.479 * spacing * ratio) ** 2
         self.register_buffer("weight", torch.tensor(float(weight)))
-        still = coords(torch.eye(3)[None], self.size).expand(self.shape)
+        still = project_pixels(torch.eye(3)[None], self.size).expand(self.shape)
         self.register_buffer("start", still, persistent=False)
         for name, side in zip(("down", "across"), size, strict=True):
             self.register_buffer(name, _splines(side, spacing * ratio), persistent=False)
@@ -70,7 +70,7 @@ class Flow(Field):
 
     def forward(self) -> Tensor:
         """Where the homographies look, and the displacements."""
-        moved = self.down @ (self.ratio * self.step * self.values) @ self.across.mT
+        moved = self.down @ (self.ratio * self.preconditioning_scale * self.values) @ self.across.mT
         first, others = self.start.permute(0, 3, 1, 2).tensor_split([1])
         return torch.cat((first, others + moved)).permute(0, 2, 3, 1)
 
@@ -78,16 +78,16 @@ class Flow(Field):
     def init_from(self, value: Tensor) -> None:
         """Take over homographies (N, 3, 3), without displacements, or points (N, h, w, 2), as displacements."""
         if value.shape[1:] == (3, 3):
-            self.start = coords(value.to(self.start.device).double(), self.size).to(self.start)
+            self.start = project_pixels(value.to(self.start.device).double(), self.size).to(self.start)
             self.values.zero_()
             return
         own = (value.to(self.start) - self.start).permute(0, 3, 1, 2)[1:].double()
         down, across = (torch.linalg.pinv(each.double()) for each in (self.down, self.across))
-        self.values.copy_(down @ own @ across.mT / (self.ratio * self.step))
+        self.values.copy_(down @ own @ across.mT / (self.ratio * self.preconditioning_scale))
 
     def penalty(self) -> Tensor | None:
         """`weight Σ s |d|`, of the differences d of neighbouring control points, s px apart; rounded near zero."""
-        squared = squared_gradient(self.step * self.values).sum(1)
+        squared = squared_gradient(self.preconditioning_scale * self.values).sum(1)
         rounded = squared / (torch.sqrt(squared + ROUNDING**2) + ROUNDING)
         return self.weight * self.spacing * rounded.sum()
 

@@ -17,13 +17,13 @@ class GaussianField(Field):
     """
 
     sigma: Tensor
-    step: Tensor
+    preconditioning_scale: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral)
         if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
             raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
-        self.given = sigma is not None
+        self.sigma_is_fixed = sigma is not None
         self.register_buffer("sigma", torch.tensor(sigma or 0.0))
         #: What a value moves for a step of one: all pixels of a frame feel it, see `Field`.
-        self.register_buffer("step", torch.tensor(1.0))
+        self.register_buffer("preconditioning_scale", torch.tensor(1.0))

@@ -37,7 +37,7 @@ class Operator(nn.Module):
     #: Whether the output's pixels lie at the input's; the reach of a blur aside.
     keeps_grid: ClassVar[bool] = False
     #: The instants at which it wants its input.
-    path: Trajectory = Trajectory()
+    trajectory: Trajectory = Trajectory()
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""
@@ -71,7 +71,7 @@ class Operator(nn.Module):
         """Where the output is computed from valid input only; `mask` is 1 or 0 in the shape of `x`."""
         return mask
 
-    def image(self, x: Tensor) -> Tensor:
+    def to_pixels(self, x: Tensor) -> Tensor:
         """What `x` looks like at its own pixels' centres; not `x` itself where that holds coefficients."""
         return x
 
@@ -139,9 +139,9 @@ class Chain(Operator):
             mask = stage.valid(mask, **slots_of(slots, name))
         return mask
 
-    def image(self, x: Tensor) -> Tensor:
+    def to_pixels(self, x: Tensor) -> Tensor:
         """That of the first stage, which takes the scene."""
-        return self.named()[0][1].image(x)
+        return self.named()[0][1].to_pixels(x)
 
     def named(self) -> list[tuple[str, Operator]]:
         """(name, stage), in the order of application."""

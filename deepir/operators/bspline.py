@@ -53,7 +53,7 @@ class Pull(torch.autograd.Function):
         scene, motion = ctx.saved_tensors
         gradient, to_scene, to_motion = gradient.contiguous(), None, None
         if ctx.needs_input_grad[0]:
-            to_scene = pushed(gradient, motion, scene.shape)
+            to_scene = warp_adjoint(gradient, motion, scene.shape)
         if ctx.needs_input_grad[1] and motion.ndim == 4:
             to_motion = torch.empty_like(motion)
             parallel_for(shove, gradient.shape[-2], gradient, scene, motion, to_motion)
@@ -67,7 +67,7 @@ class Pull(torch.autograd.Function):
         return to_scene, to_motion, None
 
 
-def pushed(frames: Tensor, motion: Tensor, shape: Sequence[int]) -> Tensor:
+def warp_adjoint(frames: Tensor, motion: Tensor, shape: Sequence[int]) -> Tensor:
     """The adjoint of `Pull` in the coefficients, which have this shape."""
     from deepir.kernels.bspline import push
     from deepir.kernels.compile import parallel_for

@@ -54,7 +54,7 @@ class Lag(Operator):
             raise ValueError(f"substeps must be 1 to 100, not {substeps}")
         if not 0 <= readout <= 1:
             raise ValueError(f"readout must be 0 to 1, not {readout}")
-        self.path = Trajectory(substeps, lead=substeps)
+        self.trajectory = Trajectory(substeps, n_before=substeps)
         self.duration, self.readout = 1000 / (fps * substeps), readout
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
@@ -63,7 +63,7 @@ class Lag(Operator):
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """(N, C, h, w)."""
-        return (self.path.frames(x_shape[0]), *x_shape[1:])
+        return (self.trajectory.frames(x_shape[0]), *x_shape[1:])
 
     def forward(self, x: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
         """Follow the flux from instant to instant; before the first, it was what it is then.
@@ -73,12 +73,12 @@ class Lag(Operator):
         Raises:
             ValueError: The instants are not those of whole frames.
         """
-        if self.path.count(self.path.frames(len(x))) != len(x):
+        if self.trajectory.count(self.trajectory.frames(len(x))) != len(x):
             raise ValueError(
-                f"lag: {len(x)} instants are not {self.path.steps} for each frame and one to begin with"
+                f"lag: {len(x)} instants are not {self.trajectory.steps} for each frame and one to begin with"
             )
         kept, *weights = (weight.to(x.dtype) for weight in self._weights(tau[0].double()))
-        lead, share = self.path.lead, moving[0].to(x.dtype)
+        lead, share = self.trajectory.n_before, moving[0].to(x.dtype)
         rest = x[lead]
         seen = [*(torch.lerp(rest, each, share) for each in x[:lead]), *x[lead:]]
         shown, earlier, before = [seen[0]], seen[0], seen[0]
@@ -90,7 +90,7 @@ class Lag(Operator):
 
     def valid(self, mask: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose pixel has seen nothing but valid flux so far."""
-        return mask.cummin(0).values[self.path.lead :: self.path.steps]
+        return mask.cummin(0).values[self.trajectory.n_before :: self.trajectory.steps]
 
     def _weights(self, tau: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Of what was shown an instant ago, and of the flux two and one instants ago and now; their sum is one."""
@@ -105,11 +105,11 @@ class Lag(Operator):
     def _read(self, shown: Tensor) -> Tensor:
         """The frames, of what is shown at all instants; rows are read between two of them."""
         if not self.readout:
-            return shown[self.path.lead :: self.path.steps]
+            return shown[self.trajectory.n_before :: self.trajectory.steps]
         height, latest = shown.shape[-2], max(len(shown) - 2, 0)
         rows = torch.arange(height, device=shown.device)
-        ends = torch.arange(self.path.lead, len(shown), self.path.steps, device=shown.device)
-        at = ends[:, None] - self.readout * self.path.steps * (1 - (rows + 1) / height)
+        ends = torch.arange(self.trajectory.n_before, len(shown), self.trajectory.steps, device=shown.device)
+        at = ends[:, None] - self.readout * self.trajectory.steps * (1 - (rows + 1) / height)
         first = at.clamp(min=0).long().clamp(max=latest)  # (N, h)
         part = (at.clamp(min=0) - first).to(shown.dtype)[..., None, None]
         by_row = shown.movedim(2, 1)

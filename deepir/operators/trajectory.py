@@ -18,17 +18,17 @@ class Trajectory:
     """
 
     steps: int = 1
-    lead: int = 0
+    n_before: int = 0
 
     def count(self, n_frames: int) -> int:
         """How many instants there are."""
-        return self.lead + (n_frames - 1) * self.steps + 1
+        return self.n_before + (n_frames - 1) * self.steps + 1
 
     def frames(self, count: int) -> int:
         """The inverse of `count`."""
-        return (count - 1 - self.lead) // self.steps + 1
+        return (count - 1 - self.n_before) // self.steps + 1
 
-    def through(self, motion: Tensor) -> Tensor:
+    def interpolate(self, motion: Tensor) -> Tensor:
         """Motions (N, ...) -> (instants, ...): on the cubic spline through them, which goes on before the first."""
         if self == Trajectory():
             return motion
@@ -43,5 +43,5 @@ def _weights(path: Trajectory, n_frames: int) -> Tensor:
         return torch.ones(path.count(1), 1, dtype=torch.float64)
     from scipy.interpolate import CubicSpline  # most runs need none
 
-    at = (np.arange(path.count(n_frames)) - path.lead) / path.steps
+    at = (np.arange(path.count(n_frames)) - path.n_before) / path.steps
     return torch.from_numpy(CubicSpline(np.arange(n_frames), np.eye(n_frames))(at))

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from deepir.kernels.constants import MAX_ENTRY, MIN_DEPTH
 from deepir.operators.base import Operator, Shape
-from deepir.operators.bspline import LEAST, NOISE_GAIN, Pull, image, pushed, sample
+from deepir.operators.bspline import LEAST, NOISE_GAIN, Pull, image, sample, warp_adjoint
 from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
@@ -80,14 +80,14 @@ class Warp(Operator):
         """
         if x.shape[-2:] != self.canvas:
             raise ValueError(f"warp: the canvas is {self.canvas}, but the scene {tuple(x.shape[-2:])}")
-        return self._sampled(x, self.instants.through(motion))
+        return self._sampled(x, self.instants.interpolate(motion))
 
     @torch.no_grad()
     def adjoint(self, y: Tensor, x_shape: Shape, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """On the CPU by a loop of its own."""
         if y.device.type != "cpu":
             return super().adjoint(y, x_shape, motion=motion)
-        return pushed(y, self._looks(self.instants.through(motion), y.dtype), x_shape)
+        return warp_adjoint(y, self._looks(self.instants.interpolate(motion), y.dtype), x_shape)
 
     def _sampled(self, x: Tensor, motion: Tensor) -> Tensor:
         if x.device.type != "cpu":
@@ -103,7 +103,7 @@ class Warp(Operator):
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
         reach = torch.tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)], device=mask.device)
-        motion = self.instants.through(motion)
+        motion = self.instants.interpolate(motion)
         if motion.ndim == 3 and self._within(motion, reach) and bool((mask == 1).all()):
             return mask.new_ones(len(motion), mask.shape[1], *self.size)
         masks = mask.expand(len(motion), -1, -1, -1)
@@ -124,7 +124,7 @@ class Warp(Operator):
         inside = (self.points(motion).abs() <= reach).all(-1)[:, None]
         return (inside & (self._sampled(mask, motion) > 1 - 1e-4)).to(mask.dtype)
 
-    def image(self, x: Tensor) -> Tensor:
+    def to_pixels(self, x: Tensor) -> Tensor:
         """The scene at the canvas' pixel centres."""
         return image(x)
 
@@ -133,7 +133,7 @@ class Warp(Operator):
         motion = _finite(motion)
         if motion.ndim == 4:
             return motion[:, rows, columns] + self.place[:2, 2].to(motion)
-        return coords(self.place @ motion.double(), self.size, rows, columns)
+        return project_pixels(self.place @ motion.double(), self.size, rows, columns)
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
@@ -155,7 +155,7 @@ def _finite(motion: Tensor) -> Tensor:
     return motion.nan_to_num(nan=MAX_ENTRY).clamp(-MAX_ENTRY, MAX_ENTRY)
 
 
-def coords(motion: Tensor, size: tuple[int, int], rows: slice = ALL, columns: slice = ALL) -> Tensor:
+def project_pixels(motion: Tensor, size: tuple[int, int], rows: slice = ALL, columns: slice = ALL) -> Tensor:
     """The points `T_k p` of all pixel centres `p`, origin at the frame's centre; (N, 3, 3) -> (N, h, w, 2).
 
     In memory the planes of x and y follow each other: three times as fast as pairs, forth and back.

@@ -12,7 +12,7 @@ from deepir.arrays.noise_level import median_sigma
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.pixels import Pixels
 from deepir.operators import Sensor, Warp
-from deepir.operators.homography import displaced
+from deepir.operators.homography import displacement_at
 from deepir.optim.low_order_model import Variances, variances
 from deepir.problem import Problem
 
@@ -71,7 +71,7 @@ def along_waves(
     scene, count = problem.fields["scene"](), len(problem.data)
     y, x = frequencies(scene.shape[-2:], scene.device)
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    stiffness = [penalty.stiffness(scene) for penalty in penalties]
+    stiffness = [penalty.mean_curvature(scene) for penalty in penalties]
     of_value, of_gradient = (weak * sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
     share = _shared(pattern, precision, count, scene.shape[-2:], y, x).reciprocal_()
     y, x = y.float(), x.float()
@@ -110,7 +110,7 @@ def pattern_coupling(problem: Problem) -> Iterator[Tensor]:
     height, width = problem.data.shape[-2:]
     parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
     places = torch.cartesian_prod(parts * width, parts * height)
-    shifts = torch.stack([displaced(motion, at) for at in places])
+    shifts = torch.stack([displacement_at(motion, at) for at in places])
     along_y, along_x = y * shifts[:, None, :, 1], shifts[:, :, :1] * x  # (places, ny, N) and (places, N, nx)
     cos, sin = along_y.cos(), along_y.sin()
     in_y = torch.cat((torch.cat((cos, -sin), 2), torch.cat((sin, cos), 2)), 1).float()

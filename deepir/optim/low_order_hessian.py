@@ -17,7 +17,7 @@ from deepir.optim.low_order_model import SMOOTH, LowOrderModel, Variances, expec
 from deepir.problem import Problem
 
 
-def slow_system(
+def low_order_inverse_hessian(
     problem: Problem,
     slow: LowOrderModel,
     others: Sequence[Drift | BasisExpansion],
@@ -29,7 +29,7 @@ def slow_system(
     open whether scene or pattern has a slope, that is all there is to hold it.
     """
     scene: Any = problem.fields["scene"]
-    terms = len(slow.scene.white)
+    terms = len(slow.scene.whitened)
     found = additive(problem, eliminated)
     maps = [slow.levels() if isinstance(each, Drift) else slow.of_terms(each)[0] for each in others]
     whole = slow.normal(*maps)
@@ -37,12 +37,12 @@ def slow_system(
     at = 2 * terms + 1
     for each, made in zip(others, maps, strict=True):
         mine = slice(at, at := at + made.shape[-1])
-        unit[mine] = float(each.step)
+        unit[mine] = float(each.preconditioning_scale)
         if isinstance(each, BasisExpansion):
             whole[mine, mine] += _rest(problem, slow, each, found)
         else:  # a steady change is steps, too
             whole[mine, mine].diagonal().add_(1 / each.sigma.double().square())
-    spread = expected(found, slow.frame) + found[SMOOTH] * slow.frame.share.square()
+    spread = expected(found, slow.frame) + found[SMOOTH] * slow.frame.relative_sigma.square()
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / spread.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _stiffness(problem, slow)
     pattern = torch.arange(len(whole), device=whole.device)
@@ -77,11 +77,11 @@ def _stiffness(problem: Problem, slow: LowOrderModel) -> Tensor:
     """What the scene's penalties make of its polynomials: a matrix."""
     value = problem.fields["scene"]()
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    stiffness = [penalty.stiffness(value) for penalty in penalties]
+    stiffness = [penalty.mean_curvature(value) for penalty in penalties]
     of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
     basis = slow.scene  # of products of functions of y and of x, whose sums are products, too
     (y, down), (x, right) = (
         [each @ each.T for each in (along[of], along[of].diff(dim=-1))]
-        for along, of in ((basis.in_y, basis.of_y), (basis.in_x, basis.of_x))
+        for along, of in ((basis.basis_y, basis.order_y), (basis.basis_x, basis.order_x))
     )
     return of_value * y * x + of_gradient * (y * right + down * x)

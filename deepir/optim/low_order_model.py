@@ -23,7 +23,7 @@ from torch import Tensor
 from deepir.arrays.subsample import ENOUGH, subsample
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.basis_expansion import BasisExpansion
-from deepir.fields.drift import steps
+from deepir.fields.drift import level_basis
 from deepir.fields.shading import Shading
 from deepir.operators import Lag, Warp
 from deepir.problem import Problem
@@ -53,11 +53,11 @@ class LowOrderModel:
         motion = problem.field_of(problem.slot(Warp, "motion"))().double()
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
         some = slice(y0, y0 + height, step_y), slice(x0, x0 + width, step_x)
-        points = warp.points(warp.instants.through(motion), *some).flatten(1, 2)
-        terms = self.frame.sampled(slice(None, None, step_y), slice(None, None, step_x)).T
+        points = warp.points(warp.instants.interpolate(motion), *some).flatten(1, 2)
+        terms = self.frame.sample_basis(slice(None, None, step_y), slice(None, None, step_x)).T
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
         self.step, self.terms = (step_y, step_x), terms
-        seen = apply_lag(problem, self.scene.at(points[..., 1], points[..., 0]))
+        seen = apply_lag(problem, self.scene.evaluate(points[..., 1], points[..., 0]))
         self.carried = torch.linalg.solve(terms.T @ terms, terms.T @ seen)  # next to orthogonal
         few = slice(None), 0, slice(None, None, step_y), slice(None, None, step_x)
         weights = problem.precision[few].masked_fill(problem.held_out[few], 0).double().flatten(1)
@@ -80,7 +80,7 @@ class LowOrderModel:
     def seen(self, residual: Tensor) -> Tensor:
         """q_j, (N, terms + 1), of what the frames (N, h, w) are above their prediction without slow parts."""
         weighted = (self.problem.fitted()[:, 0] * residual).double()
-        return torch.cat((weighted.sum((1, 2))[:, None], self.frame.sums(weighted)), 1)
+        return torch.cat((weighted.sum((1, 2))[:, None], self.frame.analyse(weighted)), 1)
 
     def score(self, seen: Tensor, *more: Tensor) -> Tensor:
         """The right-hand side to the normal matrix, of q_j."""
@@ -97,12 +97,12 @@ class LowOrderModel:
     def levels(self) -> Tensor:
         """What the unknowns of a drift make of each frame's slow part, (N, terms + 1, N)."""
         count, size, _ = self.carried.shape
-        made = steps(count, self.carried.device)
+        made = level_basis(count, self.carried.device)
         return torch.cat((made[:, None], made.new_zeros(count, size - 1, count)), 1)
 
     def of_terms(self, field: BasisExpansion) -> tuple[Tensor, Tensor]:
         """The slow part of each of the K terms of a map, (terms + 1, K), and what is not, (K, points y, points x)."""
-        maps = field.sampled(*self.step).double()
+        maps = field.sample_basis(*self.step).double()
         slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T, driver="gels").solution
         return slow, maps - (self.terms @ slow).T.reshape(maps.shape)
 
@@ -144,15 +144,19 @@ def variances(problem: Problem, eliminated: Collection[str], faint: float = math
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
         for part in problem.fields[name].parts() if name in eliminated else ():
-            if kind == "gain" and part.along in (COLUMN, ROW) and part.sigma > faint:
+            if kind == "gain" and part.constant_axes in (COLUMN, ROW) and part.sigma > faint:
                 continue
-            found[SMOOTH if isinstance(part, Shading) else part.along] += (float(part.sigma) * unit) ** 2
+            found[SMOOTH if isinstance(part, Shading) else part.constant_axes] += (
+                float(part.sigma) * unit
+            ) ** 2
     return found
 
 
 def expected(variance: Variances, frame: Shading) -> Tensor:
     """Variance of each of the frame's polynomials in a pattern of these variances, shading left out."""
     height, width = frame.shape[-2:]
-    each = torch.full((len(frame.white),), variance[PIXEL] / (height * width), dtype=torch.float64)
-    each = each.to(frame.of_y.device)
-    return each + (frame.of_y == 0) * variance[COLUMN] / width + (frame.of_x == 0) * variance[ROW] / height
+    each = torch.full((len(frame.whitened),), variance[PIXEL] / (height * width), dtype=torch.float64)
+    each = each.to(frame.order_y.device)
+    return (
+        each + (frame.order_y == 0) * variance[COLUMN] / width + (frame.order_x == 0) * variance[ROW] / height
+    )

@@ -39,7 +39,7 @@ from deepir.optim.fourier_hessian import (
     has_fourier_model,
     pattern_coupling,
 )
-from deepir.optim.low_order_hessian import slow_system
+from deepir.optim.low_order_hessian import low_order_inverse_hessian
 from deepir.optim.low_order_model import LowOrderModel, Variances, variances
 from deepir.problem import Problem
 
@@ -112,8 +112,8 @@ class Preconditioner:
             for i in self.others:
                 into[i].zero_()
             return found
-        in_y, in_x = (each.to(scene) for each in (self.basis.in_y, self.basis.in_x))
-        terms = (self.basis.of_y, self.basis.of_x)
+        in_y, in_x = (each.to(scene) for each in (self.basis.basis_y, self.basis.basis_x))
+        terms = (self.basis.order_y, self.basis.order_x)
         slow = torch.cat([(in_y @ scene @ in_x.T)[terms], *(given[i] for i in self.others)]).double()
         sizes = [len(terms[0]), *(self.sizes[i] for i in self.others)]
         slow, *others = (self.tensors["slow"] @ slow).split(sizes)
@@ -173,22 +173,23 @@ def _tensors(
     precision = median_sigma(problem.precision) ** -2
     pattern, weak = variances(problem, eliminated), additive(problem, eliminated)
     waves, mean = _floored(problem, precision, weak, FLOOR)
-    slopes = float(squared_gradient(problem.operator.image(value)).mean()) / 2
+    slopes = float(squared_gradient(problem.operator.to_pixels(value)).mean()) / 2
     scales = []
     for field, parameter in zip(fields, parameters, strict=True):
-        moves = isinstance(field, Motion | Flow)
-        known = field.step**2 * (precision * field.felt) * slopes if moves else 0.0  # type: ignore[operator]
-        known = (
-            field.curvature(precision * problem.data[0].numel()) if isinstance(field, LineNoise) else known
-        )
-        known = _measured(problem, parameter) if _lags(problem, parameter) else known
-        scales.append(1 / known if known > 0 else 1 / mean)
+        curvature = 0.0
+        if isinstance(field, Motion | Flow):
+            curvature = field.preconditioning_scale**2 * (precision * field.n_samples_affected) * slopes
+        elif isinstance(field, LineNoise):
+            curvature = field.curvature(precision * problem.data[0].numel())
+        if _is_time_constant(problem, parameter):
+            curvature = _measured_curvature(problem, parameter)
+        scales.append(1 / curvature if curvature > 0 else 1 / mean)
     found = {"waves": waves.reciprocal().to(value), "even": _even(problem, precision)}
     found["scales"] = torch.tensor(scales)
     if pattern != weak:
         lines = _floored(problem, precision, pattern, FLOOR_OF_LINES)[0].reciprocal_() - waves.reciprocal_()
         found |= {"lines": lines.to(value), "bright": value[0, 0] / value.square().mean().sqrt()}
-    return found | ({"slow": slow_system(problem, slow, others, eliminated)} if slow else {})
+    return found | ({"slow": low_order_inverse_hessian(problem, slow, others, eliminated)} if slow else {})
 
 
 def _floored(problem: Problem, precision: float, pattern: Variances, floor: float) -> tuple[Tensor, float]:
@@ -216,13 +217,13 @@ def _information(problem: Problem, precision: float) -> Tensor:
     return told.div_(precision * len(weighed))
 
 
-def _lags(problem: Problem, parameter: nn.Parameter) -> bool:
+def _is_time_constant(problem: Problem, parameter: nn.Parameter) -> bool:
     """Whether it is one of a lag's time constant."""
     slots = [f"{name}.tau" for name, stage in problem.operator.named() if isinstance(stage, Lag)]
     return any(parameter is each for slot in slots for each in problem.field_of(slot).parameters())
 
 
-def _measured(problem: Problem, parameter: nn.Parameter) -> float:
+def _measured_curvature(problem: Problem, parameter: nn.Parameter) -> float:
     """Curvature in each element, if they change different samples: by a small change of all of them."""
     before = problem.predict(problem.values())
     change = 1e-2 * float(parameter.abs().amax().clamp(min=1))

@@ -149,7 +149,7 @@ def _start_alone(problem: Problem) -> None:
     """Stray flux as the one frame has it."""
     for field in strays(problem):
         frame, usable = problem.data[0, 0], problem.precision[0, 0] > 0
-        field.step.copy_(frame[usable].std() / frame.numel() ** 0.5)
-        if not field.given:
+        field.preconditioning_scale.copy_(frame[usable].std() / frame.numel() ** 0.5)
+        if not field.sigma_is_fixed:
             field.sigma.copy_(frame[usable].std())
         field.init_from(tv_minimising_fit(frame, usable, field).to(frame))

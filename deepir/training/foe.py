@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from deepir.arrays.differences import squared_gradient
 from deepir.estimation.spatial_weights import smoothness_exponent, weight_from_gradients
 from deepir.operators.bspline import image
-from deepir.priors.penalties.foe import Experts, counted
+from deepir.priors.penalties.foe import Experts, foe_energy
 from deepir.registry import register
 from deepir.simulate.scenes import procedural, sky
 from deepir.training.training import Training
@@ -77,7 +77,7 @@ class FieldsOfExperts(Training):
             filters, costs, tails = network()
 
             def objective(scene: Tensor) -> Tensor:
-                return bursts.misfit(scene) + counted(scene, share, filters, costs, tails, ROUNDING)
+                return bursts.misfit(scene) + foe_energy(scene, share, filters, costs, tails, ROUNDING)
 
             scene = _minimum(objective, scene, STEPS).requires_grad_()
             inside = slice(MARGIN, -MARGIN)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from deepir.arrays.differences import squared_gradient
 from deepir.closed_form import weighted_least_squares
-from deepir.closed_form.normal_equations import Pixels, PixelsOnCPU
+from deepir.closed_form.normal_equations import PixelEquationsCPU, Pixels
 from deepir.kernels.compile import parallel_for
 from deepir.priors.penalties.tv import TV
 
@@ -48,7 +48,7 @@ def pixels(kind, dtype, size, pedestal, one=False):
 def test_the_normal_equations_are_exact_in_float32_too(threads, size, pedestal, one):
     wanted = pixels(Pixels, torch.float64, size, pedestal, one)
     for dtype in (torch.float32, torch.float64):
-        found = pixels(PixelsOnCPU, dtype, size, pedestal, one)
+        found = pixels(PixelEquationsCPU, dtype, size, pedestal, one)
         for name in ("maps", "down", "across"):
             for each, right in zip(getattr(found, name), getattr(wanted, name), strict=True):
                 assert error(each, right) < 1e-12
@@ -66,7 +66,7 @@ def test_rows_and_columns_are_solved_and_the_pixels_found(threads, size, terms):
     root, to_columns, to_rows = random(2, 2, width) / 1e3, random(terms, 2 * width), random(terms, 2 * height)
     rhs, columns, neutral = random(2 * width + terms), random(2, width), random(2)
     weights, smooth = random(3, height) / 1e6, (random(2, height, terms), random(terms, width))
-    for kind in (Pixels, PixelsOnCPU):
+    for kind in (Pixels, PixelEquationsCPU):
         mine, white = pixels(kind, torch.float64, size, 50.0), (torch.empty(size), torch.empty(size))
         white = tuple(each.double() for each in white)
         solution = mine.solve(root, to_columns, to_rows, weights, rhs)
@@ -130,8 +130,8 @@ def test_what_the_pixels_own_parts_add_to_the_slope(size, u, v):
 
 
 def reference(penalty, squared):
-    edge = penalty.edge.double()
-    return (penalty.share * squared / ((squared + edge.square()).sqrt() + edge)).sum()
+    edge = penalty.epsilon.double()
+    return (penalty.weight_map * squared / ((squared + edge.square()).sqrt() + edge)).sum()
 
 
 @settings(deadline=None)
@@ -143,7 +143,7 @@ def reference(penalty, squared):
 )
 def test_total_variation_and_its_gradient(size, dtype, pictures, weight):
     penalty, value = TV((1, 1, *size), weight=weight), torch.randn(*pictures, *size, dtype=dtype)
-    penalty.share.uniform_(0.5, 2.0)
+    penalty.weight_map.uniform_(0.5, 2.0)
     value.requires_grad_()
     tolerance = 1e-5 if dtype == torch.float32 else 1e-12
     exact = value.detach().double().requires_grad_()

@@ -128,7 +128,9 @@ def test_frames_are_those_of_scipys_spline_interpolation_of_the_image(seed, angl
     y, x_ = np.meshgrid(np.arange(8) - 3.5, np.arange(9) - 4.0, indexing="ij")
     at = np.einsum("nij,jhw->nihw", motion.numpy(), np.stack([x_, y, np.ones_like(y)]))
     rows, columns = at[:, 1] / at[:, 2] + 13.5, at[:, 0] / at[:, 2] + 14.0
-    wanted = ndimage.map_coordinates(operator.image(x)[0, 0].numpy(), [rows, columns], order=3, mode="mirror")
+    wanted = ndimage.map_coordinates(
+        operator.to_pixels(x)[0, 0].numpy(), [rows, columns], order=3, mode="mirror"
+    )
     assert operator(x, motion=motion)[:, 0].numpy() == pytest.approx(wanted, abs=1e-10)
 
 

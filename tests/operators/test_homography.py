@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from deepir.operators import Warp
 from deepir.operators.bspline import sample
-from deepir.operators.warp import coords
+from deepir.operators.warp import project_pixels
 from deepir.testing import check_operator
 
 seeds = st.integers(0, 999)
@@ -18,7 +18,7 @@ seeds = st.integers(0, 999)
 def bent(size, n_frames=3, shift=2.0, seed=0):
     """Points that no homography gives, (N, h, w, 2) float64."""
     generator = torch.Generator().manual_seed(seed)
-    still = coords(torch.eye(3, dtype=torch.float64)[None], size)
+    still = project_pixels(torch.eye(3, dtype=torch.float64)[None], size)
     away = torch.rand(n_frames, *size, 2, generator=generator, dtype=torch.float64) - 0.5
     return still + 2 * shift * away
 

@@ -30,7 +30,7 @@ def problem(small_nuc):
     made.penalties["scene"]["prior"].weight.fill_(1e-3)
     for name in ("gain", "offset"):
         for part in made.fields[name].parts():
-            part.sigma.fill_(SIGMA if name == "offset" and part.along == () else 0.0)
+            part.sigma.fill_(SIGMA if name == "offset" and part.constant_axes == () else 0.0)
     return made
 
 
@@ -145,7 +145,7 @@ def test_strong_columns_leave_open_the_scene_times_a_wave_rather_than_a_wave(see
         made.precision.fill_(1e3)
         for name in ("gain", "offset"):
             for part in made.fields[name].parts():
-                part.sigma.fill_(0.2 if name == "gain" and part.along == COLUMN else 0.0)
+                part.sigma.fill_(0.2 if name == "gain" and part.constant_axes == COLUMN else 0.0)
         start_scene(made)
         made.penalties["scene"]["tv"].weight.fill_(1.0)
         reached[strong] = solve(made, [Stage("sensor", free, 10, tolerance=0.0)]).history[-1]["loss"]
@@ -162,7 +162,7 @@ def fitted(problem, *, fine):
 
 def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatch):
     monkeypatch.setattr(
-        "deepir.optim.preconditioner.SEEN", -1.0
+        "deepir.optim.preconditioner.MIN_FRAMES_SEEN", -1.0
     )  # a rim that stays has slow waves of its own
     shape = problem.fields["scene"].shape
     slow, start = slow_waves(shape, torch.device("cpu")), copy.deepcopy(problem.state_dict())

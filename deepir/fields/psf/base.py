@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from deepir.fields.base import Field, Shape
-from deepir.fields.motion import STEP
+from deepir.fields.motion import PARAMETER_SCALE
 
 WIDEST = 1e2  # px
 NARROW = 0.4  # px: less than that is not seen
@@ -31,13 +31,13 @@ class PSF(Field):
         super().__init__(shape, neutral)
         if not 0 < width < math.inf:
             raise ValueError(f"{name} must be a positive number of px, not {width}")
-        self.step = STEP / math.sqrt(size[0] * size[1])
-        self.value = nn.Parameter(torch.tensor(math.log(width) / self.step))
+        self.preconditioning_scale = PARAMETER_SCALE / math.sqrt(size[0] * size[1])
+        self.value = nn.Parameter(torch.tensor(math.log(width) / self.preconditioning_scale))
 
     @property
     def width(self) -> Tensor:
         """The width in px, a scalar."""
-        return (self.step * self.value).exp()
+        return (self.preconditioning_scale * self.value).exp()
 
     def forward(self) -> Tensor:
         """The normalised kernel."""
@@ -56,7 +56,7 @@ class PSF(Field):
             middle = (low * high).sqrt()
             narrow = self._spread(self.of_width(middle)) < target
             low, high = torch.where(narrow, middle, low), torch.where(narrow, high, middle)
-        self.value.copy_((low * high).sqrt().log() / self.step)
+        self.value.copy_((low * high).sqrt().log() / self.preconditioning_scale)
 
     @torch.no_grad()
     def starts(self) -> Iterator[dict[str, Tensor]]:
@@ -64,7 +64,9 @@ class PSF(Field):
         count = math.ceil(math.log(self.shape[-1] / NARROW) / math.log(self.ratio))
         widths = [NARROW * self.ratio**i for i in range(count + 1)]
         for width in widths:
-            yield self.state_dict() | {"value": self.value.new_tensor(math.log(width) / self.step)}
+            yield self.state_dict() | {
+                "value": self.value.new_tensor(math.log(width) / self.preconditioning_scale)
+            }
 
     def _axis(self) -> Tensor:
         radius = self.shape[-1] // 2

@@ -25,7 +25,7 @@ class MotionBlur(PSF):
     """
 
     ratio: ClassVar[float] = 1.25
-    exact: ClassVar[bool] = False  # its direction, to half a degree
+    can_represent: ClassVar[bool] = False  # its direction, to half a degree
 
     def __init__(
         self,
@@ -39,11 +39,11 @@ class MotionBlur(PSF):
         super().__init__(shape, neutral, size, "length", length)
         if not math.isfinite(angle):
             raise ValueError(f"angle must be a number of degrees, not {angle}")
-        self.turn = nn.Parameter(torch.tensor(math.radians(angle) / self.step))
+        self.turn = nn.Parameter(torch.tensor(math.radians(angle) / self.preconditioning_scale))
 
     def of_width(self, width: Tensor) -> Tensor:
         """The normalised line of a length."""
-        angle = self.step * self.turn
+        angle = self.preconditioning_scale * self.turn
 
         def line(x: Tensor, y: Tensor) -> Tensor:
             along, across = x * angle.cos() + y * angle.sin(), y * angle.cos() - x * angle.sin()
@@ -58,7 +58,7 @@ class MotionBlur(PSF):
         """Each width in eight directions."""
         for state in super().starts():
             for i in range(8):
-                yield state | {"turn": self.turn.new_tensor(math.pi * i / 8 / self.step)}
+                yield state | {"turn": self.turn.new_tensor(math.pi * i / 8 / self.preconditioning_scale)}
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
@@ -66,7 +66,7 @@ class MotionBlur(PSF):
         axis, kernel = self._axis(), value.to(self.value).expand(self.shape)[0, 0]
         x, y = axis, axis[:, None]
         xx, xy, yy = ((kernel * each).sum() for each in (x * x, x * y, y * y))
-        self.turn.copy_(torch.atan2(2 * xy, xx - yy) / 2 / self.step)
+        self.turn.copy_(torch.atan2(2 * xy, xx - yy) / 2 / self.preconditioning_scale)
         super().init_from(value)
 
     @classmethod

@@ -24,7 +24,7 @@ class Network(Field):
     center: Tensor
     scale: Tensor
     start: Tensor
-    exact = False
+    can_represent = False
 
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, bf16: bool = False

@@ -19,7 +19,9 @@ SMOOTH = (0.25, 0.75, 0.75, 0.25)
 TWICE = (3 / 16, 5 / 8, 3 / 16)
 
 
-def risen(beside: Tensor, deep: Tensor, norm: nn.BatchNorm2d, convolution: nn.Conv2d) -> Tensor:
+def upsample_join_convolve(
+    beside: Tensor, deep: Tensor, norm: nn.BatchNorm2d, convolution: nn.Conv2d
+) -> Tensor:
     """`convolution(norm([beside, doubled deep]))`, with linear doubling and a border that reflects.
 
     Args:

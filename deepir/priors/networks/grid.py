@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, counted
+from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
@@ -41,7 +41,7 @@ class Grid(Network):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        counted(levels=(levels, 16), features=(features, 64), width=(width, 1024))
+        check_counts(levels=(levels, 16), features=(features, 64), width=(width, 1024))
         sizes = [[max(-(-side // 2**level), 2) for side in shape[-2:]] for level in range(levels)]
         sizes[0] = list(shape[-2:])
         self.grids = nn.ParameterList(

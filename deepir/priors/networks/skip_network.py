@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.priors.networks.fused_upsampling import risen
+from deepir.priors.networks.fused_upsampling import upsample_join_convolve
 
 Pad = Literal["reflect", "zeros"]
 SLOPE = 0.2  # of the leaky rectifier
@@ -98,7 +98,7 @@ class Skip(nn.Module):
         first, mixed = self.rise[i].children()
         convolution, *after = first.children()
         if self._is_worth_it(deep):
-            x = risen(beside, deep, self.join[i], convolution)  # type: ignore[arg-type]
+            x = upsample_join_convolve(beside, deep, self.join[i], convolution)  # type: ignore[arg-type]
         else:
             x = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
         for layer in (*after, mixed):

@@ -18,15 +18,15 @@ class Penalty(nn.Module):
 
     weight: Tensor
     #: Whether it is of the picture that the scene shows, not of the scene's array; see `Operator.image`.
-    of_image: ClassVar[bool] = False
+    acts_on_pixels: ClassVar[bool] = False
     #: How plain a scene is, in powers of two, from which the penalty may be stronger by as much as it is plainer.
-    clear: ClassVar[float] = math.inf
+    smooth_scene_threshold: ClassVar[float] = math.inf
 
     def __init__(self, *, weight: float | None = None) -> None:
         super().__init__()
         if weight is not None and not 0 <= weight < float("inf"):
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
-        self.given = weight
+        self.user_weight = weight
         self.register_buffer("weight", torch.tensor(1.0 if weight is None else float(weight)))
 
     def forward(self, value: Tensor) -> Tensor:
@@ -37,11 +37,11 @@ class Penalty(nn.Module):
         """The energy of a value (..., H, W), a scalar in the value's units (or their square)."""
         raise NotImplementedError
 
-    def natural(self, noise: float) -> float:
+    def default_weight(self, sigma: float) -> float:
         """The weight that suits a value with noise of this standard deviation, before it is penalised."""
         return 1.0
 
-    def typical(self) -> float:
+    def typical_weight(self) -> float:
         """The weight at a usual place."""
         return float(self.weight)
 
@@ -51,11 +51,11 @@ class Penalty(nn.Module):
         Called between the stages of a solve; it may change buffers, nothing else.
         """
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
         """About how the penalty curves at `value`: per square of a change, and per squared gradient of one."""
         return 0.0, 0.0
 
-    def flat(self, value: Tensor) -> float:
+    def fraction_shrunk_to_zero(self, value: Tensor) -> float:
         """The share of a value that the penalty has made flat; NaN if it does not know."""
         return math.nan
 

@@ -12,7 +12,7 @@ from deepir.fields.base import Shape
 from deepir.priors.penalties.base import Penalty
 from deepir.registry import lookup, register
 
-FALL = 0.8  # of the strength from one stage to the next
+DECAY = 0.8  # of the strength from one stage to the next
 
 
 @register("penalty", "red")
@@ -33,7 +33,7 @@ class RED(Penalty):
         trust: The natural weight, in one over the variance that the denoiser is told.
     """
 
-    of_image = True
+    acts_on_pixels = True
     target: Tensor
     stage: Tensor
 
@@ -62,18 +62,18 @@ class RED(Penalty):
 
     def adapt(self, value: Tensor, noise: float) -> None:
         """Denoise the picture; the next time more weakly, down to `strength`."""
-        self.target.copy_(self.denoise(value, self._told() * noise))
+        self.target.copy_(self.denoise(value, self._denoiser_sigma() * noise))
         self.stage += 1
 
-    def natural(self, noise: float) -> float:
+    def default_weight(self, sigma: float) -> float:
         """`trust` over the variance of the noise that the denoiser is told; by default, as much as eight bursts."""
-        return self.trust / (self._told() * noise) ** 2
+        return self.trust / (self._denoiser_sigma() * sigma) ** 2
 
-    def _told(self) -> float:
+    def _denoiser_sigma(self) -> float:
         """Strength in this stage."""
-        return max(self.strength, self.first * FALL ** int(self.stage))
+        return max(self.strength, self.first * DECAY ** int(self.stage))
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
         """The weight."""
         return float(self.weight), 0.0
 

@@ -26,15 +26,15 @@ class SmoothedNorm(SpatiallyWeighted):
         self.rounding = rounding
 
     @property
-    def edge(self) -> Tensor:
+    def epsilon(self) -> Tensor:
         """The length `e` below which it is round."""
         return self.rounding / self.weight.clamp(min=1e-12)
 
-    def natural(self, noise: float) -> float:
+    def default_weight(self, sigma: float) -> float:
         """One nat for `scale` standard deviations."""
-        return 1 / (self.scale * noise)
+        return 1 / (self.scale * sigma)
 
-    def lengths(self, squared: Tensor) -> Tensor:
-        """`Σ share (sqrt(|v|² + e²) - e)` of squared lengths: the same as the difference, without its cancellation."""
-        rounded = squared / (torch.sqrt(squared + self.edge.square()) + self.edge)
-        return (self.share * rounded).sum(dtype=torch.float64)
+    def smoothed_l1(self, squared: Tensor) -> Tensor:
+        """`Σ m (sqrt(|v|² + e²) - e)` with the weight map m, from `|v|²`; written without cancellation."""
+        rounded = squared / (torch.sqrt(squared + self.epsilon.square()) + self.epsilon)
+        return (self.weight_map * rounded).sum(dtype=torch.float64)
