@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.closed_form.variable_projection import Elimination, eliminate
-from deepir.closed_form.weighted_least_squares import of_sensor
+from deepir.closed_form.weighted_least_squares import sensor_least_squares
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity, Gaussian
 from deepir.operators import Chain, Operator, Sensor
@@ -191,9 +191,9 @@ class Problem(nn.Module):
         slots = slots_of(self._slot_values(values), name)
         moves = slots["gain"].requires_grad or slots["offset"].requires_grad
         if isinstance(self.fidelity, Gaussian) and not moves:
-            freedom = None if found is None else found.freedom()
+            log_det = None if found is None else found.log_det_gradient()
             sensor = (slots["gain"], slots["offset"], slots["level"])
-            return of_sensor(flux, self.data, precision, sensor, freedom)
+            return sensor_least_squares(flux, self.data, precision, sensor, log_det)
         return self.fidelity(last(flux, **slots), self.data, precision)
 
     def alive(self) -> Tensor:
@@ -254,7 +254,7 @@ class Problem(nn.Module):
         flux = self.flux(values) if flux is None else flux
         precision = self.fitted() if precision is None else precision
         found = self._eliminate(values, group, flux, precision)
-        return dict(zip(self._of_sensor()[:2], found.variances(), strict=True))
+        return dict(zip(self._of_sensor()[:2], found.posterior_variances(), strict=True))
 
     @torch.no_grad()
     def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Elimination:

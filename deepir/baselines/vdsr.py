@@ -15,7 +15,7 @@ from deepir.baselines.average import Array, averaged, find, pulled_back, whole
 from deepir.baselines.bicubic import enlarged
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.operators.geometry import scaled
+from deepir.operators.geometry import rescale_motion
 from deepir.registry import register
 from deepir.result import Result
 
@@ -35,7 +35,9 @@ def vdsr(burst: Burst, config: Config) -> Result:
         good = (burst.valid & ~burst.bad_pixels)[used]
         fine = np.stack([sharpened(enlarged(frame, ratio)) for frame in whole(burst.frames[used], good)])
         seen = np.stack([enlarged(each.astype(float), ratio) > 0.5 for each in good])
-        result.scene = pulled_back(fine, seen, scaled(motion[used], ratio).numpy()).numpy().astype(np.float32)
+        result.scene = (
+            pulled_back(fine, seen, rescale_motion(motion[used], ratio).numpy()).numpy().astype(np.float32)
+        )
     return result
 
 

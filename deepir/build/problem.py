@@ -16,7 +16,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity
 from deepir.operators import (Chain, Operator, Sensor, Warp)
-from deepir.operators.geometry import Geometry, footprint, locate
+from deepir.operators.geometry import Geometry, footprint, locate_first_frame
 from deepir.operators.trajectory import Trajectory
 from deepir.build.unknowns import (complete, demand_sense, make_field, make_penalties, start_field)
 from deepir.priors.penalties.base import Penalty
@@ -159,7 +159,7 @@ def _operator(
                 raise ConfigError(
                     f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}"
                 )
-    return chain, slots, locate(chain, size, out)
+    return chain, slots, locate_first_frame(chain, size, out)
 
 
 def _unknowns(slots: list[str]) -> dict[str, str]:

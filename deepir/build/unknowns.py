@@ -14,7 +14,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.fields.constant import Constant
 from deepir.fields.sensor_maps import SumField
-from deepir.operators.geometry import Geometry, scaled
+from deepir.operators.geometry import Geometry, rescale_motion
 from deepir.priors.penalties.base import Penalty
 
 #: What a slot's configuration may hold beside its field's own options.
@@ -135,7 +135,7 @@ def start_field(
 def _start(field: Field, init: Any, motion: Tensor | None, geometry: Geometry, where: str) -> None:
     if init == "register":
         if motion is not None:
-            field.init_from(scaled(motion, geometry.ratio))
+            field.init_from(rescale_motion(motion, geometry.ratio))
     elif isinstance(init, int | float) and not isinstance(init, bool):
         field.init_from(torch.full(field.shape, float(init)))
     elif isinstance(init, str):

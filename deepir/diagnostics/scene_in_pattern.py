@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.autocorrelation import autocorrelation
-from deepir.arrays.median import MAD, median
+from deepir.arrays.statistics import MAD_TO_SIGMA, median
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
 from deepir.optim.low_order_model import polynomials
@@ -66,7 +66,7 @@ def _rough(image: Tensor, good: Tensor) -> Tensor:
     image = image - image.median(1, keepdim=True).values
     image = image - image.median(0, keepdim=True).values
     image = image - polynomials(*image.shape, image.device).project(image)
-    limit = OUTLIER * MAD * median(image.abs())
+    limit = OUTLIER * MAD_TO_SIGMA * median(image.abs())
     return image.clamp(-limit, limit) * good
 
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.noise_level import mixed_difference
-from deepir.arrays.subsample import subsample
+from deepir.arrays.statistics import subsample
 
 ENOUGH, LEAST = 40_000, 200  # samples of all frames, and of each
 BULK = 0.75  # share of the samples that count: edges of the scene do not
@@ -25,7 +25,7 @@ def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
     if n < 4:
         return whole
     fine, counts = mixed_difference(frames, usable.all(0).expand_as(usable))
-    some, known = subsample(fine[:, None], counts[:, None], enough=max(LEAST, ENOUGH // n))
+    some, known = subsample(fine[:, None], counts[:, None], max_samples=max(LEAST, ENOUGH // n))
     some = some[:, known[0]]
     if not some.numel():
         return whole

@@ -14,9 +14,8 @@ import torch
 from scipy.special import chdtri
 from torch import Tensor
 
-from deepir.arrays.median import MAD
-from deepir.arrays.subsample import subsample
-from deepir.arrays.windows import NEIGHBOURHOOD, box_sum, median_filter
+from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
+from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import temporal_mean
 from deepir.problem import Problem
@@ -45,7 +44,9 @@ def pattern_outliers(pattern: Tensor, known: Tensor) -> Tensor:
     if differ.numel() < apart.numel() / 4:  # most pixels are exactly alike: nothing to compare with
         return torch.zeros_like(known)
     apart = apart.abs()
-    return known & (apart > DEVIATION * MAD * differ.median()) & (apart > LONELY * median_filter(apart))
+    return (
+        known & (apart > DEVIATION * MAD_TO_SIGMA * differ.median()) & (apart > LONELY * median_filter(apart))
+    )
 
 
 @torch.no_grad()
@@ -69,7 +70,7 @@ def dead_pixels(calm: Tensor, pattern: Tensor, known: Tensor) -> Tensor:
     for axis in (-2, -1):  # a dead column differs from all others in its rows
         apart = (pattern - line_median(pattern, live, axis)).abs()
         some, counts = subsample(apart, live)
-        far |= apart > OFF * MAD * some[counts].median()
+        far |= apart > OFF * MAD_TO_SIGMA * some[counts].median()
     return calm & far
 
 
@@ -138,7 +139,7 @@ def neighbourhood_doubt(misfit: Tensor, usable: Tensor) -> Tensor:
     What moves by itself misfits over many pixels, a little each.
     """
     total, share = box_sum(misfit.clamp(max=MOST)), box_sum(usable.to(misfit))
-    return total.div_(share.clamp_(min=0.1 * NEIGHBOURHOOD**2)).sub_(CROWD).clamp_(min=0)
+    return total.div_(share.clamp_(min=0.1 * DEFAULT_WINDOW**2)).sub_(CROWD).clamp_(min=0)
 
 
 @torch.no_grad()

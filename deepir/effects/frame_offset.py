@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, subsample
 from deepir.effects.effect import Effect
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise

@@ -7,9 +7,8 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import masked_values
+from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median
 from deepir.effects.effect import Effect, Rounds
 from deepir.effects.frame_offset import level_names
 from deepir.estimation.line_levels import has_line_noise, line_noise_fields
@@ -99,7 +98,7 @@ def _variance(values: Tensor, known: Tensor, across: int) -> float:
     """Of lines that lie side by side, without what is slow across them, or far out."""
     count = known.shape[across] - 1
     both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
-    return (MAD * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2
+    return (MAD_TO_SIGMA * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2
 
 
 @register("effect", "line_noise")

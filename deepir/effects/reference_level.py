@@ -68,7 +68,7 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
     if problem.stretched or problem.ends is not None:  # pictures, and pixels whose range is cut off
         return None
     values = problem.values()
-    parts, information, means = next(problem.solved(values, closed).blocks())
+    parts, information, means = next(problem.solved(values, closed).information_blocks())
     known = [
         part
         for part in parts

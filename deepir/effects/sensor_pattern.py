@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import robust_std
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.effects.bad_pixels import pattern_outliers
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.line_levels import line_noise_fields
@@ -96,7 +95,7 @@ def update_parts(problem: Problem) -> None:
     values = problem.values()
     flux = problem.flux(values)
     for _ in range(UPDATE_ROUNDS):
-        for parts, information, means in problem.solved(values, closed, flux=flux).blocks():
+        for parts, information, means in problem.solved(values, closed, flux=flux).information_blocks():
             sigma, most = (
                 torch.stack([getattr(part, name).double() if part else means.new_zeros(()) for part in parts])
                 for name in ("sigma", "max_sigma")

@@ -16,15 +16,14 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import median
-from deepir.arrays.subsample import masked_values
+from deepir.arrays.statistics import masked_values, median
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.estimation.line_levels import has_line_noise, subtract_line_means
 from deepir.estimation.low_order_evidence import RARE, frame_level_offsets
 from deepir.estimation.marginal_likelihood import MarginalLikelihood, normal_matrix
 from deepir.fields.base import Field
 from deepir.fields.shading import Shading
-from deepir.optim.low_order_model import LowOrderModel, Variances, expected
+from deepir.optim.low_order_model import LowOrderModel, Variances, expected_variances
 from deepir.problem import Problem
 
 SAMPLES = 16_000  # pixels at most that are asked
@@ -45,8 +44,8 @@ class GainOffsetEvidence:
         values = dict(problem.values())
         flux = problem.flux(values)
         problem.eliminate(values, problem.closed_form(), flux=flux)
-        self.slow = LowOrderModel(problem, tuple(values["scene"].shape))
-        frame = self.slow.frame
+        self.low_order = LowOrderModel(problem, tuple(values["scene"].shape))
+        frame = self.low_order.frame
         self.low = (frame.order_y + frame.order_x <= WRONG) & (doubt is not None)
         self.doubt = frame.relative_sigma[self.low] if doubt is None else doubt[1:][self.low]  # none, or some
         step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
@@ -63,7 +62,7 @@ class GainOffsetEvidence:
         residual = data - (1 + gain) * z - offset
         pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
         self.expected = [
-            expected({PIXEL: 0.0} | lines, frame) * unit
+            expected_variances({PIXEL: 0.0} | lines, frame) * unit
             for lines, unit in ((of_offset, 1.0), (of_gain, self.level**2))
         ]
         left = masked_values(residual, precision > 0)
@@ -95,9 +94,9 @@ class GainOffsetEvidence:
         and γ.
         """
         one = torch.ones_like(terms[:1])
-        levels = self.slow.levels()[:, 0]
+        levels = self.low_order.level_columns()[:, 0]
         for k, zk in enumerate(z):
-            carried = self.slow.carried[k].T @ torch.cat((one, terms))
+            carried = self.low_order.transport[k].T @ torch.cat((one, terms))
             moved = moves.new_zeros(len(z), *moves.shape[1:])
             moved[k] = moves[k]
             scene = carried, one, carried * zk, zk[None], moved[1:].flatten(0, 1)
@@ -107,7 +106,9 @@ class GainOffsetEvidence:
             pattern = terms, levels[k][:, None] * one, terms * zk, wrong.flatten(0, 1)
             columns = torch.cat((*scene, *own, *pattern, residual[k][None]))
             if jump:  # all of the frame is there
-                columns = subtract_line_means(self.slow.problem, columns.unflatten(1, self.shape)).flatten(1)
+                columns = subtract_line_means(
+                    self.low_order.problem, columns.unflatten(1, self.shape)
+                ).flatten(1)
             yield columns
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
@@ -129,7 +130,7 @@ class GainOffsetEvidence:
         """What is likeliest of them where levels drift and the gain is even, of mean one, (N,)."""
         _, strengths = self.best(shaded=False, drift=True)
         free, _ = self.evidence.posterior(self._prior(torch.tensor([strengths], dtype=torch.float64))[0])
-        found = self.slow.levels()[:, 0, 1:] @ free[1 - self.count :]
+        found = self.low_order.level_columns()[:, 0, 1:] @ free[1 - self.count :]
         return 1 + found / self.spread
 
     def nats(self, strengths: Tensor) -> Tensor:
@@ -139,7 +140,7 @@ class GainOffsetEvidence:
     def _prior(self, strengths: Tensor) -> Tensor:
         """Variances of φ, levels and γ, (K, unknowns)."""
         offset, drift, gain = strengths.square().T[..., None]
-        shape = self.slow.frame.relative_sigma.square().cpu()
+        shape = self.low_order.frame.relative_sigma.square().cpu()
         of_offset, of_gain = (each.cpu() for each in self.expected)
         smooth = of_offset + offset * shape, of_gain + self.level**2 * gain * shape
         wrong = self.doubt.cpu().repeat(self.count).expand(len(drift), -1)

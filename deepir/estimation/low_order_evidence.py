@@ -8,8 +8,7 @@ from collections.abc import Collection, Sequence
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import median
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, median, subsample
 from deepir.closed_form.variable_projection import COLUMN, ROW
 from deepir.estimation.line_levels import line_noise_in_polynomials
 from deepir.estimation.marginal_likelihood import MarginalLikelihood
@@ -17,7 +16,7 @@ from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import WALK_SIGMA_RATIO, Drift
 from deepir.fields.shading import Shading
 from deepir.operators.homography import displacement_at
-from deepir.optim.low_order_model import LowOrderModel, expected, variances
+from deepir.optim.low_order_model import LowOrderModel, expected_variances, pattern_variances
 from deepir.problem import Problem, Values
 
 OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
@@ -41,52 +40,54 @@ class LowOrderEvidence:
         self, problem: Problem, eliminated: Collection[str], strays: Sequence[BasisExpansion] = ()
     ) -> None:
         values = problem.values()
-        self.slow = LowOrderModel(problem, tuple(values["scene"].shape))
-        variance = variances(problem, eliminated)
-        self.expected = expected(variance, self.slow.frame)
+        self.low_order = LowOrderModel(problem, tuple(values["scene"].shape))
+        variance = pattern_variances(problem, eliminated)
+        self.expected = expected_variances(variance, self.low_order.frame)
         #: Variances of the polynomials for a strength of one.
-        self.shape = self.slow.frame.relative_sigma.square()
+        self.shape = self.low_order.frame.relative_sigma.square()
         if strays:
-            self.shape = torch.stack([self.slow.of_terms(one)[0][1:].square().sum(1) for one in strays]).sum(
-                0
-            )
+            self.shape = torch.stack(
+                [self.low_order.basis_columns(one)[0][1:].square().sum(1) for one in strays]
+            ).sum(0)
         self.jumps = float(frame_level_offsets(problem).square().mean().sqrt())
-        residual = _slow_residual(problem, values, self.slow.frame)
+        residual = _slow_residual(problem, values, self.low_order.frame)
         (some,) = subsample(residual[:, None])
         middle = median(some)
         limit = OUTLIER * median((some - middle).abs())
         self.count, self.strays = len(residual), strays
-        seen = self.slow.seen((residual - middle).clamp(-limit, limit))
+        seen = self.low_order.frame_scores((residual - middle).clamp(-limit, limit))
         self.contrast = float(contrast(problem))
-        known, chance = line_noise_in_polynomials(problem, self.slow.frame), self._chance(variance)
+        known, chance = line_noise_in_polynomials(problem, self.low_order.frame), self._chance(variance)
         doubts = [known + share * chance for share in SHARES]
         wrong = () if strays else WRONG  # stray flux, before it is known, is as much
         doubts += [known + chance + (share * self.contrast) ** 2 for share in wrong]
         rare = [0] * len(SHARES) + [CLEARLY] * len(wrong)
         each = [(*self._doubted(seen, of), nats, of) for of, nats in zip(doubts, rare, strict=True)]
-        self.slow, self.evidence, _, odd, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
+        self.low_order, self.evidence, _, odd, self.doubt = min(
+            each, key=lambda found: float(found[2]) + found[3]
+        )
         self.certain = SUSPECT if odd else CERTAIN
 
     def _doubted(self, seen: Tensor, variance: Tensor) -> tuple[LowOrderModel, MarginalLikelihood, Tensor]:
         """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
-        slow, free = self.slow.doubted(variance), len(self.slow.scene.whitened) + 1
-        levels = slow.levels()
-        normal = slow.normal(levels)
-        rhs = slow.score(seen, levels)
+        slow, free = self.low_order.with_frame_variance(variance), len(self.low_order.scene.whitened) + 1
+        levels = slow.level_columns()
+        normal = slow.normal_matrix(levels)
+        rhs = slow.right_hand_side(seen, levels)
         for each in self.strays:  # the residual is without what is known of them
-            terms = slow.of_terms(each)[0] @ each.coefficients.double()
+            terms = slow.basis_columns(each)[0] @ each.coefficients.double()
             rhs += normal[:, free - 1 : free + len(self.expected)] @ terms
         evidence = MarginalLikelihood(normal, rhs, free)
         nats = evidence.nats(self._prior(self.expected.new_tensor([2 * [self.contrast]])))[0]
-        return slow, evidence, slow.unexplained(seen).cpu() + evidence.constant.cpu() + nats
+        return slow, evidence, slow.null_nats(seen).cpu() + evidence.constant.cpu() + nats
 
     def _chance(self, variance: dict[tuple[int, ...], float]) -> float:
         """Variance of what the lines' pattern does to the frames by chance.
 
         Of the lines at one edge of the view some leave as the camera moves, and as many others enter at the other.
         """
-        height, width = self.slow.frame.shape[-2:]
-        moved = shifts(self.slow.problem).abs().mean(0)
+        height, width = self.low_order.frame.shape[-2:]
+        moved = shifts(self.low_order.problem).abs().mean(0)
         columns = 2 * float(moved[0]) / width * variance[COLUMN] / width
         return columns + 2 * float(moved[1]) / height * variance[ROW] / height
 
@@ -104,7 +105,7 @@ class LowOrderEvidence:
             best.append(self._best(each, torch.cartesian_prod(*some)))
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
         shaded = nats.get((1, 0), math.inf) + self.certain < nats.get((0, 0), math.inf)
-        stretched = self.slow.problem.stretched and not self.slow.problem.even
+        stretched = self.low_order.problem.stretched and not self.low_order.problem.even
         rare = [FOLLOWS, CERTAIN] if stretched else [self.certain, RARE if shaded else CERTAIN]
         asked = torch.tensor(list(nats.values())) + used @ torch.tensor(rare, dtype=torch.long)
         found = best[int(asked.argmin())][1].tolist()
@@ -143,16 +144,16 @@ class LowOrderEvidence:
 
     def levels(self, smooth: float, drift: float) -> Tensor:
         """The levels of the frames, (N, 1, 1, 1)."""
-        found = self.slow.levels()[:, 0] @ self._posterior(smooth, drift)[1][-self.count :]
+        found = self.low_order.level_columns()[:, 0] @ self._posterior(smooth, drift)[1][-self.count :]
         return found[:, None, None, None]
 
     def slow_pattern(self, smooth: float, drift: float) -> Tensor:
         """What is slow of the pattern, (h, w)."""
-        return self.slow.frame.synthesise(self._posterior(smooth, drift)[1][: -self.count])
+        return self.low_order.frame.synthesise(self._posterior(smooth, drift)[1][: -self.count])
 
     def slow_scene(self, smooth: float, drift: float) -> Tensor:
         """What the scene lacks, on its grid."""
-        return self.slow.scene.synthesise(self._posterior(smooth, drift)[0][:-1])
+        return self.low_order.scene.synthesise(self._posterior(smooth, drift)[0][:-1])
 
 
 def _slow_residual(problem: Problem, values: Values, frame: Shading) -> Tensor:

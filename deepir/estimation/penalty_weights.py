@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import torch
 
-from deepir.arrays.median import median
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, median, subsample
 from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 from deepir.problem import Problem
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import robust_std
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
 from deepir.registered_average import RegisteredAverage

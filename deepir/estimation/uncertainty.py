@@ -58,7 +58,7 @@ def uncertainty(problem: Problem, cost: float) -> Maps:
 
 def _from_zero(problem: Problem, values: dict[str, Tensor], gain: Tensor, offset: Tensor) -> Tensor:
     """Standard deviation (h, w) of the offset `o - (g - 1) L` of data that are measured from zero, not from L."""
-    parts, (aa, ab, bb), _ = next(problem.solved(values, problem.closed_form()).blocks())
+    parts, (aa, ab, bb), _ = next(problem.solved(values, problem.closed_form()).information_blocks())
     u, v = (float(part.sigma) ** 2 if part else 0.0 for part in parts)
     covariance = -ab * u * v / (1 + u * aa + v * bb + u * v * (aa * bb - ab * ab))
     level = float(problem.reference)

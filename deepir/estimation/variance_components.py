@@ -97,10 +97,10 @@ def marginal(information: Tensor, means: Tensor, sigma: Tensor, level: float) ->
 def _nats(values: Tensor, typical: Tensor, sigma: np.ndarray) -> Known:
     """Twice minus the mean logarithm of the likelihood of strengths, with what is known before; in their logarithms."""
     from deepir.kernels.compile import parallel_for
-    from deepir.kernels.marginal_likelihood import nats
+    from deepir.kernels.marginal_likelihood import negative_log_likelihood
 
     sums, (u, v) = torch.empty(6, dtype=torch.float64), sigma**2
-    parallel_for(nats, 1, values, typical, u, v, sums)
+    parallel_for(negative_log_likelihood, 1, values, typical, u, v, sums)
     value, *slope, uu, uv, vv = (sums / typical.sum()).tolist()
     if u > 0:
         value, slope[0] = value + SHARE * (math.log(u) + GAIN**2 / u), slope[0] + SHARE * (u - GAIN**2) / u**2

@@ -217,9 +217,9 @@ class _Unknowns:
             lambda white: white + self.adjoint(edges.normal(self.pattern(white))),
             self.adjoint(edges.score()),
             self.white,
-            near=near,
-            precise=PRECISE,
-            steps=STEPS,
+            precondition=near,
+            tolerance=PRECISE,
+            max_iterations=STEPS,
         )
 
     def _smooth(self, edges: Edges) -> Tensor:

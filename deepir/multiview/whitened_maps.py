@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import robust_std
+from deepir.arrays.statistics import robust_std
 from deepir.estimation.variance_components import MAX_SIGMA_RATIO, high_pass, likeliest
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.multiview.gradients import Edges

@@ -11,7 +11,8 @@ from deepir.operators.base import Operator, Shape
 from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
-SHORTEST = 1e-6  # time constant, in steps, below which a pixel follows at once
+#: Smallest time constant, in time steps; below, a pixel follows at once.
+MIN_TIME_CONSTANT = 1e-6
 
 
 @register("operator", "lag")
@@ -94,7 +95,7 @@ class Lag(Operator):
 
     def _weights(self, tau: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Of what was shown an instant ago, and of the flux two and one instants ago and now; their sum is one."""
-        step = self.duration / tau.clamp(min=SHORTEST * self.duration)
+        step = self.duration / tau.clamp(min=MIN_TIME_CONSTANT * self.duration)
         kept = torch.exp(-step)
         # What a pixel makes of a flux that rises as t, and as t², from 0 to 1 during the step.
         linear = 1 - (1 - kept) / step

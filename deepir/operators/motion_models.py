@@ -24,7 +24,7 @@ def normalised(motion: Tensor) -> Tensor:
     return motion / motion[..., 2:, 2:]
 
 
-def carried(motion: Tensor, points: Tensor) -> Tensor:
+def transform_points(motion: Tensor, points: Tensor) -> Tensor:
     """Points `(x, y, 1)`, `(3, M)`, moved by homographies `(N, 3, 3)`: x and y `(N, 2, M)`."""
     at = motion @ points
     return at[:, :2] / at[:, 2:]

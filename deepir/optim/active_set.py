@@ -8,7 +8,8 @@ from deepir.arrays.noise_level import median_sigma
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
 
-BOUND_VIOLATION = 2.0  # standard deviations of the noise by which a prediction is short of a bound
+#: Violation of a bound by the prediction from which the sample counts, standard deviations of the noise.
+BOUND_VIOLATION = 2.0
 
 
 @torch.no_grad()

@@ -38,8 +38,8 @@ class Optimiser:
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
         self.parameters = free_parameters(problem, group)
         self.value, self.done, self._count = float("nan"), False, 0
-        #: What is known of the objective's second derivatives, for those that can use it.
-        self.curvature: Preconditioner | None = None
+        #: Approximate inverse Hessian, for optimisers that use one.
+        self.preconditioner: Preconditioner | None = None
 
     def step(self, *, fresh: bool) -> None:
         """One iteration, sets `value`, and `done` at rest. `fresh`: others have changed since the last."""

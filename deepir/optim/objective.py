@@ -9,8 +9,8 @@ from torch import Tensor
 
 from deepir.operators import Warp
 from deepir.optim import OPTIMISERS, Optimiser, free_parameters
-from deepir.optim.degrees_of_freedom import degrees_of_freedom, moves_with_scene
-from deepir.optim.preconditioner import curvature
+from deepir.optim.degrees_of_freedom import degrees_of_freedom, is_joint_with_motion
+from deepir.optim.preconditioner import make_preconditioner
 from deepir.problem import Problem, Values
 from deepir.schedule import Stage, Step
 
@@ -19,7 +19,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     group = {name for step in stage.steps for name in step.group}
-    moving, size = moves_with_scene(problem, group), (problem.data.shape[-2], problem.data.shape[-1])
+    moving, size = is_joint_with_motion(problem, group), (problem.data.shape[-2], problem.data.shape[-1])
     precision = problem.precision if stage.use_held_out else problem.fitted()
 
     awake = {name for name in group if name in eliminated or free_parameters(problem, [name])}
@@ -50,5 +50,7 @@ def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, step in found:
         if step.method == "lbfgs":
-            optimiser.curvature = curvature(problem, optimiser.parameters, eliminated, fine=stage.fine)
+            optimiser.preconditioner = make_preconditioner(
+                problem, optimiser.parameters, eliminated, high_frequencies_only=stage.fine
+            )
     return found

@@ -20,7 +20,7 @@ from deepir.fields.psf.defocus import Defocus
 from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.fields.psf.simplex import Simplex
-from deepir.optim.held_out import HELD_OUT as LEAST
+from deepir.optim.held_out import HELD_OUT_FRACTION as LEAST
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate, start_scene
@@ -33,7 +33,7 @@ TOLD = 0.1  # of the noise from pixel to pixel, from which on the spectrum is be
 NARROW = 0.5  # px: widths up to 0.45 are found of sharp frames, 0.52 to 0.64 of those with a blur of 0.5 px
 STILL = 0.5  # px of motion below which a burst counts as still
 #: Share of a frame's samples, in all frames together, that is held out: what a blur leaves of detail, few do not tell.
-HELD_OUT = 0.1
+HELD_OUT_FRACTION = 0.1
 #: Least weight of the scene's penalties, as a power of two of the natural ones: so few iterations are a prior, too,
 #: and the trials of a fine texture would go on to no weight at all.
 LIGHTEST = -6.0
@@ -68,7 +68,7 @@ class Deconv(Recipe):
             initial_estimate(problem, self.effects)
         else:
             start_scene(problem)
-        hold_out(problem, seed, max(LEAST, HELD_OUT / len(problem.data)))
+        hold_out(problem, seed, max(LEAST, HELD_OUT_FRACTION / len(problem.data)))
         weigh_scene(problem, self.sensor_weight)
         start_trials(problem, afresh=True)
 

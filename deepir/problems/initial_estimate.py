@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.fill import fill_nearest
-from deepir.arrays.median import robust_std
 from deepir.arrays.noise_level import median_sigma
+from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import static_pixels
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean

@@ -17,7 +17,7 @@ from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.constant import Constant
 from deepir.operators import Add, Warp
-from deepir.operators.geometry import MARGIN
+from deepir.operators.geometry import CANVAS_MARGIN
 from deepir.operators.motion_models import PARAMETERS
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
@@ -126,7 +126,7 @@ def _register(problem: Problem) -> None:
         found = register_frames(frames.cpu(), model=model, ignore=~usable.any(0).cpu())
         before = field().double().cpu()
         apart = (found.motion - before)[:, :2, 2].abs().amax()
-        if found.used.all() and first.size == frames.shape[1:] and apart < MARGIN:
+        if found.used.all() and first.size == frames.shape[1:] and apart < CANVAS_MARGIN:
             field.init_from(found.motion.to(problem.data.device))
 
 

@@ -88,7 +88,7 @@ def fixed_pattern(level: Level, picture: Tensor, motion: Tensor) -> tuple[Tensor
     count, mean, rest = (torch.empty_like(level.weight) for _ in range(3))
     power = torch.empty(len(mean), dtype=torch.float64)
     given = level.frames, level.weight, level.whole, picture, level.indexed(motion)
-    parallel_for(loops.differ, len(mean), *given, count, mean, rest, power)
+    parallel_for(loops.residual_moments, len(mean), *given, count, mean, rest, power)
     lines = mean.mean(0, keepdim=True) + mean.mean(1, keepdim=True) - mean.mean()
     misfit = float(rest.double().sum() / power.sum().clamp_min(1e-12))
     if len(motion) < 3:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import carried, nearest_angle, rotation
+from deepir.operators.motion_models import nearest_angle, rotation, transform_points
 from deepir.registration.shift_likelihood import Spectra, likeliest
 
 FOUR = (0, 2), (1, 3)  # parts of a frame along each axis: from and to so many thirds,
@@ -36,7 +36,9 @@ def gains(frames: Tensor, before: Tensor, after: Tensor, parts: Parts) -> list[f
     found = []
     for spectra, centre in pieces(frames, parts):
         at, gain = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
-        old, new = ((carried(motion[1:], at) - at[:2])[:, :, 0].numpy() for motion in (before, after))
+        old, new = (
+            (transform_points(motion[1:], at) - at[:2])[:, :, 0].numpy() for motion in (before, after)
+        )
         for shifts in (new, old):
             spectra.update(shifts)
             gain += spectra.nats(old.ravel())[0] - spectra.nats(new.ravel())[0]

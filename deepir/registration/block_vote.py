@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import carried, identity, relative
+from deepir.operators.motion_models import identity, relative, transform_points
 from deepir.registration.block_likelihood import FOUR, all_but_one, gains
 from deepir.registration.integer_shifts import integer_shifts
 from deepir.registration.pyramid import average
@@ -88,7 +88,7 @@ def apart(before: Tensor, after: Tensor, frames: Tensor) -> float:
     """How far motions `(N, 3, 3)` are apart at most, in px, at the corners of frames."""
     h, w = frames.shape[1:]
     corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
-    return float((carried(after, corners) - carried(before, corners)).norm(dim=1).max())
+    return float((transform_points(after, corners) - transform_points(before, corners)).norm(dim=1).max())
 
 
 def preferred(frames: Tensor, before: Tensor, after: Tensor) -> bool:

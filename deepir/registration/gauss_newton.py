@@ -35,7 +35,9 @@ def sums(pulled: Pulled, level: Level, model: str) -> Tensor:
     n, (p, rows, _) = len(few.frames), ax.shape
     found = torch.empty(rows, n, p + 2, p + 3)
     images = pulled.frames, pulled.known, pulled.total, pulled.count
-    parallel_for(loops.step, rows, *images, ax, ay, stride, float(level.factor), middle, limit, found)
+    parallel_for(
+        loops.gauss_newton_sums, rows, *images, ax, ay, stride, float(level.factor), middle, limit, found
+    )
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import carried, increment, nearest_rigid, relative
+from deepir.operators.motion_models import increment, nearest_rigid, relative, transform_points
 from deepir.registration.alternating_alignment import align, standing
 from deepir.registration.block_likelihood import NINE, all_but_one, gains
 from deepir.registration.block_vote import reduced, scaled
@@ -57,4 +57,4 @@ def bend(level: Level, motion: Tensor) -> Tensor:
     h, w = (side / 2 for side in level.shape)
     points = [(x * w, y * h, 1.0) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
     at = torch.tensor(points, dtype=motion.dtype).T
-    return carried(motion[1:], at) - carried(nearest_rigid(motion[1:]), at)
+    return transform_points(motion[1:], at) - transform_points(nearest_rigid(motion[1:]), at)

@@ -7,7 +7,7 @@ import torch
 from scipy.ndimage import binary_dilation, binary_opening, label, uniform_filter
 from torch import Tensor
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.registration.block_vote import SIZE
 from deepir.registration.pyramid import Level, average, sample
 
@@ -31,7 +31,7 @@ def someone(flat: Tensor) -> Tensor:
     seen = average(flat, factor)
     seen = seen - seen.flatten(1).median(1).values[:, None, None]
     change = np.abs(uniform_filter((seen - seen.median(0).values).numpy(), (0, SMOOTH, SMOOTH)))
-    usual = MAD * float(np.median(change))
+    usual = MAD_TO_SIGMA * float(np.median(change))
     wide = binary_opening(change > STANDS * usual, np.ones((1, THIN, THIN)))
     in_frame = np.arange(27).reshape(3, 3, 3) // 9 == 1  # neighbours of a sample
     regions, _ = label(wide, in_frame)

@@ -6,8 +6,7 @@ import scipy.ndimage
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD
-from deepir.arrays.subsample import subsample
+from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
 from deepir.arrays.windows import median_filter
 
 STUCK = 10.0  # robust standard deviations beyond which a pixel of the mean frame is stuck
@@ -57,5 +56,5 @@ def stripes(image: Tensor, axis: int) -> Tensor:
 def stuck(image: Tensor) -> Tensor:
     """Pixels `(H, W)` that differ from their 3 x 3 median by `STUCK` robust deviations."""
     apart = (image - median_filter(image[None, None])[0, 0]).abs()
-    scale = MAD * float(subsample(apart[None])[0].median())
+    scale = MAD_TO_SIGMA * float(subsample(apart[None])[0].median())
     return apart > (STUCK * scale or torch.inf)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.registration.pyramid import Level, sample
 
 SEEN = 2.5  # frames that must show a place of the scene, for it to say something
@@ -45,7 +45,7 @@ def cost(level: Level, motion: Tensor) -> float:
 def width(rest: Tensor) -> float:
     """Robust standard deviation of residuals whose magnitudes are known where they are finite."""
     known = rest[rest.isfinite()]
-    return max(MAD * float(known.median()), 1e-12) if len(known) else torch.inf
+    return max(MAD_TO_SIGMA * float(known.median()), 1e-12) if len(known) else torch.inf
 
 
 def unexplained(rest: Tensor, usual: float) -> Tensor:

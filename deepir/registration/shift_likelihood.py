@@ -91,21 +91,21 @@ class Spectra:
 
     def nats(self, shifts: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the log-likelihood of shifts `(2 (N - 1))`, less what does not depend on them; and its gradient."""
-        from deepir.kernels.shift_likelihood import nats
+        from deepir.kernels.shift_likelihood import negative_log_likelihood
 
         rows = len(self.y)
         found, slope = np.empty(rows), np.empty((rows, len(self.real), 2))
-        nats(0, rows, *self._at(shifts.reshape(-1, 2)), found, slope)
+        negative_log_likelihood(0, rows, *self._at(shifts.reshape(-1, 2)), found, slope)
         return float(found.sum()), slope.sum(0)[1:].ravel()
 
     def update(self, shifts: np.ndarray) -> None:
         """The powers that are likeliest at shifts `(N - 1, 2)`, nearly."""
-        from deepir.kernels.shift_likelihood import powers
+        from deepir.kernels.shift_likelihood import expected_powers
 
         n, rows = len(self.real), len(self.y)
         expected, white = np.empty((rows, RINGS + 1, 2)), np.empty(rows)
         for _ in range(PASSES):
-            powers(0, rows, *self._at(shifts), self.ring, expected, white)
+            expected_powers(0, rows, *self._at(shifts), self.ring, expected, white)
             scene, noise = (expected.sum(0) / np.maximum(self.sizes, 1)[:, None]).T
             self.scene, self.noise = scene[self.ring], np.maximum(noise / n, self.least)[self.ring]
             self.pattern = float(white.sum()) / self.ring.size

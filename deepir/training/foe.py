@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from deepir.arrays.differences import squared_gradient
 from deepir.estimation.spatial_weights import smoothness_exponent, weight_from_gradients
-from deepir.operators.bspline import image
+from deepir.operators.bspline import to_pixels
 from deepir.priors.penalties.foe import Experts, foe_energy
 from deepir.registry import register
 from deepir.simulate.scenes import procedural, sky
@@ -81,7 +81,7 @@ class FieldsOfExperts(Training):
 
             scene = _minimum(objective, scene, STEPS).requires_grad_()
             inside = slice(MARGIN, -MARGIN)
-            shown = image(scene[:, None])[:, 0, inside, inside]
+            shown = to_pixels(scene[:, None])[:, 0, inside, inside]
             error = (shown - bursts.truth).square().mean((1, 2)).log10().mean()
             (wanted,) = torch.autograd.grad(error, scene)
             (slope,) = torch.autograd.grad(objective(scene), scene, create_graph=True)
@@ -134,7 +134,7 @@ class FieldsOfExperts(Training):
 
         scene = _minimum(weak, start, 15)
         # In standard deviations of a pixel's mean.
-        gradient = math.sqrt(12) * squared_gradient(image(scene[:, None])[:, 0]).sqrt()
+        gradient = math.sqrt(12) * squared_gradient(to_pixels(scene[:, None])[:, 0]).sqrt()
         return scene, torch.cat(
             [weight_from_gradients(each[None], smoothness_exponent(float(each.mean()))) for each in gradient]
         )

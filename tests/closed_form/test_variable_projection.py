@@ -101,7 +101,7 @@ def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
 def test_the_variances_of_pixels_alone_are_those_of_the_dense_inverse(pedestal, dead):
     gains, offsets = make_parts(["pixel"], 1.0), make_parts(["pixel"], 50.0)
     z, y, w = burst(pedestal, dead=dead)
-    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, *SHAPE)
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
@@ -112,7 +112,7 @@ def test_the_variances_of_pixels_alone_are_those_of_the_dense_inverse(pedestal, 
 def test_the_variances_of_columns_alone_are_those_of_the_dense_inverse():
     gains, offsets = make_parts(["column"], 1.0), make_parts(["column"], 50.0)
     z, y, w = burst()
-    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, 6)
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
@@ -123,7 +123,7 @@ def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_den
     names = ["pixel", "column", "shading"]
     gains, offsets = make_parts(names, 1.0), make_parts(names, 50.0)
     z, y, w = burst()
-    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.split(
         np.diag(np.linalg.inv(a.T @ a)), np.cumsum([p.whitened.numel() for p in [*gains, *offsets]])[:-1]
@@ -135,7 +135,7 @@ def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_den
 
 def test_variances_come_in_the_order_of_the_parts_and_lie_between_nothing_and_the_prior():
     gains, offsets = make_parts(["pixel", "column"], 1.0), make_parts(["row", "column", "pixel"], 50.0)
-    found = [v for each in eliminate(*burst(), gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(*burst(), gains, offsets).posterior_variances() for v in each]
     for variance, part in zip(found, (*gains, *offsets), strict=True):
         assert variance.shape == part.whitened.shape
         assert (variance > 0).all()
@@ -146,7 +146,7 @@ def test_a_pixel_without_data_is_left_at_its_prior():
     gains, offsets = make_parts(["pixel"], 1.0), make_parts(["pixel"], 50.0)
     z, y, w = burst()
     w[:, 0, 2, 3] = 0
-    variances = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    variances = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     for part, variance in zip((*gains, *offsets), variances, strict=True):
         assert part.whitened[0, 0, 2, 3] == 0
         assert variance[0, 0, 2, 3] == pytest.approx(float(part.sigma) ** 2)

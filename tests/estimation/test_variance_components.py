@@ -7,7 +7,7 @@ from torch.autograd.functional import hessian, jacobian
 from deepir.effects.sensor_pattern import high_order
 from deepir.estimation.variance_components import likeliest
 from deepir.kernels.compile import parallel_for
-from deepir.kernels.marginal_likelihood import nats
+from deepir.kernels.marginal_likelihood import negative_log_likelihood
 
 COUNT = 4000
 
@@ -72,7 +72,7 @@ def test_slope_and_curvature_are_those_of_the_likelihood():
         return (width - (score * variance * shown).sum(1))[counts].sum()
 
     at, sums = torch.tensor([0.2, 3.0], dtype=torch.float64), torch.empty(6, dtype=torch.float64)
-    parallel_for(nats, 1, torch.stack((aa, ab, bb, *score.T)), counts, *at.tolist(), sums)
+    parallel_for(negative_log_likelihood, 1, torch.stack((aa, ab, bb, *score.T)), counts, *at.tolist(), sums)
     (uu, uv), (_, vv) = hessian(exact, at)
     wanted = torch.stack((exact(at), *jacobian(exact, at), uu, uv, vv))
     assert sums.tolist() == pytest.approx(wanted.tolist(), rel=1e-9)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from deepir.arrays.differences import squared_gradient
 from deepir.closed_form import weighted_least_squares
-from deepir.closed_form.normal_equations import PixelEquationsCPU, Pixels
+from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCPU
 from deepir.kernels.compile import parallel_for
 from deepir.priors.penalties.tv import TV
 
@@ -46,7 +46,7 @@ def pixels(kind, dtype, size, pedestal, one=False):
 @pytest.mark.parametrize("pedestal", [0.0, 8000.0])
 @pytest.mark.parametrize("one", [False, True])
 def test_the_normal_equations_are_exact_in_float32_too(threads, size, pedestal, one):
-    wanted = pixels(Pixels, torch.float64, size, pedestal, one)
+    wanted = pixels(PixelEquations, torch.float64, size, pedestal, one)
     for dtype in (torch.float32, torch.float64):
         found = pixels(PixelEquationsCPU, dtype, size, pedestal, one)
         for name in ("maps", "down", "across"):
@@ -66,11 +66,11 @@ def test_rows_and_columns_are_solved_and_the_pixels_found(threads, size, terms):
     root, to_columns, to_rows = random(2, 2, width) / 1e3, random(terms, 2 * width), random(terms, 2 * height)
     rhs, columns, neutral = random(2 * width + terms), random(2, width), random(2)
     weights, smooth = random(3, height) / 1e6, (random(2, height, terms), random(terms, width))
-    for kind in (Pixels, PixelEquationsCPU):
+    for kind in (PixelEquations, PixelEquationsCPU):
         mine, white = pixels(kind, torch.float64, size, 50.0), (torch.empty(size), torch.empty(size))
         white = tuple(each.double() for each in white)
         solution = mine.solve(root, to_columns, to_rows, weights, rhs)
-        errors, values = mine.finish(columns, smooth, weights, neutral, white)
+        errors, values = mine.back_substitute(columns, smooth, weights, neutral, white)
         results.append((solution, errors, values, *white))
     for found, right in zip(*results, strict=True):
         assert error(found, right) < 1e-10
@@ -104,7 +104,9 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
     given = [each.detach().to(dtype) for each in (flux, data, precision, gain, offset, level)]
     given[0].requires_grad_()
     given[-1].requires_grad_()
-    found = factor * weighted_least_squares.of_sensor(given[0].expand(shape), *given[1:3], tuple(given[3:]))
+    found = factor * weighted_least_squares.sensor_least_squares(
+        given[0].expand(shape), *given[1:3], tuple(given[3:])
+    )
     tolerance = 1e-4 if dtype == torch.float32 else 1e-12
     assert float(found.detach()) == pytest.approx(float(wanted.detach()), rel=tolerance)
     slopes = torch.autograd.grad(found, (given[0], given[-1]))
@@ -176,7 +178,7 @@ def test_what_goes_wrong_in_a_part_is_raised(threads):
 
 
 def test_a_first_use_says_why_it_takes_long(tmp_path):
-    code = "import torch; from deepir.arrays.median import median; print(median(torch.arange(9001.0)))"
+    code = "import torch; from deepir.arrays.statistics import median; print(median(torch.arange(9001.0)))"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     first, second = (
         subprocess.run(

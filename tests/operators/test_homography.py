@@ -56,7 +56,7 @@ def test_frames_adjoint_and_gradient_are_those_of_other_devices(size, canvas, ch
     operator = Warp(size, canvas, (1, -1))
     x = torch.rand(scenes, channels, *canvas, dtype=torch.float64, requires_grad=True)
     motion = bent(size, 3, shift, seed).requires_grad_()
-    wanted, found = sample(x, operator.points(motion)), operator(x, motion=motion)
+    wanted, found = sample(x, operator.sampling_points(motion)), operator(x, motion=motion)
     assert torch.allclose(found, wanted, atol=1e-9)
     weights = torch.rand(found.shape, dtype=found.dtype, generator=torch.Generator().manual_seed(1))
     mine, theirs = (torch.autograd.grad(each, (x, motion), weights) for each in (found, wanted))
@@ -91,6 +91,6 @@ def test_a_point_that_is_not_a_number_gives_numbers_and_gradients(bad):
 
 def test_a_sample_is_valid_where_its_coefficients_lie_in_the_canvas():
     operator, motion = Warp((6, 7), (11, 12), (2, 3)), bent((6, 7), shift=6.0)
-    points = operator.points(motion)
+    points = operator.sampling_points(motion)
     inside = (points[..., 0].abs() <= 4.5) & (points[..., 1].abs() <= 4)
     assert torch.equal(operator.valid(torch.ones(1, 1, 11, 12), motion=motion)[:, 0] > 0, inside)

@@ -178,7 +178,7 @@ def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
 def test_a_step_that_goes_too_far_is_followed_by_one_to_the_parabola_s_least_point():
     bend = torch.tensor([1.0, 5.0])
     _, optimiser = make("lbfgs", lambda x: (bend * x.square()).sum() / 2, start=[0.0, 1.0])
-    optimiser.curvature = Flat()
+    optimiser.preconditioner = Flat()
     optimiser.step(fresh=False)
     assert optimiser.take_count() == 3  # the start's, one that is five times too long, and the least point
     assert optimiser.value == pytest.approx(0.0, abs=1e-9)

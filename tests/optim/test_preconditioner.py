@@ -11,7 +11,7 @@ from deepir.burst import Burst
 from deepir.closed_form.variable_projection import COLUMN
 from deepir.config import load
 from deepir.optim.objective import objective
-from deepir.optim.preconditioner import Preconditioner, slow_waves
+from deepir.optim.preconditioner import Preconditioner, low_frequencies
 from deepir.optim.solve import solve
 from deepir.priors.penalties.ridge import Ridge
 from deepir.problems.initial_estimate import start_scene
@@ -81,9 +81,9 @@ def test_it_saves_iterations(problem, monkeypatch):
 
 
 def test_it_stands_aside_for_other_scenes_than_pixels_behind_a_warp(problem):
-    from deepir.optim.preconditioner import curvature
+    from deepir.optim.preconditioner import make_preconditioner
 
-    assert curvature(problem, [problem.fields["motion"].values], ["offset"]) is None
+    assert make_preconditioner(problem, [problem.fields["motion"].values], ["offset"]) is None
     assert isinstance(problem.penalties["scene"]["prior"], Ridge)
 
 
@@ -156,7 +156,7 @@ def fitted(problem, *, fine):
     """How the scene changes in a few iterations."""
     steps, scene = (Step(("scene",)), Step(("offset",), "eliminate")), problem.fields["scene"]
     before = scene().detach()
-    solve(problem, [Stage("scene", steps, iterations=8, tolerance=0.0, fine=fine)])
+    solve(problem, [Stage("scene", steps, iterations=8, tolerance=0.0, high_frequencies_only=fine)])
     return (scene().detach() - before)[0, 0]
 
 
@@ -165,11 +165,11 @@ def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatc
         "deepir.optim.preconditioner.MIN_FRAMES_SEEN", -1.0
     )  # a rim that stays has slow waves of its own
     shape = problem.fields["scene"].shape
-    slow, start = slow_waves(shape, torch.device("cpu")), copy.deepcopy(problem.state_dict())
+    slow, start = low_frequencies(shape, torch.device("cpu")), copy.deepcopy(problem.state_dict())
     moved = {}
     for fine in (True, False):
         problem.load_state_dict(start)
-        change = torch.fft.rfft2(fitted(problem, fine=fine)).abs().square()
+        change = torch.fft.rfft2(fitted(problem, high_frequencies_only=fine)).abs().square()
         moved[fine] = float(change[slow].sum()), float(change[~slow].sum())
     assert moved[True][0] < 0.05 * moved[False][0]
     assert moved[True][1] > 0.5 * moved[False][1]
@@ -177,6 +177,6 @@ def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatc
 
 def test_where_no_frame_looks_the_fine_does_not_move(problem):
     problem.precision[..., :20, :] = 0
-    change = fitted(problem, fine=True).abs()
+    change = fitted(problem, high_frequencies_only=True).abs()
     assert float(change[:16].max()) == 0
     assert float(change[28:-8, 8:-8].min()) > 0

@@ -14,7 +14,8 @@ from deepir.fields.base import Shape
 from deepir.priors.penalties.smoothed_norm import SmoothedNorm
 from deepir.registry import register
 
-SIDE = 5  # px: of a filter
+#: Side of a filter, px.
+FILTER_SIDE = 5
 #: Where training starts: with first, diagonal, second and mixed differences.
 DIFFERENCES = (
     ((0, 0, 0), (0, -1, 1), (0, 0, 0)),
@@ -106,7 +107,7 @@ def foe_energy(
     Args:
         value: (..., H, W).
         weight_map: (..., H, W), or a scalar.
-        filters: (C, SIDE, SIDE).
+        filters: (C, FILTER_SIDE, FILTER_SIDE).
         costs: Weight w_c of each filter, (C,).
         tails: Response t_c above which the cost grows as a square root, (C,), units of the value.
         epsilon: Smoothing length e, units of the value.
@@ -130,7 +131,7 @@ def filter_magnitudes(value: Tensor, filters: Tensor, epsilon: Tensor | float, s
 
 def central_weights(weight_map: Tensor, shape: Shape) -> Tensor:
     """How much the places count in whose middle a filter can lie, (..., 1, H - 4, W - 4)."""
-    inside = slice(SIDE // 2, -(SIDE // 2))
+    inside = slice(FILTER_SIDE // 2, -(FILTER_SIDE // 2))
     return weight_map.expand(*weight_map.shape[:-2], *shape[-2:])[..., None, inside, inside]
 
 
