@@ -9,8 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-FOLD = 2  # px of a side that become channels: a quarter of the positions, at no loss
-MARGIN = 16  # px: what the network makes up beyond the picture's edge does not reach further
+#: Side of the pixel blocks that become channels, px.
+FOLD = 2
+#: Padding beyond the border, px: its influence does not reach further.
+PADDING = 16
 
 
 class Residual(nn.Module):
@@ -71,10 +73,10 @@ class UNet(nn.Module):
     def of_any_size(self, picture: Tensor, sigma: Tensor | float) -> Tensor:
         """The same for H and W that need not be multiples: the picture goes on as it is at its edges."""
         height, width = picture.shape[-2:]
-        bottom, right = (MARGIN + -side % self.multiple for side in (height, width))
-        padded = F.pad(picture, (MARGIN, right, MARGIN, bottom), mode="replicate")
+        bottom, right = (PADDING + -side % self.multiple for side in (height, width))
+        padded = F.pad(picture, (PADDING, right, PADDING, bottom), mode="replicate")
         out: Tensor = self(padded, sigma)
-        return out[..., MARGIN : MARGIN + height, MARGIN : MARGIN + width]
+        return out[..., PADDING : PADDING + height, PADDING : PADDING + width]
 
     def _filters(self) -> Tensor:
         """Those of the first layer, blind to the picture's level."""

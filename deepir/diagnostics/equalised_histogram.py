@@ -6,7 +6,8 @@ import numpy as np
 
 from deepir.io.display_range import Array
 
-EQUAL = 0.01  # of the samples: equalised frames have so many of each range of values; others are 0.13 and more off
+#: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
+MAX_DISTANCE_FROM_UNIFORM = 0.01
 
 
 def is_equalised(frames: Array) -> bool:
@@ -16,7 +17,10 @@ def is_equalised(frames: Array) -> bool:
         if len(values) < 3:
             return False
         below = counts[1:].cumsum() / counts[1:].sum()
-        if np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max() > EQUAL:
+        if (
+            np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max()
+            > MAX_DISTANCE_FROM_UNIFORM
+        ):
             return False
     return True
 

@@ -9,12 +9,20 @@ from deepir.registration.gauss_newton import tukey
 from deepir.registration.preprocess import preprocess
 from deepir.registration.pyramid import Level, broad, sample
 
-SIDE, MOST = 320, 10  # px and frames: the middle of larger frames, and the first of more, tell enough
-ENOUGH = 3  # frames: a scene and a pattern explain any two
-PASSES = 3  # over scene and pattern
-CLASSES = 4  # of rows: two of each field
-CERTAIN = 5.0  # times as far apart as rows of one field; progressive frames come to 2.5, interlaced ones to 9 and more
-LEAST = 0.1  # px: what asks for less is little apart
+#: Largest side of the central crop that is examined, px.
+MAX_CROP_SIDE = 320
+#: Most frames that are examined.
+MAX_FRAMES = 10
+#: Fewest frames: a scene and a pattern explain any two.
+MIN_FRAMES = 3
+#: Alternations between scene and pattern.
+N_ALTERNATIONS = 3
+#: Row classes modulo which shifts are estimated: two of each field.
+N_ROW_CLASSES = 4
+#: Shift between fields relative to that within a field; 2.5 at most in progressive frames, 9 at least in interlaced.
+MIN_FIELD_SHIFT_RATIO = 5.0
+#: Smallest shift between fields that counts, px.
+MIN_FIELD_SHIFT = 0.1
 
 
 @torch.no_grad()
@@ -23,20 +31,22 @@ def are_interlaced(frames: Tensor, motion: Tensor, ignore: Tensor | None = None)
 
     Rows of one field, two and two, say how far chance sets rows apart. ignore: `(H, W)` bool, pixels without use.
     """
-    if len(frames) < ENOUGH:
+    if len(frames) < MIN_FRAMES:
         return False
-    steps = row_class_shifts(middle(frames[:MOST]), motion[:MOST], None if ignore is None else middle(ignore))
+    steps = row_class_shifts(
+        centre_crop(frames[:MAX_FRAMES]), motion[:MAX_FRAMES], None if ignore is None else centre_crop(ignore)
+    )
     first, second, third, fourth = steps.unbind()
     between = (first - second + third - fourth) / 2
     within = torch.stack((first + second - third - fourth, first - second - third + fourth)) / 2
     apart, chance = (float(each.square().sum(-1).mean().sqrt()) for each in (between, within))
-    return apart > max(LEAST, CERTAIN * chance)
+    return apart > max(MIN_FIELD_SHIFT, MIN_FIELD_SHIFT_RATIO * chance)
 
 
-def middle(images: Tensor) -> Tensor:
+def centre_crop(images: Tensor) -> Tensor:
     """The middle of images `(..., H, W)`, about the same centre."""
     for axis in (-2, -1):
-        cut = max(0, -(-(images.shape[axis] - SIDE) // 2))
+        cut = max(0, -(-(images.shape[axis] - MAX_CROP_SIDE) // 2))
         images = images.narrow(axis, cut, images.shape[axis] - 2 * cut)
     return images
 
@@ -51,7 +61,7 @@ def row_class_shifts(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> T
     flat -= weight * torch.stack([broad(frame[None])[0] for frame in flat])
     level = Level(1, flat, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
     pattern = torch.zeros_like(weight)
-    for _ in range(PASSES):
+    for _ in range(N_ALTERNATIONS):
         pulled, known = sample(flat - pattern, torch.linalg.inv(motion), level)
         scene, seen = sample((pulled.sum(0) / known.sum(0).clamp_min(1))[None], motion, level)
         rest = (flat - scene) * seen
@@ -62,8 +72,8 @@ def row_class_shifts(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> T
     slope_x, slope_y = scene[:, 1:-1, 2:] - scene[:, 1:-1, :-2], scene[:, 2:, 1:-1] - scene[:, :-2, 1:-1]
     each = torch.stack((slope_x / 2, slope_y / 2, torch.ones_like(slope_x)), 1).double()
     found = []
-    for row in range(CLASSES):
-        some = [image[..., row::CLASSES, :].flatten(-2) for image in (each, trust, rest[:, 1:-1, 1:-1])]
+    for row in range(N_ROW_CLASSES):
+        some = [image[..., row::N_ROW_CLASSES, :].flatten(-2) for image in (each, trust, rest[:, 1:-1, 1:-1])]
         design, right = some[0] * some[1][:, None], some[2].double()
         normal = design @ some[0].mT + 1e-9 * torch.eye(3, dtype=torch.float64)
         found.append(torch.linalg.solve(normal, design @ right[:, :, None])[:, :2, 0])

@@ -22,12 +22,16 @@ from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import log_likelihood_ratio
 
-BESIDE = 2  # px: noise in the motion and the scene's interpolation reach one
-OUTLIER = 4.0  # robust standard deviations at which values are cut off
-#: Correlation of pixels so far apart from which a pattern is a picture; those that were found right have 0.08 at most.
-ALIKE = 0.1
-FAINT = 0.2  # of the scene: what is less may be of a sensor that was corrected with a scene in view
-MOVES = 0.3  # nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong
+#: Distance at which the correlation is taken, px: noise of the motion and interpolation reach one.
+PATTERN_DISTANCE = 2
+#: Value at which the pattern is clipped, robust standard deviations.
+PATTERN_CLIP_SIGMAS = 4.0
+#: Correlation from which a pattern is a picture; 0.08 at most in patterns that were right.
+MIN_PATTERN_CORRELATION = 0.1
+#: Contrast of the pattern relative to the scene; less may come from a correction with a scene in view.
+MIN_PATTERN_CONTRAST = 0.2
+#: Log-likelihood ratio of motion against rest that excludes a wrong motion, nats per sample; 0.1 at most in wrong ones.
+MIN_MOTION_NATS = 0.3
 
 
 @torch.no_grad()
@@ -39,10 +43,14 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     values = problem.values()
     flux = problem.flux(values)
     problem.eliminate(values, problem.closed_form(), flux=flux)
-    log_likelihood_ratio, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
-    shown = (log_likelihood_ratio * flux.median() + offset).expand_as(flux[:1])
-    pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
-    if pattern.std() < FAINT * scene.std() or _alike(pattern, problem.alive()) < ALIKE or _moves(problem):
+    gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    shown = (gain * flux.median() + offset).expand_as(flux[:1])
+    pattern, scene = (_high_pass(each[0, 0], problem.alive()) for each in (shown, flux))
+    if (
+        pattern.std() < MIN_PATTERN_CONTRAST * scene.std()
+        or _correlation(pattern, problem.alive()) < MIN_PATTERN_CORRELATION
+        or _motion_is_certain(problem)
+    ):
         return []
     return [
         "the fixed pattern that was found looks like a picture, as where the camera stands still and something else "
@@ -51,27 +59,27 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     ]
 
 
-def _moves(problem: Problem) -> bool:
+def _motion_is_certain(problem: Problem) -> bool:
     """Whether a motion that was found of whole frames makes them clearly likelier than rest."""
     motion = problem.field_of(problem.slot(Warp, "motion"))().double().cpu()
     if motion.shape != (len(problem.data), 3, 3):
         return False
     flat, weight = preprocess(problem.data[:, 0].cpu(), ~problem.alive().cpu())
-    return log_likelihood_ratio(search_level(flat, weight), identity(len(motion)), motion) > MOVES
+    return log_likelihood_ratio(search_level(flat, weight), identity(len(motion)), motion) > MIN_MOTION_NATS
 
 
-def _rough(image: Tensor, good: Tensor) -> Tensor:
+def _high_pass(image: Tensor, good: Tensor) -> Tensor:
     """An image (h, w) less its lines and all that is smooth, outliers cut off; zero where it is not good."""
     image = image.double()
     image = image - image.median(1, keepdim=True).values
     image = image - image.median(0, keepdim=True).values
     image = image - polynomials(*image.shape, image.device).project(image)
-    limit = OUTLIER * MAD_TO_SIGMA * median(image.abs())
+    limit = PATTERN_CLIP_SIGMAS * MAD_TO_SIGMA * median(image.abs())
     return image.clamp(-limit, limit) * good
 
 
-def _alike(image: Tensor, good: Tensor) -> float:
-    """Correlation of pixels that are `BESIDE` px apart, along rows and columns."""
+def _correlation(image: Tensor, good: Tensor) -> float:
+    """Correlation of pixels that are `PATTERN_DISTANCE` px apart, along rows and columns."""
     found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
     middle = len(found) // 2
-    return float(found[middle, middle + BESIDE] + found[middle + BESIDE, middle]) / 2
+    return float(found[middle, middle + PATTERN_DISTANCE] + found[middle + PATTERN_DISTANCE, middle]) / 2

@@ -9,9 +9,14 @@ from torch import Tensor
 from deepir.arrays.noise_level import mixed_difference
 from deepir.arrays.statistics import subsample
 
-ENOUGH, LEAST = 40_000, 200  # samples of all frames, and of each
-BULK = 0.75  # share of the samples that count: edges of the scene do not
-APART = 1.3  # times as far from each other: frames of two patterns
+#: Samples of all frames that suffice.
+MAX_SAMPLES = 40_000
+#: Fewest samples of a frame.
+MIN_SAMPLES_PER_FRAME = 200
+#: Fraction of the smallest differences that count: the others are edges of the scene.
+BULK_FRACTION = 0.75
+#: Distance between two groups of frames relative to that within them from which their patterns differ.
+MIN_SEPARATION = 1.3
 
 
 @torch.no_grad()
@@ -25,11 +30,13 @@ def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
     if n < 4:
         return whole
     fine, counts = mixed_difference(frames, usable.all(0).expand_as(usable))
-    some, known = subsample(fine[:, None], counts[:, None], max_samples=max(LEAST, ENOUGH // n))
+    some, known = subsample(
+        fine[:, None], counts[:, None], max_samples=max(MIN_SAMPLES_PER_FRAME, MAX_SAMPLES // n)
+    )
     some = some[:, known[0]]
     if not some.numel():
         return whole
-    bulk = max(1, int(BULK * some.shape[1]))
+    bulk = max(1, int(BULK_FRACTION * some.shape[1]))
     values = some.numpy()
     apart = np.stack([np.partition(np.abs(values - one), bulk - 1)[:, :bulk].mean(1) for one in values])
 
@@ -38,7 +45,7 @@ def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
         return float(apart[:at, at:].min()) / max(within, 1e-30)
 
     at = max(range(2, n - 1), key=stands_out)
-    if stands_out(at) < APART:
+    if stands_out(at) < MIN_SEPARATION:
         return whole
     return slice(0, at) if 2 * at >= n else slice(at, n)
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from deepir.effects.effect import Effect
 from deepir.effects.sensor_pattern import update_parts
-from deepir.estimation.variance_components import marginal
+from deepir.estimation.variance_components import reference_level_nats
 from deepir.operators import Sensor
 from deepir.problem import Problem, Values
 from deepir.registry import register
@@ -81,7 +81,7 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
     data = problem.data[problem.precision > 0].double().cpu().numpy() + reference
 
     def nats(level: float) -> float:
-        return marginal(information, means, sigma, level - reference)
+        return reference_level_nats(information, means, sigma, level - reference)
 
     low, high = min(0.0, float(data.min())), max(0.0, float(data.max()))
     levels = sorted({low, 0.0, high, *np.multiply(SHARES, data.mean()), *np.quantile(data, QUANTILES)})

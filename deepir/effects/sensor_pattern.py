@@ -13,7 +13,7 @@ from deepir.effects.bad_pixels import pattern_outliers
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.line_levels import line_noise_fields
 from deepir.estimation.residuals import temporal_mean
-from deepir.estimation.variance_components import MAX_SIGMA_RATIO, high_pass, likeliest
+from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.problem import Problem
@@ -106,7 +106,9 @@ def update_parts(problem: Problem) -> None:
                 if p and not p.sigma_is_fixed and p.constant_axes not in unasked
             ]
             quick = high_order(means) if any(part and part.constant_axes for part in parts) else means
-            for part, found in zip(parts, likeliest(information, quick, sigma, most, free), strict=True):
+            for part, found in zip(
+                parts, estimate_sigmas(information, quick, sigma, most, free), strict=True
+            ):
                 if part and not part.sigma_is_fixed:
                     part.sigma.copy_(found)
 

@@ -19,18 +19,25 @@ from torch import Tensor
 from deepir.arrays.statistics import masked_values, median
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.estimation.line_levels import has_line_noise, subtract_line_means
-from deepir.estimation.low_order_evidence import RARE, frame_level_offsets
+from deepir.estimation.low_order_evidence import MIN_LOG_BAYES_FACTOR_DRIFT, frame_level_offsets
 from deepir.estimation.marginal_likelihood import MarginalLikelihood, normal_matrix
 from deepir.fields.base import Field
 from deepir.fields.shading import Shading
 from deepir.optim.low_order_model import LowOrderModel, Variances, expected_variances
 from deepir.problem import Problem
 
-SAMPLES = 16_000  # pixels at most that are asked
-OUTLIER = 7.5  # medians of the residuals' size at which they are cut off
-FEW = 1000  # of them at a time
-WRONG = 2  # degree up to which frames' slow parts may be wrong
-COARSE, FINE = 9, 7  # strengths on each axis of the search
+#: Pixels of a frame that are used, at most.
+MAX_PIXELS = 16_000
+#: Residual at which samples are clipped, in median absolute deviations.
+RESIDUAL_CLIP_MADS = 7.5
+#: Pixels of a block whose columns fit into the cache.
+PIXELS_IN_CACHE = 1000
+#: Degree up to which the low-order parts of a frame may be wrong.
+MAX_ERROR_DEGREE = 2
+#: Standard deviations on each axis of the coarse search.
+N_COARSE_SIGMAS = 9
+#: Standard deviations on each axis of the fine search, an octave to either side.
+N_FINE_SIGMAS = 7
 
 
 class GainOffsetEvidence:
@@ -46,9 +53,9 @@ class GainOffsetEvidence:
         problem.eliminate(values, problem.closed_form(), flux=flux)
         self.low_order = LowOrderModel(problem, tuple(values["scene"].shape))
         frame = self.low_order.frame
-        self.low = (frame.order_y + frame.order_x <= WRONG) & (doubt is not None)
+        self.low = (frame.order_y + frame.order_x <= MAX_ERROR_DEGREE) & (doubt is not None)
         self.doubt = frame.relative_sigma[self.low] if doubt is None else doubt[1:][self.low]  # none, or some
-        step = math.ceil((flux[0].numel() / SAMPLES) ** 0.5)
+        step = math.ceil((flux[0].numel() / MAX_PIXELS) ** 0.5)
         some = slice(1, -1, step), slice(1, -1, step)
         seen = flux, problem.data - frame_level_offsets(problem), problem.fitted()
         self.shape = flux[0, 0, *some].shape
@@ -57,7 +64,7 @@ class GainOffsetEvidence:
         self.spread = float(masked_values(data, precision > 0).std())
         of_gain, of_offset = (_variances(field) for field in gain_and_offset(problem))
         gain, offset = (
-            _quick_lines(field, frame)[some].to(flux).flatten() for field in gain_and_offset(problem)
+            _high_order_lines(field, frame)[some].to(flux).flatten() for field in gain_and_offset(problem)
         )
         residual = data - (1 + gain) * z - offset
         pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
@@ -67,18 +74,18 @@ class GainOffsetEvidence:
         ]
         left = masked_values(residual, precision > 0)
         middle = median(left)
-        limit = OUTLIER * median((left - middle).abs())
+        limit = RESIDUAL_CLIP_MADS * median((left - middle).abs())
         residual = middle + (residual - middle).clamp(-limit, limit)
         z = z.double() / self.level
         own = torch.stack((pixels[0] ** 0.5 * z, pixels[1] ** 0.5 * torch.ones_like(z)), 1)
         terms = frame.sample_basis(*some)
-        moves = _moves(flux[:, 0], step).double()
+        moves = _motion_derivatives(flux[:, 0], step).double()
         moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
         shown = (data - problem.middle()).double() / self.spread if contrasts else z[:0]
         maps = terms, z, moves, shown, residual.double(), precision.double(), own
         normal = z.new_zeros(())
         jump = has_line_noise(problem)
-        count = self.shape.numel() if jump else FEW  # few are in the cache
+        count = self.shape.numel() if jump else PIXELS_IN_CACHE  # few are in the cache
         for *few, told, of_pixels in zip(*(each.split(count, -1) for each in maps), strict=True):
             normal = normal + normal_matrix(self._columns(*few, jump=jump), told, of_pixels)
         self.count = len(flux)
@@ -112,18 +119,28 @@ class GainOffsetEvidence:
             yield columns
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
-        """Least nats, of which a drift costs `RARE`, and strengths of the offset, the drift and the gain."""
-        grid = self.spread * torch.logspace(-3.5, 0.5, COARSE, dtype=torch.float64)
+        """Standard deviations of maximum marginal likelihood.
+
+        Args:
+            shaded: Whether shading of the gain is a candidate.
+            drift: Whether drift is a candidate, at the cost of `MIN_LOG_BAYES_FACTOR_DRIFT` nats.
+
+        Returns:
+            Negative log marginal likelihood, nats; standard deviations of the offset's shading, drift, gain's shading.
+        """
+        grid = self.spread * torch.logspace(-3.5, 0.5, N_COARSE_SIGMAS, dtype=torch.float64)
         zero = grid.new_zeros(1)
-        near = 2 ** torch.linspace(-1, 1, FINE, dtype=torch.float64)
+        near = 2 ** torch.linspace(-1, 1, N_FINE_SIGMAS, dtype=torch.float64)
         found = []
         for drifts in (False, True)[: 1 + drift]:
-            gains = torch.logspace(-3, -0.5, COARSE, dtype=torch.float64) if shaded else zero
+            gains = torch.logspace(-3, -0.5, N_COARSE_SIGMAS, dtype=torch.float64) if shaded else zero
             coarse = torch.cartesian_prod(grid, grid if drifts else zero, gains)
             start = coarse[self.nats(coarse).argmin()]
             finer = start * torch.cartesian_prod(near, *(near if s > 0 else near[:1] for s in start[1:]))
             nats = self.nats(finer)
-            found.append((float(nats.min()) + RARE * drifts, finer[nats.argmin()].tolist()))
+            found.append(
+                (float(nats.min()) + MIN_LOG_BAYES_FACTOR_DRIFT * drifts, finer[nats.argmin()].tolist())
+            )
         return min(found)
 
     def contrasts(self) -> Tensor:
@@ -134,7 +151,7 @@ class GainOffsetEvidence:
         return 1 + found / self.spread
 
     def nats(self, strengths: Tensor) -> Tensor:
-        """Minus the evidence's logarithm, up to a constant."""
+        """Negative log marginal likelihood, nats up to a constant, (K,), of standard deviations (K, 3)."""
         return self.evidence.nats(self._prior(strengths))
 
     def _prior(self, strengths: Tensor) -> Tensor:
@@ -148,13 +165,13 @@ class GainOffsetEvidence:
 
 
 def gain_and_offset(problem: Problem) -> list[Field]:
-    """Of gain and offset."""
+    """The fields of the sensor's gain and offset."""
     last = problem.operator.named()[-1][0]
     return [problem.field_of(f"{last}.{slot}") for slot in ("gain", "offset")]
 
 
 def _variances(field: Field) -> Variances:
-    """Of the values of pixels, columns and rows."""
+    """Prior variances of the pixel, column and row parts of a field."""
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0}
     for part in field.parts():
         if not isinstance(part, Shading):
@@ -162,7 +179,7 @@ def _variances(field: Field) -> Variances:
     return found
 
 
-def _quick_lines(field: Field, frame: Shading) -> Tensor:
+def _high_order_lines(field: Field, frame: Shading) -> Tensor:
     """The columns and rows of gain or offset less what is slow of them, (h, w)."""
     lines = [part.values for part in field.parts() if not isinstance(part, Shading) and part.constant_axes]
     values = sum(lines, torch.zeros(1, dtype=torch.float64, device=frame.relative_sigma.device))
@@ -170,7 +187,7 @@ def _quick_lines(field: Field, frame: Shading) -> Tensor:
     return values - frame.project(values)
 
 
-def _moves(flux: Tensor, step: int) -> Tensor:
+def _motion_derivatives(flux: Tensor, step: int) -> Tensor:
     """How frames (N, h, w) change with a shift in x, in y, and a turn about the middle, at some pixels: (N, 3, K)."""
     height, width = flux.shape[1:]
     rows, columns = (slice(1, -1, step),) * 2

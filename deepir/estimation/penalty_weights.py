@@ -1,8 +1,4 @@
-"""Strengths from the data: how noisy the samples are, and how strong each part of gain and offset.
-
-Everything is estimated between the stages of a solve, from what the stage before it found, and stays fixed during a
-stage, so that the objective is one function.
-"""
+"""Weights of the scene's penalties; they are constant during a stage, so that its objective is one function."""
 
 from __future__ import annotations
 
@@ -14,9 +10,11 @@ from deepir.problem import Problem
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
-    """Set the weights of the scene's penalties: `factor` times what is given, or what suits the noise.
+    """Set the weights of the scene's penalties and adapt their state to the present scene.
 
-    What else they need they learn from the scene as it is.
+    Args:
+        problem: Its penalties are changed.
+        factor: Factor on the weight of the configuration, or on the default weight for the noise.
     """
     first = problem.operator.named()[0][1]
     with torch.no_grad():
@@ -28,10 +26,10 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
         noise = average * problem.operator.noise_gain
         if penalty.acts_on_pixels and first.moves:  # it sees pixels, not the spline's coefficients
             noise /= first.noise_gain
-        natural = penalty.default_weight(noise)
+        default = penalty.default_weight(noise)
         if isinstance(penalty, SpatiallyWeighted) and not penalty.adapts:  # by places, as the others do
-            natural *= 2 ** float(problem.plain)
-        natural *= 2 ** max(float(problem.plain) - penalty.smooth_scene_threshold, 0.0)
-        penalty.weight.fill_(factor * (natural if penalty.user_weight is None else penalty.user_weight))
+            default *= 2 ** float(problem.plain)
+        default *= 2 ** max(float(problem.plain) - penalty.smooth_scene_threshold, 0.0)
+        penalty.weight.fill_(factor * (default if penalty.user_weight is None else penalty.user_weight))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)

@@ -19,10 +19,16 @@ from torch import Tensor, nn
 from deepir.arrays.fill import fill_nearest
 from deepir.fields.psf.base import PSF
 
-#: Of the scene's power spectrum: the mean of natural scenes, and how far it is followed.
-SLOPE, SPREAD = 2.4, 0.13
-LEAST = 0.15  # radians a px: slower waves are few, and of the scene's large shapes
-BEST, ITERATIONS = 3, 40  # starts that are followed, and how far
+#: Mean exponent of the power spectrum of natural scenes (Field 1987, Burton and Moorhead 1987).
+SPECTRAL_EXPONENT = 2.4
+#: Standard deviation of that exponent in the prior.
+SPECTRAL_EXPONENT_SIGMA = 0.13
+#: Lowest frequency that is used, radians per px: below, few waves represent large shapes of the scene.
+MIN_FREQUENCY = 0.15
+#: Starting points from which the likelihood is maximised.
+N_REFINED_STARTS = 3
+#: Most iterations of a maximisation.
+MAX_REFINEMENT_ITERATIONS = 40
 
 
 def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
@@ -33,12 +39,12 @@ def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
         frames: (N, 1, h, w), their pattern taken out.
         usable: Where they count, bool; elsewhere they are like their nearest neighbour.
     """
-    misfit, trial = _Misfit(fill_nearest(frames, usable)), copy.deepcopy(field).double()
+    misfit, trial = _WhittleLikelihood(fill_nearest(frames, usable)), copy.deepcopy(field).double()
     # The likelihood has several optima in the width, so that it is asked at many first, and followed from the best.
-    starts = sorted(trial.starts(), key=lambda start: _minimised(misfit, trial, start, []))
+    starts = sorted(trial.starts(), key=lambda start: _minimise_from(misfit, trial, start, []))
     ends = []
-    for start in starts[:BEST]:
-        loss = _minimised(misfit, trial, start, list(trial.parameters()))
+    for start in starts[:N_REFINED_STARTS]:
+        loss = _minimise_from(misfit, trial, start, list(trial.parameters()))
         ends.append((loss, copy.deepcopy(trial.state_dict())))
     loss, state = min(ends, key=lambda end: end[0])
     field.load_state_dict(state)
@@ -50,12 +56,12 @@ def spectral_noise(psf: Tensor, frames: Tensor, usable: Tensor) -> float:
 
     Arguments as for `fit_psf`. A texture, which looks like noise from pixel to pixel, does not pass a blur.
     """
-    misfit = _Misfit(fill_nearest(frames, usable))
-    noise = _followed(misfit, lambda: misfit.response(psf.double()), [])[1][2]
+    misfit = _WhittleLikelihood(fill_nearest(frames, usable))
+    noise = _minimise(misfit, lambda: misfit.response(psf.double()), [])[1][2]
     return math.sqrt(misfit.unit * math.exp(noise))
 
 
-class _Misfit:
+class _WhittleLikelihood:
     """Minus the logarithm of Whittle's likelihood of the frames' spectrum.
 
     Power has an exponential distribution about its mean, here `(A f^-p |pixel|² |psf|² + noise)`.
@@ -66,7 +72,7 @@ class _Misfit:
         self.size = (int(frames.shape[-2]), int(frames.shape[-1]))
         squared = y**2 + x**2
         # Lines along the axes are the sensor's rows and columns.
-        self.used = (squared > LEAST**2) & (y != 0) & (x != 0)
+        self.used = (squared > MIN_FREQUENCY**2) & (y != 0) & (x != 0)
         self.unit = float(power[self.used].median())
         self.power, self.logarithm = power[self.used] / self.unit, squared[self.used].log()
         self.pixel = (torch.sinc(y / (2 * math.pi)) * torch.sinc(x / (2 * math.pi)))[self.used].square()
@@ -79,21 +85,29 @@ class _Misfit:
     def __call__(self, response: Tensor, scene: Tensor) -> Tensor:
         amplitude, slope, noise = scene
         expected = response * torch.exp(amplitude - slope / 2 * self.logarithm) + noise.exp()
-        return (expected.log() + self.power / expected).sum() + ((slope - SLOPE) / SPREAD) ** 2 / 2
+        return (expected.log() + self.power / expected).sum() + (
+            (slope - SPECTRAL_EXPONENT) / SPECTRAL_EXPONENT_SIGMA
+        ) ** 2 / 2
 
 
-def _minimised(misfit: _Misfit, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]) -> float:
+def _minimise_from(
+    misfit: _WhittleLikelihood, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]
+) -> float:
     """The least misfit over the scene's spectrum, the noise, and what is free of the field, from a start."""
     field.load_state_dict(start)
-    return _followed(misfit, lambda: misfit.response(field()), free)[0]
+    return _minimise(misfit, lambda: misfit.response(field()), free)[0]
 
 
-def _followed(
-    misfit: _Misfit, response: Callable[[], Tensor], free: list[nn.Parameter]
+def _minimise(
+    misfit: _WhittleLikelihood, response: Callable[[], Tensor], free: list[nn.Parameter]
 ) -> tuple[float, list[float]]:
     """The least misfit over the scene's spectrum, the noise and `free`; log amplitude, slope and log noise."""
-    scene = torch.tensor([0.0, SLOPE, -1.0], dtype=torch.float64, device=misfit.power.device).requires_grad_()
-    optimiser = torch.optim.LBFGS([*free, scene], max_iter=ITERATIONS, line_search_fn="strong_wolfe")
+    scene = torch.tensor(
+        [0.0, SPECTRAL_EXPONENT, -1.0], dtype=torch.float64, device=misfit.power.device
+    ).requires_grad_()
+    optimiser = torch.optim.LBFGS(
+        [*free, scene], max_iter=MAX_REFINEMENT_ITERATIONS, line_search_fn="strong_wolfe"
+    )
     with torch.no_grad():
         known = None if free else response()
 

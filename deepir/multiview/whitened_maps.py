@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.statistics import robust_std
-from deepir.estimation.variance_components import MAX_SIGMA_RATIO, high_pass, likeliest
+from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.multiview.gradients import Edges
 
@@ -81,7 +81,7 @@ class WhiteParts:
             for name in ("sigma", "max_sigma")
         )
         means = self.split(values).flatten(1)
-        found = likeliest(information, means, sigma, most, free)
+        found = estimate_sigmas(information, means, sigma, most, free)
         for i in free:
             self.pair[i].sigma.copy_(found[i].clamp(min=LOW * most[i]))  # type: ignore[union-attr]
 

@@ -70,7 +70,7 @@ class Deconv(Recipe):
             start_scene(problem)
         hold_out(problem, seed, max(LEAST, HELD_OUT_FRACTION / len(problem.data)))
         weigh_scene(problem, self.sensor_weight)
-        start_trials(problem, afresh=True)
+        start_trials(problem, restart=True)
 
     def plan(self, problem: Problem) -> Schedule:
         """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
