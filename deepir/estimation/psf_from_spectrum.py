@@ -41,7 +41,7 @@ def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
     """
     misfit, trial = _WhittleLikelihood(fill_nearest(frames, usable)), copy.deepcopy(field).double()
     # The likelihood has several optima in the width, so that it is asked at many first, and followed from the best.
-    starts = sorted(trial.starts(), key=lambda start: _minimise_from(misfit, trial, start, []))
+    starts = sorted(trial.search_starts(), key=lambda start: _minimise_from(misfit, trial, start, []))
     ends = []
     for start in starts[:N_REFINED_STARTS]:
         loss = _minimise_from(misfit, trial, start, list(trial.parameters()))

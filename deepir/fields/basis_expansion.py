@@ -1,4 +1,4 @@
-"""Maps that few terms make: a low-order cosine transform, a profile about a centre."""
+"""Maps in a small linear basis: cosines over the frame, a radial profile."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from deepir.registry import register
 
 
 class BasisExpansion(GaussianField):
-    """`neutral + Σ a_i t_i` over the frame; the terms t_i have mean zero, and a_i the standard deviation `sigma`.
+    """`neutral + Σ a_i t_i` over the frame, with zero-mean terms t_i and Gaussian coefficients a_i.
 
-    `sigma`, in the data's units, is estimated from the burst if it is not given; without strength the map is zero.
-    A subclass says what the terms are, waves of a mean square of `1 / frequency⁴`, in half waves over the longer side:
-    the prior is `½ Σ |Δ s|²`, that of a bent plate.
+    A subclass defines the terms, waves of mean square `1 / frequency⁴`: the prior is the bending energy `½ Σ |Δ s|²`.
+
+    Args:
+        shape: (1, 1, h, w).
+        neutral: Value that leaves the data unchanged.
+        frequency: Of each term, half waves over the longer side, (terms,).
+        sigma: Standard deviation of the coefficients, data units; estimated if None. Zero: the map is neutral.
     """
 
     frequency: Tensor
@@ -49,7 +53,7 @@ class BasisExpansion(GaussianField):
         self.values.copy_(gram @ (terms @ (rest - rest.mean())) / self.preconditioning_scale)
 
     def sample_basis(self, step_y: int = 1, step_x: int = 1) -> Tensor:
-        """All terms at each so manieth pixel, (terms, h / step_y, w / step_x)."""
+        """All terms at every step-th pixel, (terms, h / step_y, w / step_x)."""
         one = torch.eye(len(self.values), dtype=self.values.dtype, device=self.values.device)
         return torch.stack([self.synthesise(each)[::step_y, ::step_x] for each in one])
 
@@ -60,7 +64,7 @@ class BasisExpansion(GaussianField):
 
 @register("field", "dct")
 class DCT(BasisExpansion):
-    """Cosines of up to `order` half waves over the longer side, without the constant: what is smooth."""
+    """Cosines of up to `order` half waves over the longer side, without the constant: a smooth map."""
 
     basis_y: Tensor
     basis_x: Tensor
@@ -94,7 +98,7 @@ class DCT(BasisExpansion):
         return self.basis_y.T.to(table) @ table @ self.basis_x.to(table)
 
     def sample_basis(self, step_y: int = 1, step_x: int = 1) -> Tensor:
-        """All terms, as above, from the cosines."""
+        """All terms at every step-th pixel, (terms, h / step_y, w / step_x)."""
         y, x = self.basis_y[self.order_y, ::step_y], self.basis_x[self.order_x, ::step_x]
         return (y / self.frequency[:, None].square())[..., None] * x[:, None]
 
@@ -123,9 +127,16 @@ def _cosines(side: int, count: int) -> Tensor:
 
 @register("field", "radial")
 class Radial(BasisExpansion):
-    """A profile about `centre` (y, x), in px from the frame's: cosines of up to `order` half waves of the radius.
+    """Radial profile about a centre: cosines of up to `order` half waves of the radius.
 
-    What lenses send back is so about their axis: a spot, a ring, darker corners.
+    Reflections of a lens are symmetric about its axis: a spot, a ring, darker corners.
+
+    Args:
+        shape: (1, 1, h, w).
+        neutral: Value that leaves the data unchanged.
+        order: Largest number of half waves.
+        centre: (y, x), px from the centre of the frame.
+        sigma: Standard deviation of the coefficients, data units; estimated if None.
     """
 
     profile: Tensor

@@ -11,16 +11,22 @@ from deepir.fields.base import Shape
 from deepir.fields.gaussian_field import GaussianField
 from deepir.registry import register
 
-#: Standard deviation of a step from one frame to the next, to that of what all steps have in common.
+#: Standard deviation of a step of the random walk, relative to that of the common trend per frame.
 WALK_SIGMA_RATIO = 1 / 8
 
 
 @functools.lru_cache(maxsize=8)
 def level_basis(count: int, device: torch.device) -> Tensor:
-    """What a steady change, and then each step of a random walk, make of the levels, (frames, unknowns), mean zero.
+    """Basis of the levels: a linear trend, then the steps of a random walk, each of zero mean.
 
-    A camera warms up or cools down: its level goes one way for a while, and where it goes by chance it stays. Levels
-    that were independent would have to pay for each frame.
+    A camera that warms up drifts in one direction for a while; independent levels would be penalised in each frame.
+
+    Args:
+        count: Number of frames N.
+        device: Of the result.
+
+    Returns:
+        (N, N), frames by unknowns, float64.
     """
     after = torch.ones(count, count, dtype=torch.float64, device=device).tril()
     after[:, 1:] *= WALK_SIGMA_RATIO
@@ -63,13 +69,13 @@ class Drift(GaussianField):
 
     @property
     def levels(self) -> Tensor:
-        """What is added to the known jumps, of mean zero."""
+        """Deviation from the known level offsets, of zero mean, (N, 1, 1, 1)."""
         made = level_basis(len(self.values), self.values.device).to(self.values)
         return torch.tensordot(made, self.preconditioning_scale * (self.sigma > 0) * self.values, 1)
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take the levels over, less their mean."""
+        """Represent the levels less their mean."""
         value = value.to(self.values).expand(self.shape) - self.neutral - self.level_offsets
         back = torch.linalg.pinv(level_basis(len(value), value.device)).to(value)
         self.values.copy_(torch.tensordot(back, value - value.mean(), 1) / self.preconditioning_scale)

@@ -1,4 +1,4 @@
-"""What fields have in common that one strength holds near neutral."""
+"""Base class of zero-mean Gaussian fields with one standard deviation."""
 
 from __future__ import annotations
 
@@ -11,9 +11,15 @@ from deepir.fields.base import Field, Shape
 
 
 class GaussianField(Field):
-    """A Gaussian field of few values; `sigma`, in data units, is found from the burst if it is not given.
+    """Zero-mean Gaussian deviation from neutral; neutral if `sigma` is zero.
 
-    Without strength it is neutral.
+    Args:
+        shape: Of the value.
+        neutral: Value that leaves the data unchanged.
+        sigma: Prior standard deviation, data units; estimated if None.
+
+    Raises:
+        ValueError: `sigma` is negative or not finite.
     """
 
     sigma: Tensor
@@ -25,5 +31,5 @@ class GaussianField(Field):
             raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
         self.sigma_is_fixed = sigma is not None
         self.register_buffer("sigma", torch.tensor(sigma or 0.0))
-        #: What a value moves for a step of one: all pixels of a frame feel it, see `Field`.
+        #: Change of the value per unit of a parameter, see `Field`.
         self.register_buffer("preconditioning_scale", torch.tensor(1.0))

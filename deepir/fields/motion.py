@@ -12,19 +12,23 @@ from deepir.fields.base import Field, Shape
 from deepir.operators.motion_models import nearest_angle, nearest_rigid
 from deepir.registry import register
 
-#: What a parameter that all samples feel moves for a step of one, times the detector's side in its own px: see
-#: `Field`. The misfit's curvature in a shift is about their number times that in a pixel of the scene, weighted by
-#: the scene's squared gradient.
+#: Displacement per unit of a parameter, detector px times the square root of the samples it affects. The curvature of
+#: the misfit in a shift is about the number of samples times that in a scene pixel times its squared gradient.
 PARAMETER_SCALE = 10.0
-#: What bends a frame by less, in px at its corners, is rigid.
-ROUNDING = 1e-3
+#: Deviation from a rigid motion at the corners of the frame that counts as rounding, px.
+RIGID_TOLERANCE = 1e-3
 
 
 class Motion(Field):
-    """Pull homographies (N, 3, 3); frame 0 is the identity, always.
+    """Parametric motion: homographies (N, 3, 3) from frame to scene, px; frame 0 is the identity.
 
-    Parameters are displacements in px at the edge of the frame, whose (h, w) is `size`, `ratio` px for each of the
-    detector's.
+    Parameters are displacements at the edge of the frame.
+
+    Args:
+        shape: (N, 3, 3).
+        neutral: Unused.
+        size: (h, w) of a frame, scene px.
+        ratio: Scene px per detector px.
     """
 
     n_parameters: ClassVar[int]
@@ -34,7 +38,7 @@ class Motion(Field):
     ) -> None:
         super().__init__(shape, neutral)
         self.radius = math.hypot(*size) / 2
-        self.n_samples_affected = size[0] * size[1]  # how many samples feel a step of one parameter
+        self.n_samples_affected = size[0] * size[1]
         self.preconditioning_scale = PARAMETER_SCALE * ratio / math.sqrt(self.n_samples_affected)
         self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.n_parameters))
 
@@ -46,7 +50,7 @@ class Motion(Field):
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take over `value` (N, 3, 3), relative to its frame 0; what the model lacks is dropped."""
+        """Represent homographies (N, 3, 3) relative to frame 0, projected onto the model."""
         value = value.double()
         relative = torch.linalg.solve(value[:1], value[1:])
         self.values.copy_(self.parameters_of(relative / relative[:, 2:, 2:]) / self.preconditioning_scale)
@@ -132,7 +136,7 @@ class Homography(Motion):
 
 @register("field", "auto")
 class Auto(Homography):
-    """Rigid, or a homography where the motion that it begins with bends by more than rounding."""
+    """Rigid motion, or homographies if the initial motion is not rigid."""
 
     model = "auto"
     uses_homography: Tensor
@@ -145,25 +149,25 @@ class Auto(Homography):
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take over `value` (N, 3, 3), relative to its frame 0, and whether it bends."""
+        """Represent homographies (N, 3, 3) relative to frame 0, and select the model."""
         value = value.double()
         relative = torch.linalg.solve(value[:1], value[1:])
         relative = relative / relative[:, 2:, 2:]
         bend = (relative - nearest_rigid(relative)).abs()
         bend[:, :, :2] *= self.radius
         bend[:, 2] *= self.radius
-        self.uses_homography.fill_(bool((bend > ROUNDING).any()))
+        self.uses_homography.fill_(bool((bend > RIGID_TOLERANCE).any()))
         super().init_from(value)
 
     @torch.no_grad()
     def switch_to_homography(self) -> None:
-        """Let a rigid motion bend, from where it is."""
+        """Switch from rigid motion to homographies at the present value."""
         now = self()[1:].double()
         self.uses_homography.fill_(True)
         self.values.copy_(self.parameters_of(now) / self.preconditioning_scale)
 
     def matrices(self, p: Tensor) -> Tensor:
-        """A homography; of rigid motion the last parameters are idle."""
+        """Homographies; the last parameters of a rigid motion are unused."""
         return super().matrices(p) if self.uses_homography else _rigid(p[:, :3], self.radius)
 
     def parameters_of(self, t: Tensor) -> Tensor:

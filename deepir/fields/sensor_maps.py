@@ -1,4 +1,4 @@
-"""Gain and offset as sums of Gaussian parts: columns, rows, single pixels."""
+"""Gain and offset as sums of Gaussian maps: columns, rows, pixels."""
 
 from __future__ import annotations
 
@@ -15,11 +15,18 @@ from deepir.registry import register
 
 
 class GaussianMap(Field):
-    """Independent Gaussian values with standard deviation `sigma`, constant along `constant_axes`.
+    """Independent Gaussian values, constant along `constant_axes`.
 
-    `sigma` is in the unknown's units (a fraction for a gain, counts for an offset); without it, it is
-    estimated from the burst. The parameters are whitened, `value / sigma`, and float64 whatever the output is:
-    see `deepir.closed_form.variable_projection`.
+    Parameters are whitened, `value / sigma`, and float64: see `deepir.closed_form.variable_projection`.
+
+    Args:
+        shape: (1, 1, h, w).
+        neutral: Value that leaves the data unchanged.
+        sigma: Prior standard deviation, units of the unknown (1 for a gain, data units for an offset); estimated if
+            None.
+
+    Raises:
+        ValueError: `sigma` is negative or not finite.
     """
 
     constant_axes: ClassVar[tuple[int, ...]] = ()
@@ -36,7 +43,7 @@ class GaussianMap(Field):
         self.sigma_is_fixed = sigma is not None
         self.register_buffer("center", torch.tensor(float(neutral)))  # neutral, in the output's type
         self.register_buffer("sigma", torch.tensor(0.0 if sigma is None else sigma, dtype=torch.float64))
-        # Bound of an estimated sigma.
+        # Upper bound of an estimated sigma.
         self.register_buffer("max_sigma", torch.tensor(math.inf, dtype=torch.float64))
 
     def forward(self) -> Tensor:
@@ -45,27 +52,27 @@ class GaussianMap(Field):
 
     @property
     def prior_sigma(self) -> Tensor:
-        """Prior standard deviation of what the whitened values stand for, broadcast against them."""
+        """Prior standard deviation of the values, broadcast against the whitened ones."""
         return self.sigma
 
     @property
     def values(self) -> Tensor:
-        """The deviation from neutral, float64, of length one along `constant_axes`."""
+        """Deviation from neutral, float64, of length one along `constant_axes`."""
         return self.prior_sigma * self.whitened
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """The mean along the axes on which the part is constant."""
+        """Represent the mean along `constant_axes`."""
         deviation = value.to(self.whitened).expand(self.shape) - self.neutral
         self.assign(deviation.mean(self.constant_axes, keepdim=True) if self.constant_axes else deviation)
 
     @torch.no_grad()
     def assign(self, values: Tensor) -> None:
-        """Set the deviation from neutral; a part whose sigma is zero stays zero."""
+        """Set the deviation from neutral; zero if sigma is zero."""
         self.whitened.copy_(values / self.sigma if self.sigma > 0 else torch.zeros_like(values))
 
     def map_variance(self, variance: Tensor) -> Tensor:
-        """Variance of the map, (1, 1, h or 1, w or 1), for that of what the whitened values stand for."""
+        """Variance of the map, (1, 1, h or 1, w or 1), from the variances of the values."""
         return variance
 
     def penalty(self) -> Tensor:
@@ -103,7 +110,7 @@ class Pixel(GaussianMap):
 
 
 class SumField(Field):
-    """The sum of several fields, `column+row+pixel` in a configuration; options go by the part's name."""
+    """Sum of fields, `column+row+pixel` in a configuration; options are given by member."""
 
     def __init__(self, shape: Shape, neutral: float, members: dict[str, Field]) -> None:
         super().__init__(shape, neutral)
@@ -119,7 +126,7 @@ class SumField(Field):
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Give each member, in turn, what those before it left."""
+        """Initialise the members in turn, each from the remainder of those before."""
         rest = value.expand(self.shape) - self.neutral
         for member in self.members.values():
             member.init_from(rest)  # type: ignore[operator]
@@ -131,6 +138,6 @@ class SumField(Field):
         return functools.reduce(torch.add, found) if found else None
 
     def parts(self) -> Sequence[GaussianMap]:
-        """All parts, if every member is made of parts; otherwise none: the sum has no closed form."""
+        """Gaussian maps of all members; () if a member has none, as the sum then has no closed form."""
         each = [member.parts() for member in self.members.values()]  # type: ignore[operator]
         return [part for parts in each for part in parts] if all(each) else ()

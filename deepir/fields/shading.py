@@ -1,4 +1,4 @@
-"""Shading: the smooth part of gain and offset, from the optics and the housing."""
+"""Shading: the low-order part of gain and offset, from optics and housing."""
 
 from __future__ import annotations
 
@@ -12,16 +12,21 @@ from deepir.fields.base import Shape, check_counts
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.registry import register
 
-DECAY = 0.1  # of the variance of a term, from a degree to the next
+#: Variance of a term relative to one of the next lower degree.
+VARIANCE_DECAY = 0.1
 
 
 @register("field", "shading")
 class Shading(GaussianMap):
-    """A polynomial over the frame, without a constant; `sigma` is that of each of its two slopes, root mean square.
+    """Polynomial over the frame without a constant, in products of discrete Legendre polynomials.
 
-    The terms are products of Legendre polynomials in y and x, orthogonal over the pixels, of a total degree up to
-    `degree`: what optics and housing do is mostly a slope and a bowl, and each degree has a tenth of the variance of
-    the one before.
+    Each degree has a tenth of the variance of the one below: optics and housing cause mostly slopes and bowls.
+
+    Args:
+        shape: (1, 1, h, w).
+        neutral: Value that leaves the data unchanged.
+        sigma: Prior standard deviation of each linear term, root mean square over the frame; estimated if None.
+        degree: Largest total degree.
     """
 
     #: The polynomials along each axis, (degree + 1, side), what powers they are made of, and which of them each term
@@ -58,13 +63,15 @@ class Shading(GaussianMap):
                 persistent=False,
             )
         self.register_buffer(
-            "relative_sigma", DECAY ** ((self.order_y + self.order_x - 1).double() / 2), persistent=False
+            "relative_sigma",
+            VARIANCE_DECAY ** ((self.order_y + self.order_x - 1).double() / 2),
+            persistent=False,
         )
         self.whitened = nn.Parameter(torch.zeros(len(orders), dtype=torch.float64))
 
     @property
     def prior_sigma(self) -> Tensor:
-        """Standard deviation of each term, (terms,)."""
+        """Prior standard deviation of each term, (terms,)."""
         return self.sigma * self.relative_sigma
 
     @property
@@ -75,7 +82,7 @@ class Shading(GaussianMap):
         return self.synthesise(self.prior_sigma * self.whitened)[None, None]
 
     def row_coefficients(self, terms: Tensor) -> Tensor:
-        """In each row a combination (..., h, degree + 1) of the polynomials `basis_x`; of coefficients (..., terms)."""
+        """Coefficients of `basis_x` in each row, (..., h, degree + 1), from those of the terms, (..., terms)."""
         table = terms.new_zeros(*terms.shape[:-1], len(self.basis_y), len(self.basis_x))
         table[..., self.order_y, self.order_x] = terms
         return self.basis_y.T @ table
@@ -90,15 +97,15 @@ class Shading(GaussianMap):
         return (y[:, :, None] * x[:, None]).flatten(1)
 
     def column_moments(self, maps: Tensor) -> Tensor:
-        """Sums of maps (..., h, w) down the columns, times each of the polynomials up to twice the degree."""
+        """Inner products of the columns of maps (..., h, w) with the extended polynomials, (..., 2 degree + 1, w)."""
         return self.extended_y @ maps
 
     def row_sums(self, maps: Tensor) -> Tensor:
-        """Sums of maps (..., h, w) with each term along each row, (..., terms, h)."""
+        """Inner products of each row of maps (..., h, w) with each term, (..., terms, h)."""
         return (maps @ self.basis_x.T).mT[..., self.order_x, :] * self.basis_y[self.order_y]
 
     def column_sums(self, down: Tensor) -> Tensor:
-        """Sums of maps with each term down each column, (..., terms, w), from `column_moments`."""
+        """Inner products of each column with each term, (..., terms, w), from `column_moments`."""
         return down[..., self.order_y, :] * self.basis_x[self.order_x]
 
     def evaluate(self, y: Tensor, x: Tensor) -> Tensor:
@@ -113,32 +120,32 @@ class Shading(GaussianMap):
         return along[0] * along[1]
 
     def analyse(self, maps: Tensor) -> Tensor:
-        """Sums of maps (..., h, w) with each term, (..., terms): the transpose of `synthesise`."""
+        """Inner products of maps (..., h, w) with each term, (..., terms): the transpose of `synthesise`."""
         return self.analyse_moments(self.column_moments(maps))
 
     def analyse_moments(self, down: Tensor) -> Tensor:
-        """The same from `column_moments`."""
+        """As `analyse`, from `column_moments`."""
         return (down[..., : len(self.basis_y), :] @ self.basis_x.T)[..., self.order_y, self.order_x]
 
     def project(self, maps: Tensor) -> Tensor:
-        """The level and polynomial that are nearest to maps (..., h, w), as such maps."""
+        """Least-squares projection of maps (..., h, w) onto level and polynomials, as maps."""
         area = maps.shape[-2] * maps.shape[-1]
         return maps.mean((-2, -1), keepdim=True) + self.synthesise(self.analyse(maps) / area)
 
     def gram(self, down: Tensor) -> Tensor:
-        """Sums of maps with each product of two terms, (..., terms, terms), from `column_moments`."""
+        """Inner products of maps with products of two terms, (..., terms, terms), from `column_moments`."""
         sums = self.products_y @ (down @ self.extended_x.T) @ self.products_x.T
         sums = sums.unflatten(-1, 2 * [len(self.basis_x)]).unflatten(-3, 2 * [len(self.basis_y)])
         return sums[..., self.order_y[:, None], self.order_y, self.order_x[:, None], self.order_x]
 
     def map_variance(self, variance: Tensor) -> Tensor:
-        """Variance of the map for that of the terms, couplings left out."""
+        """Variance of the map, (1, 1, h, w), from variances of the terms; covariances are neglected."""
         y, x = self.basis_y[self.order_y].square(), self.basis_x[self.order_x].square()
         return (variance * y.T @ x)[None, None]
 
     @torch.no_grad()
     def assign(self, values: Tensor) -> None:
-        """Set the deviation from neutral to the polynomial nearest to `values`, a map."""
+        """Set the deviation from neutral to the projection of a map `values`."""
         whole = values.expand(self.shape)[0, 0]
         terms = self.analyse(whole) / whole.numel()
         self.whitened.copy_(terms / self.prior_sigma if self.sigma > 0 else torch.zeros_like(terms))

@@ -13,7 +13,7 @@ from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
 from deepir.optim.fourier_hessian import MIN_CURVATURE_RATIO, additive_variances
-from deepir.optim.low_order_model import SHADING, LowOrderModel, Variances, expected_variances
+from deepir.optim.low_order_model import SHADING_KEY, LowOrderModel, Variances, expected_variances
 from deepir.problem import Problem
 
 
@@ -46,7 +46,8 @@ def low_order_inverse_hessian(
         else:  # a steady change is steps, too
             whole[mine, mine].diagonal().add_(1 / each.sigma.double().square())
     prior_variance = (
-        expected_variances(found, low_order.frame) + found[SHADING] * low_order.frame.relative_sigma.square()
+        expected_variances(found, low_order.frame)
+        + found[SHADING_KEY] * low_order.frame.relative_sigma.square()
     )
     whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / prior_variance.clamp(
         min=1e-30

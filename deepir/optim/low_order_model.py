@@ -33,7 +33,7 @@ N_SAMPLING_POINTS = 40
 #: Regularisation of the information of frames, relative to the mean of its diagonal: some frames have none.
 INFORMATION_RIDGE = 1e-12
 #: Key of the variance of the shading; no axes.
-SHADING = (-1, 1)
+SHADING_KEY = (-1, 1)
 
 #: Of the pattern's parts, by the axes along which they are constant.
 Variances = dict[tuple[int, ...], float]
@@ -151,13 +151,13 @@ def pattern_variances(
     )
     counts = precision > 0
     level = float(((data.square() * counts).sum() / counts.sum()).sqrt())
-    found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SHADING: 0.0}
+    found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SHADING_KEY: 0.0}
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
         for part in problem.fields[name].parts() if name in eliminated else ():
             if kind == "gain" and part.constant_axes in (COLUMN, ROW) and part.sigma > max_line_gain:
                 continue
-            found[SHADING if isinstance(part, Shading) else part.constant_axes] += (
+            found[SHADING_KEY if isinstance(part, Shading) else part.constant_axes] += (
                 float(part.sigma) * unit
             ) ** 2
     return found

@@ -137,7 +137,7 @@ def start_psf(problem: Problem) -> list[str]:
         if isinstance(field, PSF):
             fit_psf(field, frames, usable)
             if cut_off(field):
-                field.load_state_dict(next(field.starts()))
+                field.load_state_dict(next(field.search_starts()))
                 messages.append(
                     f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
                     f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius"

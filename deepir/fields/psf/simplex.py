@@ -9,7 +9,8 @@ from deepir.fields.base import Field, Shape
 from deepir.fields.motion import PARAMETER_SCALE
 from deepir.registry import register
 
-LEAST = 1e-4  # of the largest value, at a start: what is exactly zero would stay so
+#: Smallest initial value relative to the largest: exact zeros would remain zero.
+MIN_INITIAL_RATIO = 1e-4
 
 
 @register("field", "simplex")
@@ -35,7 +36,7 @@ class Simplex(Field):
     def init_from(self, value: Tensor) -> None:
         """Take over what is not negative, scaled to sum one."""
         value = value.to(self.values).expand(self.shape).clamp(min=0)
-        value = value.clamp(min=LEAST * float(value.max()))
+        value = value.clamp(min=MIN_INITIAL_RATIO * float(value.max()))
         self.values.copy_((value / value.sum()).sqrt() / self.preconditioning_scale)
 
     @classmethod
