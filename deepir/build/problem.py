@@ -71,7 +71,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     options = {k: v for k, v in fidelity.items() if k != "type"}
     compared: Fidelity = make("fidelity", kind, options, "fidelity")
     try:
-        compared.demand(data, usable)
+        compared.check_data(data, usable)
     except ValueError as error:
         raise ConfigError(f"fidelity: {error}") from error
     problem = Problem(

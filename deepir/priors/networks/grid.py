@@ -12,7 +12,8 @@ from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
-START = 1e-2  # standard deviation of the features at the begin
+#: Initial standard deviation of the features.
+INITIAL_FEATURE_SIGMA = 1e-2
 
 
 @register("field", "grid")
@@ -45,7 +46,7 @@ class Grid(Network):
         sizes = [[max(-(-side // 2**level), 2) for side in shape[-2:]] for level in range(levels)]
         sizes[0] = list(shape[-2:])
         self.grids = nn.ParameterList(
-            nn.Parameter(START * torch.randn(shape[0], features, *size)) for size in sizes
+            nn.Parameter(INITIAL_FEATURE_SIGMA * torch.randn(shape[0], features, *size)) for size in sizes
         )
         self.mix = nn.Sequential(
             nn.Conv2d(levels * features, width, 1), nn.GELU(), nn.Conv2d(width, width, 1), nn.GELU()

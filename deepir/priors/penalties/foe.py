@@ -16,8 +16,8 @@ from deepir.registry import register
 
 #: Side of a filter, px.
 FILTER_SIDE = 5
-#: Where training starts: with first, diagonal, second and mixed differences.
-DIFFERENCES = (
+#: Initial filters of training: first, diagonal, second and mixed differences.
+INITIAL_FILTERS = (
     ((0, 0, 0), (0, -1, 1), (0, 0, 0)),
     ((0, 0, 0), (0, -1, 0), (0, 1, 0)),
     ((0, 0, 0), (0, -1, 0), (0, 0, 1)),
@@ -27,22 +27,24 @@ DIFFERENCES = (
     ((0, 0, 0), (0, 1, -1), (0, -1, 1)),
     ((1, -2, 1), (-2, 4, -2), (1, -2, 1)),
 )
-THIN = 3  # px from one place to the next where one in so many does
-FLAT = 0.3
+#: Stride at which responses are sampled for statistics, px.
+SAMPLING_STRIDE = 3
+#: Response below which a filter counts as flat, noise standard deviations.
+FLAT_RESPONSE = 0.3
 
 
 class Experts(nn.Module):
-    """Filters, what their answers cost, and where that grows more slowly; trained by `deepir train foe`."""
+    """Parameters of the experts: filters, weights and tails; trained by `deepir train foe`."""
 
     def __init__(self) -> None:
         super().__init__()
-        start = F.pad(torch.tensor(DIFFERENCES, dtype=torch.float32), (1, 1, 1, 1))
+        start = F.pad(torch.tensor(INITIAL_FILTERS, dtype=torch.float32), (1, 1, 1, 1))
         self.taps = nn.Parameter(start + 0.03 * torch.randn(start.shape))
         self.costs = nn.Parameter(torch.full((len(start),), -1.6))
         self.tails = nn.Parameter(torch.full((len(start),), 1.8))
 
     def forward(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Filters (C, k, k), blind to a constant and as long as a difference, weights (C) and tails (C)."""
+        """Filters (C, k, k) of zero mean and the norm of a difference; weights (C,); tails (C,)."""
         taps = self.taps - self.taps.mean((1, 2), keepdim=True)
         filters = taps * (2 / taps.square().sum((1, 2), keepdim=True)).sqrt()
         return filters, self.costs.exp(), self.tails.exp()
@@ -50,14 +52,16 @@ class Experts(nn.Module):
 
 @register("penalty", "foe")
 class FoE(SmoothedNorm):
-    """Fields of experts: what small filters answer, `Σ w_c φ(f_c * x)`, is mostly small and now and then large.
+    """Fields of experts, `Σ w_c φ(f_c * x)`: heavy-tailed costs φ of the responses of small learned filters.
 
-    (Roth and Black 2009; filters and weights learned so that the minimum is the best estimate, Samuel and Tappen
-    2009.) Fine texture and slopes cost less than with total variation.
+    Fine texture and slopes cost less than with total variation.
+
+    Source: Roth and Black 2009, "Fields of experts"; trained so that the minimum is the best estimate, Samuel and
+    Tappen 2009, "Learning optimized MAP estimates in continuously-valued MRF models".
     """
 
-    scale = 1.0  # in whose units the experts are
-    smooth_scene_threshold = 2.0  # skies: it knows noise better than edges
+    scale = 1.0  # the experts are in units of the noise
+    smooth_scene_threshold = 2.0  # skies: the filters model noise better than edges
     filters: Tensor
     costs: Tensor
     tails: Tensor
@@ -85,17 +89,22 @@ class FoE(SmoothedNorm):
 
     def mean_curvature(self, value: Tensor) -> tuple[float, float]:
         """The mean of `weight weight_map Σ w_c |f_c|² φ' / 4 |f_c * x|`: a filter's share of the gradient's waves."""
-        long = filter_magnitudes(value, self.filters, self.epsilon, THIN)
+        long = filter_magnitudes(value, self.filters, self.epsilon, SAMPLING_STRIDE)
         bent = (1 + long * (self.weight / self.tails)[:, None, None]).rsqrt() / (long + self.epsilon)
-        stiff = central_weights(self.weight_map, value.shape)[..., ::THIN, ::THIN] * (
+        stiff = central_weights(self.weight_map, value.shape)[..., ::SAMPLING_STRIDE, ::SAMPLING_STRIDE] * (
             self.costs[:, None, None] * bent
         )
         return 0.0, float(self.weight * stiff.mean((-2, -1)).sum(-1).mean() / 2)  # |f_c|² is two
 
     def fraction_shrunk_to_zero(self, value: Tensor) -> float:
-        """The share of the filters' answers that are less than `FLAT` of the noise that the weight is for."""
+        """Fraction of the filter responses below `FLAT_RESPONSE`."""
         return float(
-            (filter_magnitudes(value, self.filters, self.epsilon, THIN) * self.weight < FLAT).float().mean()
+            (
+                filter_magnitudes(value, self.filters, self.epsilon, SAMPLING_STRIDE) * self.weight
+                < FLAT_RESPONSE
+            )
+            .float()
+            .mean()
         )
 
 
@@ -130,7 +139,7 @@ def filter_magnitudes(value: Tensor, filters: Tensor, epsilon: Tensor | float, s
 
 
 def central_weights(weight_map: Tensor, shape: Shape) -> Tensor:
-    """How much the places count in whose middle a filter can lie, (..., 1, H - 4, W - 4)."""
+    """Weights of the pixels at which a filter lies inside the image, (..., 1, H - 4, W - 4)."""
     inside = slice(FILTER_SIDE // 2, -(FILTER_SIDE // 2))
     return weight_map.expand(*weight_map.shape[:-2], *shape[-2:])[..., None, inside, inside]
 

@@ -17,7 +17,7 @@ class Hessian(SmoothedNorm):
     """
 
     scale = 3.2
-    adapts = False  # not tried from place to place
+    adapts = False  # not tested with a weight map
 
     def energy(self, value: Tensor) -> Tensor:
         """`Σ sqrt(xx² + yy² + 2 xy²  + e²) - e`, with `e = rounding / weight`."""

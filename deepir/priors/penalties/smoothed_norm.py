@@ -1,4 +1,4 @@
-"""What penalties of a length have in common."""
+"""Base class of smoothed L1 norms of vectors."""
 
 from __future__ import annotations
 
@@ -12,9 +12,18 @@ from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 
 
 class SmoothedNorm(SpatiallyWeighted):
-    """A sum of lengths, rounded at `rounding`, in units of `1 / weight`, so that it is smooth enough for L-BFGS."""
+    """A sum of vector lengths, smoothed near zero for L-BFGS.
 
-    #: The step or kink, in standard deviations of the noise, that costs one nat.
+    Args:
+        shape: Of the value; None without a weight map.
+        weight: Fixed weight; None for `auto`.
+        rounding: Smoothing length, in units of `1 / weight`.
+
+    Raises:
+        ValueError: `rounding` is not positive and finite.
+    """
+
+    #: Length that costs one nat at the default weight, noise standard deviations.
     scale: ClassVar[float]
 
     def __init__(
@@ -27,11 +36,11 @@ class SmoothedNorm(SpatiallyWeighted):
 
     @property
     def epsilon(self) -> Tensor:
-        """The length `e` below which it is round."""
+        """Smoothing length e, units of the value."""
         return self.rounding / self.weight.clamp(min=1e-12)
 
     def default_weight(self, sigma: float) -> float:
-        """One nat for `scale` standard deviations."""
+        """One nat per `scale` noise standard deviations."""
         return 1 / (self.scale * sigma)
 
     def smoothed_l1(self, squared: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""What penalties that vary from place to place have in common."""
+"""Base class of penalties with a weight map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepir.priors.penalties.base import Penalty
 class SpatiallyWeighted(Penalty):
     """A penalty that is a sum over pixels, each weighted by `weight_map`, (H, W), ones at first; () without a shape."""
 
-    #: Whether the weight may follow the scene from place to place.
+    #: Whether the weight map may be adapted to the scene.
     adapts: ClassVar[bool] = True
     weight_map: Tensor
 
@@ -24,15 +24,15 @@ class SpatiallyWeighted(Penalty):
 
     @property
     def is_adaptive(self) -> bool:
-        """Whether `weight_map` is to be found."""
+        """Whether the weight map is estimated: a shape, and an automatic weight."""
         return self.user_weight is None and self.weight_map.ndim > 0
 
     @torch.no_grad()
     def inherit_weights(self, other: SpatiallyWeighted) -> None:
-        """Count places as another penalty of the same value does, where both may."""
+        """Copy the weight map of another penalty on the same value, if both adapt."""
         if self.is_adaptive and self.adapts and other.adapts:
             self.weight_map.copy_(other.weight_map)
 
     def typical_weight(self) -> float:
-        """The geometric mean of the places' weights."""
+        """Geometric mean of the weights of all pixels."""
         return float(self.weight * self.weight_map.log().mean().exp())

@@ -21,7 +21,7 @@ class TGV(SmoothedNorm):
     """
 
     scale = 1.6  # as for total variation
-    adapts = False  # not tried from place to place
+    adapts = False  # not tested with a weight map
     unit: Tensor
 
     def __init__(

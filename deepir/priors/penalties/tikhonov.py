@@ -9,8 +9,7 @@ from deepir.arrays.differences import squared_gradient
 from deepir.priors.penalties.base import Penalty
 from deepir.registry import register
 
-#: Usual gradient, in standard deviations of the noise: edges are far above it. The best on the truth was 4 to 11, for a
-#: burst and for one blurred frame.
+#: Typical gradient, noise standard deviations; 4 to 11 were best on bursts and a blurred frame with known truth.
 GRADIENT_SIGMA_RATIO = 5.0
 
 
@@ -23,7 +22,7 @@ class Tikhonov(Penalty):
         return squared_gradient(value).sum(dtype=torch.float64) / 2
 
     def default_weight(self, sigma: float) -> float:
-        """A gradient of `GRADIENT_SIGMA_RATIO` standard deviations is usual."""
+        """Inverse variance of a gradient of `GRADIENT_SIGMA_RATIO` noise standard deviations."""
         return 1 / (GRADIENT_SIGMA_RATIO * sigma) ** 2
 
     def mean_curvature(self, value: Tensor) -> tuple[float, float]:
