@@ -110,7 +110,7 @@ def test_an_installed_plugin_is_found_and_listed(outside):
     listed = command("list", path=outside)
     for line in ("  mask ", "  cosines ", "  curvature ", "  box ", "  inpaint ", "  warp "):
         assert line in listed
-    assert "in order; problem inpaint" in command("check", "inpaint.yaml", "problem=inpaint", path=outside)
+    assert "is valid; problem inpaint" in command("check", "inpaint.yaml", "problem=inpaint", path=outside)
 
 
 def test_the_operator_is_what_it_says_it_is(plugin):

@@ -1,6 +1,6 @@
-"""A cubic B-spline sampled at moved points: on the CPU by compiled loops, elsewhere by torch.
+"""Sampling of a cubic B-spline at moved points: compiled loops on the CPU, torch elsewhere.
 
-(Unser, Aldroubi, Eden 1993, "B-spline signal processing".)
+Source: Unser, Aldroubi, Eden 1993, "B-spline signal processing".
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ NOISE_GAIN = 12**0.5
 
 
 class SplineWarp(torch.autograd.Function):
-    """The coefficients `scene` (1 or N, C, Hc, Wc) as a motion sees them, (N, C, h, w).
+    """Warp of spline coefficients `scene` (1 or N, C, Hc, Wc) to frames (N, C, h, w), on the CPU.
 
-    `motion`: homographies (N, 3, 3), float64, or points (N, 2, h, w), x and y, of the scene's type. Origins are
-    centres: of the frame, and of the canvas.
+    `motion`: homographies (N, 3, 3) float64, or sampling points (N, 2, h, w) as (x, y) in the type of the scene; px,
+    from the centres of frame and canvas.
     """
 
     @staticmethod
@@ -69,7 +69,7 @@ class SplineWarp(torch.autograd.Function):
 
 
 def warp_adjoint(frames: Tensor, motion: Tensor, shape: Sequence[int]) -> Tensor:
-    """The adjoint of `SplineWarp` in the coefficients, which have this shape."""
+    """Adjoint of `SplineWarp`: frames (N, C, h, w) scattered to coefficients of this shape."""
     from deepir.kernels.bspline import warp_adjoint as scatter
     from deepir.kernels.compile import parallel_for
 
@@ -79,7 +79,7 @@ def warp_adjoint(frames: Tensor, motion: Tensor, shape: Sequence[int]) -> Tensor
 
 
 def sample(scene: Tensor, points: Tensor) -> Tensor:
-    """The coefficients `scene` at `points` (N, h, w, 2), in px (x, y) from the canvas' centre.
+    """Values of the spline `scene` at `points` (N, h, w, 2), (x, y) px from the centre of the canvas.
 
     Four bilinear samples, at the centres of mass of the weights of four coefficients each, make one of the cubic
     spline (Sigg and Hadwiger 2005, "Fast third-order texture filtering").
@@ -110,7 +110,7 @@ def _bilinear_pairs(at: Tensor, side: int) -> list[tuple[Tensor, Tensor]]:
 
 
 def to_pixels(scene: Tensor) -> Tensor:
-    """What the coefficients `scene` (S, C, Hc, Wc) look like at the pixels' centres."""
+    """Values of the spline `scene` (S, C, Hc, Wc) at pixel centres, same shape."""
     along = torch.tensor([1.0, 4.0, 1.0], dtype=scene.dtype, device=scene.device) / 6
     padded = F.pad(scene, (1, 1, 1, 1), mode="replicate")
     channels = scene.shape[1]

@@ -1,4 +1,4 @@
-"""Where the frames lie in the scene's array."""
+"""Position of the frames in the array of the scene."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Geometry:
 
 
 def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geometry:
-    """Frame 0's window has the frame's size times the ratio, and its centre."""
+    """Geometry of a chain for frames of `size` (h, w) and a scene (H, W)."""
     stages = [stage for _, stage in chain.named()]
     first, later = stages[0], Chain(dict(chain.named()[1:]))
     rest = later if isinstance(first, Warp) else chain
@@ -48,7 +48,16 @@ def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, in
 def footprint(
     motion: Tensor | None, size: tuple[int, int], ratio: float
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Canvas (H, W) and origin (y, x) that hold all footprints of frames of `size`, and a margin."""
+    """Canvas that contains the footprints of all frames, with a margin.
+
+    Args:
+        motion: (N, 3, 3) homographies, detector px; None for one frame at rest.
+        size: (h, w) of a frame, scene px.
+        ratio: Scene px per detector px.
+
+    Returns:
+        Size (H, W) and origin (y, x) of frame 0, scene px.
+    """
     if motion is None:
         motion = torch.eye(3, dtype=torch.float64)[None]
     y, x = ((side - 1) / 2 for side in size)
@@ -70,7 +79,7 @@ def _fast_fft_length(side: int) -> int:
 
 
 def rescale_motion(motion: Tensor, ratio: float) -> Tensor:
-    """A motion in px of a grid that is `ratio` times finer; the centres coincide."""
+    """Homographies in px of a grid that is `ratio` times finer, with the same centre."""
     s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
     return motion * (s[:, None] / s)
 

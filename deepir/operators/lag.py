@@ -1,4 +1,4 @@
-"""Thermal lag: a pixel takes its time to follow the flux."""
+"""Thermal lag of the detector."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ MIN_TIME_CONSTANT = 1e-6
 
 @register("operator", "lag")
 class Lag(Operator):
-    """What pixels of time constant `tau` show of a flux, `tau dy/dt = x - y`; (M, C, h, w) -> (N, C, h, w).
+    """First-order response of pixels, `tau dy/dt = x - y`; (M, C, h, w) -> (N, C, h, w).
 
-    The flux is given at M instants, `substeps` for each of the N frames, the last of them as it is read, and one more
-    to begin with. Between two of them it is the parabola through these and the one before, for which the solution is
-    exact. (A flux that is held, or linear, wants many more sub-steps: what it leaves out of a wave looks like a longer
-    time constant.) The slot `tau`, in ms, is (1, C, h, w).
+    The flux is given at M instants, `substeps` per frame, the last at its readout, and one initial instant. It is
+    interpolated by parabolas, for which the solution is exact; piecewise constant or linear flux needs many more
+    sub-steps, as its error resembles a longer time constant.
 
-    What the camera did before the first frame says the slot `moving`, (1, 1, 1, 1): zero, it was at rest, so that the
-    pixels had settled; one, it was moving as it goes on to. In between are slower cameras.
+    Slots: `tau`, ms, (1, C, h, w); `moving`, (1, 1, 1, 1), the camera velocity before the first frame relative to that
+    of the extrapolated trajectory: 0 at rest, with settled pixels, 1 in motion.
 
-    Saragadam et al. 2021, the step response in "Sensor modeling".
+    Source: Saragadam et al. 2021, "Sensor modeling", step response.
     """
 
     temporal = keeps_grid = True
@@ -40,13 +39,16 @@ class Lag(Operator):
         substeps: int = 4,
         readout: float = 0.0,
     ) -> None:
-        """`fps`: frames a second.
+        """Discretise the response.
 
-        `readout`: part of the time between frames in which the rows are read, one after the other; the motion of a
-        frame is where the camera is at its last row.
+        Args:
+            fps: Frame rate, Hz.
+            substeps: Instants per frame.
+            readout: Fraction of the frame time during which rows are read in turn; the motion of a frame is that at
+                its last row.
 
         Raises:
-            ValueError: A number out of its range, or no rate.
+            ValueError: An argument is missing or out of range.
         """
         super().__init__()
         if fps is None or not fps > 0:
@@ -67,9 +69,10 @@ class Lag(Operator):
         return (self.trajectory.frames(x_shape[0]), *x_shape[1:])
 
     def forward(self, x: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
-        """Follow the flux from instant to instant; before the first, it was what it is then.
+        """Integrate the response over the instants.
 
-        Up to the first frame, what is shown is the share `moving` of that, and else what a camera at rest shows.
+        Before the first frame the flux is interpolated between that of a camera at rest and of one in motion by
+        `moving`.
 
         Raises:
             ValueError: The instants are not those of whole frames.
@@ -90,11 +93,11 @@ class Lag(Operator):
         return self._read(torch.stack(shown))
 
     def valid(self, mask: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
-        """Samples whose pixel has seen nothing but valid flux so far."""
+        """Samples of pixels with valid flux at all instants so far."""
         return mask.cummin(0).values[self.trajectory.n_before :: self.trajectory.steps]
 
     def _weights(self, tau: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of what was shown an instant ago, and of the flux two and one instants ago and now; their sum is one."""
+        """Weights of the last response and of the flux two and one instants ago and now; their sum is one."""
         step = self.duration / tau.clamp(min=MIN_TIME_CONSTANT * self.duration)
         kept = torch.exp(-step)
         # What a pixel makes of a flux that rises as t, and as t², from 0 to 1 during the step.

@@ -5,12 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+#: Number of parameters of a frame, by model.
 PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
-AUTO = "auto"  # rigid, or a homography where the frames bend
+#: Model name: rigid, or homographies if the frames are distorted.
+AUTO = "auto"
 
 
 def identity(n: int) -> Tensor:
-    """`n` motions that are none."""
+    """`n` identity motions, (n, 3, 3) float64."""
     return torch.eye(3, dtype=torch.float64).repeat(n, 1, 1)
 
 

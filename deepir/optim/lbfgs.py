@@ -1,4 +1,4 @@
-"""Limited-memory BFGS that gets on with kinks, and can be saved and resumed."""
+"""Limited-memory BFGS for nonsmooth objectives, with a state that can be saved."""
 
 from __future__ import annotations
 

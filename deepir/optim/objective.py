@@ -1,4 +1,4 @@
-"""What a stage minimises, and the optimisers that do it."""
+"""Objective of a stage, and its optimisers."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     moving, size = is_joint_with_motion(problem, group), (problem.data.shape[-2], problem.data.shape[-1])
     precision = problem.precision if stage.use_held_out else problem.fitted()
 
-    awake = {name for name in group if name in eliminated or free_parameters(problem, [name])}
+    active = {name for name in group if name in eliminated or free_parameters(problem, [name])}
     with torch.no_grad():  # once: gain and offset of several parts are not free
-        fixed = problem.values(without=awake)
-        still = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
+        fixed = problem.values(without=active)
+        constant_prior = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
 
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
         values = fixed | problem.values(free, without=[*eliminated, *fixed])
-        terms = [still, problem.misfit(values, eliminated, precision)]
-        terms += problem.priors({name: values[name] for name in awake}, eliminated).values()
+        terms = [constant_prior, problem.misfit(values, eliminated, precision)]
+        terms += problem.priors({name: values[name] for name in active}, eliminated).values()
         if moving:
             terms.append(degrees_of_freedom(values[problem.slots[problem.slot(Warp, "motion")]], size))
         return torch.stack([term.double() for term in terms]).sum(), values
@@ -39,7 +39,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
 
 
 def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
-    """Those of the steps that have something to move, each with its step."""
+    """Optimisers of the steps of a stage that have free parameters, each with its step."""
     evaluate = objective(problem, stage)
     steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
     found = []

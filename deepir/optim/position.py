@@ -1,4 +1,4 @@
-"""Where a solve is, and how its state is kept."""
+"""Position of a solve in its plan, and its saved state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Checkpoint(Protocol):
 
 @dataclass
 class Position:
-    """How far a plan has come, and one row an iteration of what it did."""
+    """Progress in a plan, and a history with one row per iteration."""
 
     stage: int = 0
     iteration: int = 0
@@ -42,7 +42,7 @@ class Position:
 def save_state(
     problem: Problem, optimisers: list[tuple[Optimiser, Step]], position: Position, checkpoint: Checkpoint
 ) -> None:
-    """Write it with the values of all unknowns and the state of the optimisers, so that the solve can go on."""
+    """Save position, unknowns and optimisers to a checkpoint."""
     tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
     for i, (optimiser, _) in enumerate(optimisers):
         tensors |= {f"optimiser{i}.{name}": value for name, value in optimiser.state().items()}
