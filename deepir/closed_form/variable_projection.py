@@ -1,15 +1,14 @@
-"""Gain and offset in closed form, given the flux on the detector.
+"""Gain and offset in closed form, by variable projection.
 
-Variable projection (Golub and Pereyra 1973).
+For a fixed flux `z_k`, `y_k = gain * z_k + offset + level_k + noise` is linear in gain and offset with Gaussian priors.
+Their optimum solves one symmetric system, 2 x 2 at each pixel. Pixel parts are eliminated exactly, then rows; the
+remaining system of columns and shading terms is solved by conjugate gradients, whose products are one pass over the
+pixels. The solution must be exact: otherwise the objective is not a function of the scene, and line searches fail.
 
-With the flux `z_k` fixed, `y_k = gain * z_k + offset + level_k + noise` is linear in gain and offset, and
-their parts are Gaussian: the optimum solves one symmetric system, 2 x 2 (gain, offset) at each pixel. Pixel
-parts are eliminated from it exactly, then rows; what remains couples the columns and the few terms of the
-shading, and is solved by conjugate gradients, whose products are one pass over the pixels. It has to be *exact*: with
-an approximation the objective is no longer a function of the scene, and line searches fail.
+By the envelope theorem the gradient of the projected objective is the partial gradient at fixed gain and offset.
 
-By the envelope theorem the gradient of the eliminated objective in everything else is the partial gradient
-with gain and offset held.
+Source: Golub and Pereyra 1973, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
+variables separate".
 """
 
 from __future__ import annotations
@@ -24,15 +23,16 @@ from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCP
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 
-#: What tells parts apart: the axes along which they are constant; a shading is none of these.
+#: Kind of a part: the axes along which it is constant; None for shading.
 Kind = tuple[int, ...] | None
 KINDS = PIXEL, COLUMN, ROW, SHADING = (), (-2,), (-1,), None
 
 
 class Elimination:
-    """The joint optimum of the parts of gain and offset, to which `eliminate` has set them.
+    """Joint optimum of the parts of gain and offset.
 
-    `values` (2, h, w): gain and offset, in the flux's type.
+    Attributes:
+        values: Gain and offset, (2, h, w), in the type of the flux.
     """
 
     def __init__(
@@ -44,9 +44,11 @@ class Elimination:
         self.parts, self.solved, self.values = parts, solved, values
 
     def information_blocks(self) -> Iterator[tuple[list[GaussianMap | None], Tensor, Tensor]]:
-        """For pixels, columns and rows: the parts (gain, offset), what the data say of each, (3, K), and means (2, K).
+        """Information on pixels, columns and rows.
 
-        The former is the matrix (aa, ab, bb) with all else held, but the pixels' own parts in that of a line.
+        Yields:
+            The parts (gain, offset), None where there is none; the information matrices (aa, ab, bb), (3, K), with all
+            other parts fixed, but pixel parts integrated out for lines; the posterior means, (2, K).
         """
         for kind in (PIXEL, COLUMN, ROW):
             parts = [maps_of.get(kind) for maps_of in self.parts]
@@ -69,9 +71,9 @@ class Elimination:
         return pixels.log_det, pixels.sigma.square(), pixels.maps
 
     def posterior_variances(self) -> list[list[Tensor]]:
-        """The posterior variance of what the white values of each part stand for: the gain's, the offset's.
+        """Posterior variances of the values of each part, for gain and offset.
 
-        Couplings between columns, and between rows and all others, are left out of them.
+        Covariances between columns, and of rows with all others, are neglected.
         """
         return [
             [
@@ -96,16 +98,19 @@ def eliminate(
     """Set the parts of gain and offset to their joint optimum.
 
     Args:
-        flux: what falls on the detector, (N, 1, h, w), in the data's units.
-        data: the frames less what is known of gain times flux, and of the offset.
-        precision: 1 / noise variance, same shape; zero where a sample does not count.
-        gain: parts of the gain, at most one each of columns, rows, shading, pixels; none for a known gain.
-        offset: parts of the offset, likewise.
-        level: of each frame, N values; zero unless given.
-        neutral: the gain and the offset that the parts are deviations from.
+        flux: On the detector, (N, 1, h, w), data units.
+        data: Frames less known gain times flux and known offset, same shape.
+        precision: Inverse noise variance, same shape; zero where a sample does not count.
+        gain: Parts of the gain, at most one each of columns, rows, shading, pixels; none for a known gain.
+        offset: Parts of the offset, likewise.
+        level: Of each frame, (N,); zero if None.
+        neutral: Gain and offset from which the parts are deviations.
+
+    Returns:
+        The optimum; the parts are changed in place.
 
     Raises:
-        ValueError: Two parts are of the same kind, or one is constant along others than columns or rows.
+        ValueError: Two parts are of the same kind, or of a kind without a closed form.
     """
     parts = [_by_kind(each) for each in (gain, offset)]
     sigma = dict(zip(KINDS, _sigmas(parts, flux.device), strict=True))

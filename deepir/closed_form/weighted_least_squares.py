@@ -1,4 +1,4 @@
-"""Half the sum of squared, weighted residuals, with the gradient that is at hand; on the CPU in one pass."""
+"""Weighted least squares with analytic gradients; one pass over the frames on the CPU."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ def sensor_least_squares(
     sensor: tuple[Tensor, Tensor, Tensor],
     log_det: tuple[Tensor, Tensor, Tensor] | None = None,
 ) -> Tensor:
-    """The same of `gain * flux + offset + level`, with a gradient in flux and level.
+    """`½ Σ w r²` for the prediction `gain * flux + offset + level`, with gradients in flux and level.
 
     Args:
-        flux: (N, 1, h, w), as are data and precision.
-        data: The frames.
-        precision: 1 / variance of each sample.
+        flux: (N, 1, h, w).
+        data: Same shape.
+        precision: Inverse variance of each sample, same shape.
         sensor: Gain (1, 1, h, w), offset (1, 1, h, w), level (N, 1, 1, 1).
-        log_det: What the pixels add that have gain and offset of their own, in nats; the prior variances of these,
-            (2,), and the maps (aa, ab) of the system with them eliminated, (2 or more, h, w). With its covariances
-            it has a gradient in the flux, `precision * (of gain * flux + with offset)`.
+        log_det: Half the log-determinant of the eliminated pixel parts, nats; their prior variances, (2,); and the maps
+            (aa, ab) of the reduced system, (2 or more, h, w), for its gradient in the flux.
+
+    Returns:
+        A float64 scalar, nats.
     """
     if log_det is None:
         zero = flux.new_zeros((), dtype=torch.float64)

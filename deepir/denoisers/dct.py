@@ -18,10 +18,10 @@ HARD_THRESHOLD = 2.7
 
 @register("denoiser", "dct")
 def dct(picture: Tensor, noise: float) -> Tensor:
-    """Hard thresholding of the cosine transform of all 8 x 8 blocks; those with few terms left count more.
+    """Hard thresholding of the discrete cosine transform of all 8 x 8 blocks, weighted by sparsity.
 
-    (Yaroslavsky, Egiazarian, Astola 2001, "Transform domain image restoration methods"; the weights of Dabov et al.
-    2007, "Image denoising by sparse 3-D transform-domain collaborative filtering".)
+    Source: Yaroslavsky, Egiazarian, Astola 2001, "Transform domain image restoration methods"; weights of Dabov et al.
+    2007, "Image denoising by sparse 3-D transform-domain collaborative filtering".
     """
     waves = _waves().to(picture)
     margin = BLOCK_SIDE - 1

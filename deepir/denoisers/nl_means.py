@@ -18,7 +18,7 @@ FILTER_STRENGTH = 0.8
 
 @register("denoiser", "nl_means")
 def nl_means(picture: Tensor, noise: float) -> Tensor:
-    """Means of pixels whose surroundings are alike (Buades, Coll, Morel 2005), as scikit-image has it."""
+    """Non-local means (Buades, Coll, Morel 2005), by scikit-image."""
     from skimage.restoration import denoise_nl_means  # not above: it is slow to import
 
     low = picture.min()

@@ -1,4 +1,4 @@
-"""Frames whose histogram was equalised."""
+"""Detect frames with an equalised histogram."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MAX_DISTANCE_FROM_UNIFORM = 0.01
 
 
 def is_equalised(frames: Array) -> bool:
-    """Whether the histogram of each of frames (N, h, w), NaN where unknown, is even: a sample's value is its rank."""
+    """Whether the histogram of every frame is uniform; frames (N, h, w), NaN where unknown."""
     for frame in frames:
         values, counts = np.unique(frame[np.isfinite(frame)], return_counts=True)
         if len(values) < 3:
@@ -26,7 +26,7 @@ def is_equalised(frames: Array) -> bool:
 
 
 def equalised_message(frames: Array) -> list[str]:
-    """Say so if frames (N, h, w), NaN where unknown, are equalised."""
+    """Warning for equalised frames (N, h, w), NaN where unknown; [] otherwise."""
     if not is_equalised(frames):
         return []
     return [

@@ -1,4 +1,4 @@
-"""Interlaced frames: their odd rows are of another time than their even ones, and a moving camera sets them apart."""
+"""Detect interlaced frames: even and odd rows are exposed at different times, and a moving camera shifts them."""
 
 from __future__ import annotations
 
@@ -27,9 +27,12 @@ MIN_FIELD_SHIFT = 0.1
 
 @torch.no_grad()
 def are_interlaced(frames: Tensor, motion: Tensor, ignore: Tensor | None = None) -> bool:
-    """Whether the odd rows of frames `(N, H, W)` at motions `(N, 3, 3)` are off the even ones, not by chance.
+    """Whether even and odd rows are shifted by more than rows of one field are by chance.
 
-    Rows of one field, two and two, say how far chance sets rows apart. ignore: `(H, W)` bool, pixels without use.
+    Args:
+        frames: (N, H, W).
+        motion: (N, 3, 3) homographies.
+        ignore: Pixels without use, (H, W), bool.
     """
     if len(frames) < MIN_FRAMES:
         return False
@@ -44,7 +47,7 @@ def are_interlaced(frames: Tensor, motion: Tensor, ignore: Tensor | None = None)
 
 
 def centre_crop(images: Tensor) -> Tensor:
-    """The middle of images `(..., H, W)`, about the same centre."""
+    """Central crop of images (..., H, W), with the same centre."""
     for axis in (-2, -1):
         cut = max(0, -(-(images.shape[axis] - MAX_CROP_SIDE) // 2))
         images = images.narrow(axis, cut, images.shape[axis] - 2 * cut)
@@ -52,10 +55,15 @@ def centre_crop(images: Tensor) -> Tensor:
 
 
 def row_class_shifts(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tensor:
-    """The shift `(4, N, 2)` in px that every fourth row of frames, from the first four on, asks for beside the motion.
+    """Residual shift of each class of rows, one Gauss-Newton step for scene and pattern of all rows.
 
-    A step of Gauss and Newton for each, scene and pattern being those of all rows: what all four ask for alike is an
-    error of the motion.
+    Args:
+        frames: (N, H, W).
+        motion: (N, 3, 3) homographies.
+        ignore: Pixels without use, (H, W), bool.
+
+    Returns:
+        (4, N, 2), px; a shift common to all classes is an error of the motion.
     """
     flat, weight = preprocess(frames, ignore)
     flat -= weight * torch.stack([broad(frame[None])[0] for frame in flat])

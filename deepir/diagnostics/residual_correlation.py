@@ -25,7 +25,7 @@ MIN_LAG_CORRELATION = 0.15
 
 @torch.no_grad()
 def residual_correlation_message(problem: Problem) -> list[str]:
-    """Say so if the fit leaves more than noise of the frames, and why if that is thermal lag."""
+    """Warning for residuals that are not noise, or that show thermal lag; [] otherwise."""
     stages = [stage for _, stage in problem.operator.named()]
     if not isinstance(stages[-1], Sensor) or min(problem.data.shape[2:]) < 4 * max(CORRELATION_DISTANCES):
         return []

@@ -1,10 +1,9 @@
-"""Whether the pattern that was found is a picture: then the motion was wrong, and the scene is in the pattern.
+"""Detect a scene in the estimated fixed pattern, the result of a wrong motion.
 
-A sensor has columns, rows, pixels and something smooth, and what one pixel has says nothing of the one next but one.
-Where the camera stands still while something moves, or moves by less than a pixel under a strong pattern, the motion
-that is found may be of something else: what stands still is then the scene, and what is left may be its negative. Dust
-on a window, a bonnet, the corners that a lens leaves dark look like pictures, too, but there the motion explains the
-frames far better than rest does.
+Columns, rows, pixels and shading of a sensor are uncorrelated at two pixels' distance. If the camera rests while an
+object moves, or moves by less than a pixel under a strong pattern, the estimated motion may belong to something else,
+and the scene is attributed to the pattern. Dust on a window or vignetting look like pictures, too, but then the motion
+explains the frames far better than rest does.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ MIN_MOTION_NATS = 0.3
 
 @torch.no_grad()
 def scene_in_pattern_message(problem: Problem) -> list[str]:
-    """Say so if the pattern that was found is a picture."""
+    """Warning for a pattern that contains the scene; [] otherwise."""
     stage, last = problem.operator.named()[-1]
     if not isinstance(last, Sensor) or not problem.closed_form() or not problem.slot(Warp, "motion"):
         return []
@@ -60,7 +59,7 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
 
 
 def _motion_is_certain(problem: Problem) -> bool:
-    """Whether a motion that was found of whole frames makes them clearly likelier than rest."""
+    """Whether the estimated homographies explain the frames clearly better than rest."""
     motion = problem.field_of(problem.slot(Warp, "motion"))().double().cpu()
     if motion.shape != (len(problem.data), 3, 3):
         return False
@@ -69,7 +68,7 @@ def _motion_is_certain(problem: Problem) -> bool:
 
 
 def _high_pass(image: Tensor, good: Tensor) -> Tensor:
-    """An image (h, w) less its lines and all that is smooth, outliers cut off; zero where it is not good."""
+    """High-pass filtered image (h, w) without lines, outliers clipped; zero where not good."""
     image = image.double()
     image = image - image.median(1, keepdim=True).values
     image = image - image.median(0, keepdim=True).values
@@ -79,7 +78,7 @@ def _high_pass(image: Tensor, good: Tensor) -> Tensor:
 
 
 def _correlation(image: Tensor, good: Tensor) -> float:
-    """Correlation of pixels that are `PATTERN_DISTANCE` px apart, along rows and columns."""
+    """Mean correlation at `PATTERN_DISTANCE` along rows and columns."""
     found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
     middle = len(found) // 2
     return float(found[middle, middle + PATTERN_DISTANCE] + found[middle + PATTERN_DISTANCE, middle]) / 2

@@ -1,4 +1,4 @@
-"""A shutter that closes in the midst of a burst: what stands still is another pattern from then on."""
+"""Detect a shutter event within a burst: the fixed pattern changes."""
 
 from __future__ import annotations
 
@@ -21,10 +21,17 @@ MIN_SEPARATION = 1.3
 
 @torch.no_grad()
 def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
-    """The longer part of frames (N, h, w) where the pattern changes in between, or all; usable (N, h, w), bool.
+    """Longest run of frames with one fixed pattern.
 
-    The finest detail of frames is pattern and noise, mostly. Frames before and after a shutter differ by more of it
-    than any two before it or after it; a camera that moves on does not make such parts.
+    Mixed differences of frames are mostly pattern and noise. Across a shutter event they differ by more than within
+    either part; a camera in motion does not separate frames into such parts.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, same shape, bool.
+
+    Returns:
+        The frames of the longer part; all of them without an event.
     """
     n, whole = len(frames), slice(0, len(frames))
     if n < 4:
@@ -51,7 +58,7 @@ def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
 
 
 def shutter_message(part: slice, n: int) -> list[str]:
-    """Say so if only a part of n frames is used."""
+    """Warning if only a part of n frames is used; [] otherwise."""
     if part == slice(0, n):
         return []
     at, other = (part.start, f":{part.start}") if part.start else (part.stop, f"{part.stop}:")

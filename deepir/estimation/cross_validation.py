@@ -1,8 +1,8 @@
-"""Weights of the scene's penalties by cross-validation: those under which held-out samples are predicted best.
+"""Weights of the scene's penalties by cross-validation on held-out samples.
 
-How strong a prior is to be where the data leave the scene open is the scene's own matter: neither the noise nor the
-number of frames says it. The search is a few short stages of a plan, each of which tries a weight. What it has found is
-in a buffer of the problem, so that a resumed solve goes on with it.
+Neither the noise nor the number of frames determines how strong a prior should be where the data leave the scene open.
+The search consists of short stages, each with one weight; its table is a buffer of the problem, so that a resumed solve
+continues it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from deepir.estimation.penalty_weights import weigh_scene
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 
-#: Number of weights that are misfits.
+#: Number of weights that are tried.
 N_TRIALS = 7
 #: Iterations of a trial, which starts from the scene of the one before.
 TRIAL_ITERATIONS = 10
@@ -30,10 +30,12 @@ MAX_LOG2_WEIGHT = 3.0
 
 
 def start_trials(problem: Problem, *, restart: bool = False) -> None:
-    """Make room for the trials: each one's power of two of the natural weights, and its misfit.
+    """Register the buffers of the search: log2 of each weight relative to the default, and its misfit.
 
-    With `restart` each begins with the scene of the first, not of the one before it: where much of the scene is open,
-    one that has become rough does not become smooth again in so few iterations.
+    Args:
+        problem: Gets the buffers.
+        restart: Whether each trial starts from the scene of the first: where much of the scene is undetermined, a rough
+            scene does not become smooth again within one trial.
     """
     problem.register_buffer("trials", torch.full((N_TRIALS, 2), torch.nan, dtype=torch.float64))
     problem.register_buffer(
@@ -48,7 +50,14 @@ def cross_validation_stages(
     least: float = -math.inf,
     iterations: int = TRIAL_ITERATIONS,
 ) -> list[Stage]:
-    """The stages of the search, from the power `first` on down to `least`; none for weights that are given."""
+    """Stages of the search; none if a weight is fixed.
+
+    Args:
+        problem: Its scene has the penalties.
+        first: Log2 of the first weight, relative to the default.
+        least: Smallest log2 of a weight.
+        iterations: Most iterations of a trial.
+    """
     penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
     if not penalties or any(penalty.user_weight is not None for penalty in penalties):
         return []
@@ -59,7 +68,7 @@ def cross_validation_stages(
 
 
 def weight_from_cross_validation(problem: Problem, factor: float = 1.0) -> None:
-    """Set the weights: `factor` times what the trials say; without any, times what is given or suits the noise."""
+    """Set the weights to `factor` times the best of the trials; without trials, times the usual weight."""
     misfits = _record_trial(problem)
     weigh_scene(problem, factor * (2 ** best_log2_weight(misfits) if misfits else 1.0))
 
@@ -75,7 +84,7 @@ def _begin_trial(problem: Problem, first: float, least: float) -> None:
 
 @torch.no_grad()
 def reset_scene(problem: Problem) -> None:
-    """Put the scene back to that of the first trial, if each is to begin with it."""
+    """Reset the scene to that of the first trial, if the search was started with `restart`."""
     scene, smooth = problem.fields["scene"], getattr(problem, "smooth", None)
     if smooth is None:
         return
@@ -87,7 +96,7 @@ def reset_scene(problem: Problem) -> None:
 
 @torch.no_grad()
 def _record_trial(problem: Problem) -> dict[float, float]:
-    """Note how a trial that has just ended predicts the held-out samples, nats; power -> misfit of all trials."""
+    """Store the misfit of a finished trial on the held-out samples; returns log2 weight -> misfit, nats."""
     table, last = problem.get_buffer("trials"), _n_started(problem) - 1
     if last >= 0 and table[last, 1].isnan():
         precision = problem.precision * problem.held_out
@@ -103,7 +112,7 @@ def _n_started(problem: Problem) -> int:
 def next_log2_weight(
     misfits: dict[float, float], first: float = COARSE_STEP, least: float = -math.inf
 ) -> float:
-    """Beyond the best where it lies at an end, else beside it; the best once more where nothing is left."""
+    """Log2 of the next weight: beyond the best at an end of the range, else next to it, or again the best."""
     if not misfits:
         return first
     best = min(misfits, key=misfits.__getitem__)
@@ -116,7 +125,7 @@ def next_log2_weight(
 
 
 def best_log2_weight(misfits: dict[float, float]) -> float:
-    """The least of a parabola through the best and its neighbours at equal distances, if it has any."""
+    """Minimum of the parabola through the best log2 weight and its neighbours; the best without these."""
     best = min(misfits, key=misfits.__getitem__)
     for step in (FINE_STEP, COARSE_STEP):
         low, middle, high = (misfits.get(best + sign * step) for sign in (-1, 0, 1))

@@ -1,11 +1,10 @@
-"""What is smooth in gain, offset and scene, and what whole frames have of their own: all at once, and its evidence.
+"""Marginal likelihood of low-order gain, offset and frame levels, jointly with the scene.
 
-Frame k is `(1 + γ) z_k + φ + l_k`, with a gain γ and an offset φ that are smooth, and the pixels' pattern. A scene that
-was found without γ has taken part of it up: so it may be wrong by smooth factors and by smooth sums, which the motion
-carries into the frame, `z_k T_k ψ + T_k θ`, and the frames may lie a little elsewhere. With all that free, and the
-pixels' pattern integrated out, the likelihood of the strengths of φ, l and γ is that of a Gaussian of some forty
-unknowns. What tells γ from the others is texture that is fainter where the camera carries it towards a corner. Frames
-may have contrasts, too, about the middle of the data.
+Frame k is `(1 + γ) z_k + φ + l_k` with low-order gain γ and offset φ, plus the pattern of pixels. A scene estimated
+without γ has absorbed part of it: it may be wrong by low-order factors ψ and sums θ, which the motion transports,
+`z_k T_k ψ + T_k θ`, and the motion may be slightly wrong. With these free and the pixel pattern integrated out, the
+marginal likelihood of φ, l and γ is that of a Gaussian with some forty unknowns. Texture that fades towards the corners
+identifies γ. Frames may have gains of their own, about the middle of the data.
 """
 
 from __future__ import annotations
@@ -41,10 +40,13 @@ N_FINE_SIGMAS = 7
 
 
 class GainOffsetEvidence:
-    """How likely strengths of the offset's shading, a drift and the gain's shading are, (K, 3).
+    """Marginal likelihood of standard deviations (offset's shading, drift, gain's shading).
 
-    With `contrasts` frames may have these, too, whatever they are. `doubt`: variances, (terms + 1,), by which each
-    frame's slow parts may be wrong; those up to degree two count.
+    Args:
+        problem: Its current values give the residuals.
+        contrasts: Whether frames have free gains.
+        doubt: Variances of further errors of the low-order parts of a frame, (terms + 1,); degrees up to
+            `MAX_ERROR_DEGREE` count.
     """
 
     def __init__(self, problem: Problem, *, contrasts: bool = False, doubt: Tensor | None = None) -> None:

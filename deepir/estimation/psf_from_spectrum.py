@@ -1,10 +1,11 @@
-"""How wide is a blur? What the frames' spectrum says of it.
+"""Point-spread function from the power spectrum of the frames.
 
-Natural scenes have power spectra that fall as a power of the frequency, of about 2.4 (Field 1987, Burton and Moorhead
-1987); a blur falls off faster, and the noise is flat. So the frames' spectrum has a shape of its own for each width,
-whatever the scene is, and the likeliest is found without it. (With the scene it is not: a prior that prefers few and
-small steps is best served by a blurred scene behind a sharp lens. Levin et al. 2009, "Understanding and evaluating
-blind deconvolution algorithms".)
+Power spectra of natural scenes fall as a power of the frequency, of about 2.4; a blur falls faster, and the
+noise is flat. The width of maximum likelihood therefore needs no scene. (A joint estimate with a sparse prior
+prefers a blurred scene and a sharp lens: Levin et al. 2009, "Understanding and evaluating blind deconvolution
+algorithms".)
+
+Source: Field 1987; Burton and Moorhead 1987; likelihood of Whittle 1953.
 """
 
 from __future__ import annotations
@@ -32,12 +33,15 @@ MAX_REFINEMENT_ITERATIONS = 40
 
 
 def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
-    """Set the parameters of a point-spread function to the likeliest; minus the logarithm of its likelihood.
+    """Fit the parameters of a point-spread function by maximum likelihood.
 
     Args:
-        field: Of the blur, in px of the frames.
-        frames: (N, 1, h, w), their pattern taken out.
-        usable: Where they count, bool; elsewhere they are like their nearest neighbour.
+        field: Changed in place; px of the frames.
+        frames: (N, 1, h, w), without the fixed pattern.
+        usable: Samples that count, same shape, bool; the others are filled by the nearest.
+
+    Returns:
+        Negative log-likelihood, nats.
     """
     misfit, trial = _WhittleLikelihood(fill_nearest(frames, usable)), copy.deepcopy(field).double()
     # The likelihood has several optima in the width, so that it is asked at many first, and followed from the best.
@@ -52,9 +56,14 @@ def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
 
 
 def spectral_noise(psf: Tensor, frames: Tensor, usable: Tensor) -> float:
-    """Standard deviation of the noise behind a blur (1, 1, n, n): what is flat of the frames' spectrum.
+    """Standard deviation of the noise behind a known blur, from the flat part of the spectrum.
 
-    Arguments as for `fit_psf`. A texture, which looks like noise from pixel to pixel, does not pass a blur.
+    Unlike texture, which resembles noise between pixels, noise does not pass through the blur.
+
+    Args:
+        psf: (1, 1, n, n).
+        frames: (N, 1, h, w), without the fixed pattern.
+        usable: Samples that count, same shape, bool.
     """
     misfit = _WhittleLikelihood(fill_nearest(frames, usable))
     noise = _minimise(misfit, lambda: misfit.response(psf.double()), [])[1][2]
@@ -62,9 +71,9 @@ def spectral_noise(psf: Tensor, frames: Tensor, usable: Tensor) -> float:
 
 
 class _WhittleLikelihood:
-    """Minus the logarithm of Whittle's likelihood of the frames' spectrum.
+    """Negative logarithm of Whittle's likelihood of the spectrum.
 
-    Power has an exponential distribution about its mean, here `(A f^-p |pixel|² |psf|² + noise)`.
+    The power of a wave is exponentially distributed about `A f^-p |pixel|² |psf|² + noise`.
     """
 
     def __init__(self, frames: Tensor) -> None:
@@ -78,7 +87,7 @@ class _WhittleLikelihood:
         self.pixel = (torch.sinc(y / (2 * math.pi)) * torch.sinc(x / (2 * math.pi)))[self.used].square()
 
     def response(self, psf: Tensor) -> Tensor:
-        """Squared, of pixels behind a point-spread function (1, 1, n, n), to each wave."""
+        """Squared frequency response of pixels behind a point-spread function (1, 1, n, n)."""
         blur = torch.fft.rfft2(psf[0, 0], s=self.size)[self.used]
         return self.pixel * (blur.real.square() + blur.imag.square())
 
@@ -93,7 +102,7 @@ class _WhittleLikelihood:
 def _minimise_from(
     misfit: _WhittleLikelihood, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]
 ) -> float:
-    """The least misfit over the scene's spectrum, the noise, and what is free of the field, from a start."""
+    """Minimum over spectrum, noise and the free parameters of the field, from a start."""
     field.load_state_dict(start)
     return _minimise(misfit, lambda: misfit.response(field()), free)[0]
 
@@ -101,7 +110,7 @@ def _minimise_from(
 def _minimise(
     misfit: _WhittleLikelihood, response: Callable[[], Tensor], free: list[nn.Parameter]
 ) -> tuple[float, list[float]]:
-    """The least misfit over the scene's spectrum, the noise and `free`; log amplitude, slope and log noise."""
+    """Minimum over spectrum, noise and `free`; and log amplitude, exponent and log noise at it."""
     scene = torch.tensor(
         [0.0, SPECTRAL_EXPONENT, -1.0], dtype=torch.float64, device=misfit.power.device
     ).requires_grad_()
@@ -123,10 +132,15 @@ def _minimise(
 
 
 def periodogram(frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean power of the frames (N, 1, h, w) at each wave, (h, w / 2 + 1), and the waves, radians a px; float64.
+    """Periodogram of the periodic component of the frames, which has no steps at the borders.
 
-    Of their periodic component, so that opposite edges do not meet in a step (Moisan 2011, "Periodic plus smooth image
-    decomposition").
+    Args:
+        frames: (N, 1, h, w).
+
+    Returns:
+        Mean power (h, w / 2 + 1), and frequencies along y and x, radians per px; float64.
+
+    Source: Moisan 2011, "Periodic plus smooth image decomposition".
     """
     frames = frames[:, 0].double()
     _, height, width = frames.shape

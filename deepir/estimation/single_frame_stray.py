@@ -1,4 +1,4 @@
-"""What one frame tells of stray flux: nothing but that the scene is likely to be flat almost everywhere."""
+"""Stray flux from one frame, by total variation."""
 
 from __future__ import annotations
 
@@ -19,10 +19,17 @@ N_REWEIGHTING_ROUNDS = 50
 
 @torch.no_grad()
 def tv_minimising_fit(frame: Tensor, usable: Tensor, field: BasisExpansion) -> Tensor:
-    """The slow map (h, w) of `field` that leaves the least total variation when it is taken from the frame (h, w).
+    """Low-order map whose subtraction minimises the total variation of a frame, by reweighted least squares.
 
-    By reweighted least squares. Edges of the scene are few and steep, and count little; a slope of the scene itself is
-    taken for stray flux.
+    Edges of the scene have little weight; a slope of the scene is attributed to stray flux.
+
+    Args:
+        frame: (h, w).
+        usable: Pixels that count, (h, w), bool.
+        field: Its basis is used, up to `MAX_STRAY_FREQUENCY`.
+
+    Returns:
+        The map, (h, w), float64.
     """
     one = torch.eye(len(field.values), dtype=frame.dtype, device=frame.device)
     terms = torch.stack([field.synthesise(each) for each in one[field.frequency <= MAX_STRAY_FREQUENCY]])

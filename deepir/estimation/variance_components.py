@@ -1,11 +1,11 @@
-"""How strong the parts of gain and offset are: by their marginal likelihood.
+"""Standard deviations of the parts of gain and offset by type-II maximum likelihood.
 
-Each column (or row, or pixel) has a gain and an offset `x` of prior variance `V = diag(σ²)`, of which the data, with
-all else held, say `½ x' A x - s' x` nats. With `x` integrated out, minus the logarithm of the strengths' likelihood is
+Each column (or row, or pixel) has gain and offset x of prior variance `V = diag(σ²)` and, all else fixed, a negative
+log-likelihood `½ x' A x - s' x`. With x integrated out the negative log marginal likelihood of V is
 
     ½ Σ log det(1 + A V) - s' V (1 + A V)^-1 s.
 
-(Expectation-maximisation has the same optimum, and takes hundreds of rounds to it where one of the strengths is zero.)
+(Expectation-maximisation has the same optimum, but needs hundreds of rounds if a standard deviation is zero.)
 """
 
 from __future__ import annotations
@@ -50,13 +50,17 @@ Expansion = tuple[float, np.ndarray, np.ndarray]
 def estimate_sigmas(
     information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, free: list[int]
 ) -> Tensor:
-    """The strengths (gain, offset), those in `free` chosen anew.
+    """Prior standard deviations of maximum marginal likelihood.
 
     Args:
-        information: A (aa, ab, bb), (3, K).
-        means: the posterior means of x, (2, K), at strengths `sigma` (2,).
-        most: upper bounds, (2,).
-        free: 0 for the gain's, 1 for the offset's.
+        information: A as (aa, ab, bb), (3, K).
+        means: Posterior means of x at `sigma`, (2, K).
+        sigma: Present standard deviations (gain, offset), (2,).
+        most: Upper bounds, (2,).
+        free: Which to estimate: 0 gain, 1 offset.
+
+    Returns:
+        Standard deviations (gain, offset), (2,).
     """
     free = [i for i in free if sigma[i] > 0]
     if not free:
@@ -83,14 +87,15 @@ def estimate_sigmas(
 
 
 def reference_level_nats(information: Tensor, means: Tensor, sigma: Tensor, level: float) -> float:
-    """Minus the logarithm of the likelihood of a reference level, at the strengths that are the likeliest with it.
+    """Negative log marginal likelihood of a reference level, maximised over the standard deviations, nats.
 
-    Measured from a level L the offset is `y + L (x - 1)`, and independent of the gain x.
+    Measured from a level L, the offset is `y + L (x - 1)` and independent of the gain x.
 
     Args:
-        information: A (aa, ab, bb), (3, K), measured from the present level.
-        means: the posterior means of x, (2, K), at strengths `sigma` (2,), which are positive.
-        level: L, from the present level.
+        information: A as (aa, ab, bb), (3, K), at the present level.
+        means: Posterior means of x at `sigma`, (2, K).
+        sigma: Present standard deviations, (2,); positive.
+        level: L relative to the present level, data units.
     """
     step = max(information.shape[1] // MAX_ELEMENTS, 1)
     (aa, ab, bb), (x, y) = information[:, ::step], means[:, ::step]
@@ -114,7 +119,7 @@ def reference_level_nats(information: Tensor, means: Tensor, sigma: Tensor, leve
 
 
 def _nats(values: Tensor, inliers: Tensor, sigma: np.ndarray) -> Expansion:
-    """Twice minus the mean logarithm of the likelihood of strengths, with what is known before; in their logarithms."""
+    """Expansion of twice the mean negative log posterior in the logarithms of the standard deviations."""
     from deepir.kernels.compile import parallel_for
     from deepir.kernels.marginal_likelihood import negative_log_likelihood
 
@@ -134,7 +139,7 @@ def _nats(values: Tensor, inliers: Tensor, sigma: np.ndarray) -> Expansion:
 def _minimise(
     cost: Callable[[np.ndarray], Expansion], start: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Where a function between two bounds is least: by Newton's steps, along the slope where it curves downwards."""
+    """Minimum between bounds by Newton steps; descent along axes of negative curvature."""
     x, (value, slope, curvature) = start, cost(start)
     for _ in range(MAX_NEWTON_STEPS):
         free = ~((x <= low) & (slope > 0) | (x >= high) & (slope < 0))
@@ -156,7 +161,7 @@ def _minimise(
 
 
 def _inliers(values: Tensor, u: float, v: float) -> Tensor:
-    """Those whose posterior means are not too many of their prior standard deviations."""
+    """Mask of the elements whose posterior means are not outliers of the prior."""
     aa, ab, bb, s, t = values
     system = 1 + u * aa + v * bb + u * v * (aa * bb - ab * ab)
     x, y = (s + v * (bb * s - ab * t)) / system, (t + u * (aa * t - ab * s)) / system
@@ -165,9 +170,11 @@ def _inliers(values: Tensor, u: float, v: float) -> Tensor:
 
 
 def high_pass(pattern: Tensor, part: GaussianMap) -> Tensor:
-    """The part's own share of a pattern: differences of neighbours, of the same variance.
+    """High-pass filter that keeps the independent values of a part and its variance, and removes smooth scene.
 
-    A part's values are independent, what the scene leaves in the pattern is mostly smooth.
+    Args:
+        pattern: (..., h, w).
+        part: Defines the axes along which to average and to difference.
     """
     own = pattern.mean(part.constant_axes, keepdim=True) if part.constant_axes else pattern
     for axis in {-2, -1} - set(part.constant_axes):

@@ -36,7 +36,7 @@ class Adam(Optimiser):
         self.best_error, self.steps = torch.tensor(math.inf, dtype=torch.float64), torch.tensor(0)
 
     def step(self, *, fresh: bool) -> None:
-        """One step; from a value or gradient that is not finite none is taken: the last good state stays."""
+        """One step; none if value or gradient is not finite."""
         value, gradients = self.gradient()
         finite = math.isfinite(value) and all(bool(g.isfinite().all()) for g in gradients)
         self.value = value if finite else math.nan
@@ -51,7 +51,7 @@ class Adam(Optimiser):
 
     @torch.no_grad()
     def finish(self) -> None:
-        """The best average takes the parameters' place."""
+        """Set the parameters to the best average."""
         if self.averages:
             self._keep_best_average()
             self._assign(self.averages[1])
@@ -68,7 +68,7 @@ class Adam(Optimiser):
         return found | {"best_error": self.best_error, "steps": self.steps}
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Take all of it over."""
+        """Restore a `state()`."""
         whole = self.adam.state_dict()
         for name, value in state.items():
             index, _, key = name.partition(".")
@@ -90,7 +90,7 @@ class Adam(Optimiser):
             self._keep_best_average()
 
     def _keep_best_average(self) -> None:
-        """Keep the average if it predicts the held-out samples better than any before."""
+        """Keep the average if its held-out error is the smallest so far."""
         now = [parameter.detach().clone() for parameter in self.parameters]
         self._assign(self.averages[0])
         error = held_out_error(self.problem)

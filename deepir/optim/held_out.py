@@ -1,4 +1,4 @@
-"""The error at samples that no fit sees."""
+"""Held-out samples."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HELD_OUT_FRACTION = 0.02
 
 
 def hold_out(problem: Problem, seed: int, fraction: float = HELD_OUT_FRACTION) -> None:
-    """Choose the samples that are held out, about so many of all."""
+    """Hold out a random fraction of the samples."""
     generator = torch.Generator().manual_seed(seed)
     chosen = torch.rand(problem.data.shape, generator=generator) < fraction
     problem.held_out.copy_(chosen.to(problem.held_out.device))

@@ -1,4 +1,4 @@
-"""How the objective curves along what is slow in a scene, and looks like levels or stray flux."""
+"""Dense Hessian of the objective in the low-order scene, frame levels and stray flux."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def low_order_inverse_hessian(
     others: Sequence[Drift | BasisExpansion],
     eliminated: Collection[str],
 ) -> Tensor:
-    """Inverse of the dense system of the scene's polynomials and, where they are free, frames' levels and stray flux.
+    """Inverse Hessian of the scene's polynomials and of free frame levels and stray flux.
 
-    The pattern's own polynomials are eliminated, with what its parts let expect of them: where the motion leaves
-    open whether scene or pattern has a slope, that is all there is to hold it.
+    The polynomials of the pattern are eliminated with their prior variances: where the motion does not separate slopes
+    of scene and pattern, only these determine them.
     """
     scene: Any = problem.fields["scene"]
     terms = len(low_order.scene.whitened)
@@ -67,7 +67,7 @@ def low_order_inverse_hessian(
 def _stray_flux_curvature(
     problem: Problem, low_order: LowOrderModel, field: BasisExpansion, variance: Variances
 ) -> Tensor:
-    """Curvature of stray flux in its prior and in what is not slow of it, behind a free pattern: a matrix."""
+    """Hessian of stray flux in its prior and in its high-order part, behind a free pattern."""
     _, rest = low_order.basis_columns(field)
     height, width = problem.data.shape[-2:]
     unsure = median_sigma(problem.precision) ** 2 / len(problem.data) + variance[PIXEL]
@@ -84,7 +84,7 @@ def _stray_flux_curvature(
 
 
 def _penalty_curvature(problem: Problem, low_order: LowOrderModel) -> Tensor:
-    """What the scene's penalties make of its polynomials: a matrix."""
+    """Hessian of the scene's penalties in its polynomials."""
     value = problem.fields["scene"]()
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
     curvatures = [penalty.mean_curvature(value) for penalty in penalties]

@@ -1,12 +1,12 @@
-"""What is slow over the frame: polynomials of the scene and of the pattern, and the levels of whole frames.
+"""Low-order model of a burst: polynomials of scene and pattern, and the levels of the frames.
 
-A camera that moves by `d` over a slope of the sensor sees its level change by a multiple of `d`, as if it drifted; over
-a quadratic offset it sees frames that slope against each other. Which of them there is, and how strong, is asked of
-the evidence: how likely the frames' slow parts are, whatever the scene's are.
+A camera that moves by d over a slope of the sensor sees its level change in proportion to d, as in a drift; over a
+quadratic offset it sees slopes that vary between frames. The marginal likelihood of the low-order parts of the frames
+separates these causes.
 
-In each frame the slow part is `c_j = T_j θ + φ + l_j`: coefficients of polynomials of the scene θ, which the motion
-carries into the frame, and of the pattern φ, the same in all frames, and the level l_j in the first of them, which is
-constant. All that the data say of them is a matrix `M_j` and a vector `q_j` for each frame: `½ c' M c - q' c` nats.
+The low-order part of frame j is `c_j = T_j θ + φ + l_j`: coefficients θ of polynomials of the scene, transported by the
+motion, φ of the pattern, the same in all frames, and the level l_j in the constant term. Its negative log-likelihood is
+`½ c' M_j c - q_j' c`, nats.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ INFORMATION_RIDGE = 1e-12
 #: Key of the variance of the shading; no axes.
 SHADING_KEY = (-1, 1)
 
-#: Of the pattern's parts, by the axes along which they are constant.
+#: Variances of the pattern, by the axes along which it is constant.
 Variances = dict[tuple[int, ...], float]
 
 
@@ -71,24 +71,24 @@ class LowOrderModel:
         )
 
     def with_frame_variance(self, variance: Tensor) -> LowOrderModel:
-        """The same with less information: the slow parts of each frame vary by chance, (terms + 1,), independently."""
+        """Copy with an added independent variance of the low-order coefficients of each frame, (terms + 1,)."""
         found = copy.copy(self)
         found.shrinkage = torch.linalg.inv(self.shrinkage + self.information * variance)
         found.information = found.shrinkage @ self.information
         return found
 
     def normal_matrix(self, *more: Tensor) -> Tensor:
-        """Normal matrix of (θ, level of the pattern, φ, and `more`, such as the levels of the frames)."""
+        """Normal matrix of (θ, level of the pattern, φ, `more`), with columns such as those of the frame levels."""
         maps = self._design(more)
         return (maps.mT @ self.information @ maps).sum(0)
 
     def frame_scores(self, residual: Tensor) -> Tensor:
-        """q_j, (N, terms + 1), of what the frames (N, h, w) are above their prediction without slow parts."""
+        """q_j, (N, terms + 1), from residuals of the frames (N, h, w)."""
         weighted = (self.problem.fitted()[:, 0] * residual).double()
         return torch.cat((weighted.sum((1, 2))[:, None], self.frame.analyse(weighted)), 1)
 
     def right_hand_side(self, seen: Tensor, *more: Tensor) -> Tensor:
-        """The right-hand side to the normal matrix, of q_j."""
+        """Right-hand side of the normal equations from all q_j."""
         return (self._design(more).mT @ self.shrinkage @ seen[..., None]).sum(0)[:, 0]
 
     def null_nats(self, seen: Tensor) -> Tensor:
@@ -102,19 +102,19 @@ class LowOrderModel:
         return ((values * scores).sum() - torch.linalg.slogdet(self.shrinkage).logabsdet.sum()) / 2
 
     def level_columns(self) -> Tensor:
-        """What the unknowns of a drift make of each frame's slow part, (N, terms + 1, N)."""
+        """Columns of the unknowns of a drift, (N, terms + 1, N)."""
         count, size, _ = self.transport.shape
         made = level_basis(count, self.transport.device)
         return torch.cat((made[:, None], made.new_zeros(count, size - 1, count)), 1)
 
     def basis_columns(self, field: BasisExpansion) -> tuple[Tensor, Tensor]:
-        """The slow part of each of the K terms of a map, (terms + 1, K), and what is not, (K, points y, points x)."""
+        """Low-order projection of the K terms of a map, (terms + 1, K), and the rest, (K, points y, points x)."""
         maps = field.sample_basis(*self.stride).double()
         slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T, driver="gels").solution
         return slow, maps - (self.terms @ slow).T.reshape(maps.shape)
 
     def _design(self, more: Sequence[Tensor]) -> Tensor:
-        """Of all unknowns, (N, terms + 1, unknowns): what they make of each frame's slow part."""
+        """Design matrix of each frame, (N, terms + 1, unknowns)."""
         count, size, _ = self.transport.shape
         one = torch.eye(size, dtype=self.transport.dtype, device=self.transport.device)
         return torch.cat([each.expand(count, size, -1) for each in (self.transport, one, *more)], 2)
@@ -122,12 +122,12 @@ class LowOrderModel:
 
 @functools.lru_cache(maxsize=8)  # a solve asks for the same ones each time that its strengths are estimated
 def polynomials(height: int, width: int, device: torch.device) -> Shading:
-    """The polynomials over a map."""
+    """Polynomials over a map of this size."""
     return Shading((1, 1, height, width)).to(device)
 
 
 def apply_lag(problem: Problem, seen: Tensor) -> Tensor:
-    """What a lag makes of (instants, ...) values for each frame, (N, ...); the same if there is none."""
+    """Apply the lag operator along time to (instants, ...), (N, ...); identity without one."""
     for name, stage in problem.operator.named():
         if isinstance(stage, Lag):
             slots = {
@@ -142,9 +142,9 @@ def apply_lag(problem: Problem, seen: Tensor) -> Tensor:
 def pattern_variances(
     problem: Problem, eliminated: Collection[str], max_line_gain: float = math.inf
 ) -> Variances:
-    """Variance of the free pattern in the data's units, by the axes along which it is constant.
+    """Variance of the free pattern, squared data units, by the axes along which it is constant.
 
-    Gains of lines are left out if their standard deviation is above `max_line_gain`.
+    Line gains with a standard deviation above `max_line_gain` are left out.
     """
     data, precision = subsample(
         problem.data, problem.precision, max_samples=MAX_SAMPLES_PER_FRAME // len(problem.data)
@@ -164,7 +164,7 @@ def pattern_variances(
 
 
 def expected_variances(variance: Variances, frame: Shading) -> Tensor:
-    """Variance of each of the frame's polynomials in a pattern of these variances, shading left out."""
+    """Prior variance of each polynomial of a frame in a pattern of these variances, without shading."""
     height, width = frame.shape[-2:]
     each = torch.full((len(frame.whitened),), variance[PIXEL] / (height * width), dtype=torch.float64)
     each = each.to(frame.order_y.device)

@@ -28,7 +28,7 @@ HELD_OUT_REPORT_INTERVAL = 25
 
 @dataclass
 class Progress:
-    """Where a solve is: handed to callbacks after every iteration."""
+    """Progress of a solve, passed to callbacks after every iteration."""
 
     stage: str
     iteration: int  # in this stage
@@ -41,7 +41,7 @@ class Progress:
 
 @dataclass
 class Solution:
-    """What a solve found, and why it ended; `history` has one row an iteration."""
+    """Result of a solve; `history` has one row per iteration."""
 
     values: Values
     reason: str
@@ -122,7 +122,7 @@ def _run(
     callbacks: Sequence[Callable[[Progress], None]],
     save: Callable[..., None],
 ) -> str:
-    """Iterate to the end of the stage; why it ended."""
+    """Iterate to the end of the stage; returns why it ended."""
     stage = plan[position.stage]
     start = [parameter.detach().clone() for parameter in problem.parameters()]
     while position.iteration < stage.iterations:
@@ -166,7 +166,7 @@ def _iterate(
 
 
 def _has_converged(position: Position, stage: Stage, problem: Problem) -> bool:
-    """Whether the last ten iterations gained next to nothing; Adam, whose steps go up and down, takes them all."""
+    """Whether the last ten iterations gained less than the tolerance; never for Adam, which is not monotone."""
     if position.iteration <= 10 or any(step.method == "adam" for step in stage.steps):
         return False
     losses = [row["loss"] for row in position.history[-position.iteration :]]
@@ -190,7 +190,7 @@ def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, position: Pos
 
 @torch.no_grad()
 def _raise_if_diverged(problem: Problem, start: Sequence[Tensor], stage: Stage, position: Position) -> None:
-    """Raise `SolverError` if the solve is lost; one that only rose goes back to where it began."""
+    """Raise `SolverError` on divergence; an objective that only rose is reset to the start of the stage."""
     first, last = position.history[-position.iteration]["loss"], position.history[-1]["loss"]
     if math.isfinite(last) and last <= MAX_OBJECTIVE_RATIO * max(abs(first), problem.data.numel()):
         return
