@@ -162,8 +162,8 @@ class Flat:
 
 def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
     steps, reached = [], []
-    for shorter in (lbfgs.SHORTER, 1.0):
-        monkeypatch.setattr(lbfgs, "SHORTER", shorter)
+    for shorter in (lbfgs.OVERSHOOT_SHRINKAGE, 1.0):
+        monkeypatch.setattr(lbfgs, "OVERSHOOT_SHRINKAGE", shorter)
         _, optimiser = make("lbfgs", kinked, start=[0.0] * 300)
         optimiser.curvature, evaluations, taken = Flat(), 0, 0
         while evaluations < 60:
