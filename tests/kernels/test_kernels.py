@@ -100,7 +100,9 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
     data, precision = (50 + torch.randn(shape)).double(), torch.rand(shape).double()
     gain, offset = 1 + 0.1 * torch.randn(1, *shape[1:]).double(), torch.randn(1, *shape[1:]).double()
     level = torch.randn(3, 1, 1, 1, dtype=torch.float64, requires_grad=True)
-    wanted = factor * weighted_least_squares.weighted_least_squares(gain * flux + offset + level, data, precision)
+    wanted = factor * weighted_least_squares.weighted_least_squares(
+        gain * flux + offset + level, data, precision
+    )
     given = [each.detach().to(dtype) for each in (flux, data, precision, gain, offset, level)]
     given[0].requires_grad_()
     given[-1].requires_grad_()

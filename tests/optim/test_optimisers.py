@@ -165,7 +165,7 @@ def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
     for shorter in (lbfgs.OVERSHOOT_SHRINKAGE, 1.0):
         monkeypatch.setattr(lbfgs, "OVERSHOOT_SHRINKAGE", shorter)
         _, optimiser = make("lbfgs", kinked, start=[0.0] * 300)
-        optimiser.curvature, evaluations, taken = Flat(), 0, 0
+        optimiser.preconditioner, evaluations, taken = Flat(), 0, 0
         while evaluations < 60:
             optimiser.step(fresh=False)
             evaluations, taken = evaluations + optimiser.take_count(), taken + 1

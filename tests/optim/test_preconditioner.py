@@ -156,7 +156,7 @@ def fitted(problem, *, fine):
     """How the scene changes in a few iterations."""
     steps, scene = (Step(("scene",)), Step(("offset",), "eliminate")), problem.fields["scene"]
     before = scene().detach()
-    solve(problem, [Stage("scene", steps, iterations=8, tolerance=0.0, high_frequencies_only=fine)])
+    solve(problem, [Stage("scene", steps, iterations=8, tolerance=0.0, fine=fine)])
     return (scene().detach() - before)[0, 0]
 
 
@@ -169,7 +169,7 @@ def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatc
     moved = {}
     for fine in (True, False):
         problem.load_state_dict(start)
-        change = torch.fft.rfft2(fitted(problem, high_frequencies_only=fine)).abs().square()
+        change = torch.fft.rfft2(fitted(problem, fine=fine)).abs().square()
         moved[fine] = float(change[slow].sum()), float(change[~slow].sum())
     assert moved[True][0] < 0.05 * moved[False][0]
     assert moved[True][1] > 0.5 * moved[False][1]
@@ -177,6 +177,6 @@ def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatc
 
 def test_where_no_frame_looks_the_fine_does_not_move(problem):
     problem.precision[..., :20, :] = 0
-    change = fitted(problem, high_frequencies_only=True).abs()
+    change = fitted(problem, fine=True).abs()
     assert float(change[:16].max()) == 0
     assert float(change[28:-8, 8:-8].min()) > 0
