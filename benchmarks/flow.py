@@ -31,7 +31,7 @@ from deepir.fields.pixels import Pixels
 from deepir.metrics import scores
 from deepir.operators import Chain, Sensor, Warp
 from deepir.operators.homography import displacements
-from deepir.operators.warp import coords
+from deepir.operators.warp import project_pixels
 from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.optical_flow import optical_flow
@@ -75,7 +75,7 @@ def simulated(options: argparse.Namespace) -> Iterator[str]:
             for prior in options.prior or PRIORS:
                 still = run("nuc", sim.frames, options, HOMOGRAPHY, prior=prior)
                 found = run("flow", sim.frames, options, prior=prior)
-                flat = displacements(coords(torch.from_numpy(still.motion), CAMERA.shape)).numpy()
+                flat = displacements(project_pixels(torch.from_numpy(still.motion), CAMERA.shape)).numpy()
                 psnr = [scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (still, found)]
                 errors = [end_point_error(each, sim) for each in (flat, found.extra["flow"])]
                 yield (

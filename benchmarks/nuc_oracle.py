@@ -66,7 +66,7 @@ def best_scene(sim: Simulation, variance: np.ndarray) -> np.ndarray:
     def quality(power: float) -> float:
         penalty.weight.fill_(2**power * natural)
         plan = [Stage("oracle", (Step(("scene",)),), ITERATIONS, tolerance=TOLERANCE)]
-        image = problem.operator.image(solve(problem, plan).values["scene"])
+        image = problem.operator.to_pixels(solve(problem, plan).values["scene"])
         scene = geometry.crop(image).numpy()
         scenes[found := aligned(scene, sim)] = scene
         return found

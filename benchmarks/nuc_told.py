@@ -60,7 +60,7 @@ def told(sim: Simulation, picture: np.ndarray) -> float:
 
     def quality(power: float) -> float:
         penalty.weight.fill_(2**power * natural)
-        image = problem.operator.image(solve(problem, plan).values["scene"])
+        image = problem.operator.to_pixels(solve(problem, plan).values["scene"])
         return aligned(geometry.crop(image).numpy(), sim)
 
     return climb(quality)
@@ -73,11 +73,11 @@ def give_strengths(problem: Problem, sim: Simulation) -> None:
         rest = torch.from_numpy(np.asarray(true, float).reshape(problem.fields[name].shape))
         rest = rest - rest.mean()
         parts = problem.fields[name].parts()
-        for part in sorted(parts, key=lambda part: (not isinstance(part, Shading), -len(part.along))):
+        for part in sorted(parts, key=lambda part: (not isinstance(part, Shading), -len(part.constant_axes))):
             part.sigma.fill_(1.0)
             part.init_from(rest + part.neutral)
             share = part.values.expand(rest.shape)
-            terms = part.share.square().sum() if isinstance(part, Shading) else 1
+            terms = part.relative_sigma.square().sum() if isinstance(part, Shading) else 1
             part.sigma.fill_(float(share.detach().square().mean() / terms) ** 0.5)
-            part.white.data.zero_()
+            part.whitened.data.zero_()
             rest = rest - share

@@ -88,8 +88,8 @@ class Plain(Skip):
 
     def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
         doubled = F.interpolate(deep, scale_factor=2, mode=self.up)
-        risen: Tensor = self.rise[i](self.join[i](torch.cat((beside, doubled), 1)))
-        return risen
+        upsample_join_convolve: Tensor = self.rise[i](self.join[i](torch.cat((beside, doubled), 1)))
+        return upsample_join_convolve
 
 
 def times() -> dict[str, float]:

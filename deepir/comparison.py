@@ -9,7 +9,7 @@ import torch
 
 from deepir.burst import Burst
 from deepir.metrics import motion_error, scores
-from deepir.operators.geometry import scaled
+from deepir.operators.geometry import rescale_motion
 from deepir.result import Result
 
 
@@ -42,7 +42,7 @@ def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:
             found[f"{name}_rmse"] = float(np.sqrt(np.mean(off.astype(float) ** 2)))
     if "motion" in truth and truth["motion"].shape == result.motion.shape:
         ratio = result.scene.shape[-1] / burst.size[1]
-        motion = scaled(torch.from_numpy(result.motion), 1 / ratio).numpy()
+        motion = rescale_motion(torch.from_numpy(result.motion), 1 / ratio).numpy()
         error = motion_error(motion, truth["motion"], burst.size)
         found["motion_rmse"] = None if math.isnan(error) else error
     return found

@@ -1,7 +1,7 @@
-"""How a prediction is compared with the data: negative log-likelihoods in nats.
+"""Likelihoods: negative log-likelihoods of the data, nats.
 
-Each is least where the prediction equals the data, and summed in float64: line searches compare values that
-differ in the eighth digit.
+Each is minimal where prediction and data agree. Sums are in float64: line searches compare values that differ in the
+eighth digit.
 """
 
 from __future__ import annotations
@@ -13,19 +13,22 @@ from torch import Tensor, nn
 from deepir.closed_form.weighted_least_squares import weighted_least_squares
 from deepir.registry import register
 
-NEGATIVE = 0.1  # share of samples below zero from which they are no photons
+#: Fraction of negative samples from which data cannot be photon counts.
+MAX_NEGATIVE_FRACTION = 0.1
+#: Residual at which a sample has half its weight (Cauchy weights), noise standard deviations.
+CAUCHY_SCALE = 5.0
 
 
 class Fidelity(nn.Module):
-    """`forward(prediction, data, precision)`, all (N, 1, h, w).
+    """Negative log-likelihood `forward(prediction, data, precision)`, all (N, 1, h, w).
 
-    `precision` is 1 / variance of a sample, and zero where it does not count: it may hold anything finite.
+    `precision` is the inverse variance of a sample; zero where it does not count and may hold anything finite.
     """
 
-    #: Whether it is the sum of squares that a closed form needs.
+    #: Whether it is a sum of squares, as a closed form needs.
     quadratic = False
 
-    def demand(self, data: Tensor, usable: Tensor) -> None:
+    def check_data(self, data: Tensor, usable: Tensor) -> None:
         """Raise `ValueError` for usable data that cannot have this noise."""
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
@@ -78,12 +81,12 @@ class Poisson(Fidelity):
     variances: `t = Σ y² / variance / Σ y`. A sample of no photons counts too.
     """
 
-    def demand(self, data: Tensor, usable: Tensor) -> None:
+    def check_data(self, data: Tensor, usable: Tensor) -> None:
         """Photons are not negative; a few samples about zero may be, by the noise of the read-out."""
-        share = float(((data < 0) & usable).sum() / usable.sum())
-        if share > NEGATIVE:
+        fraction = float(((data < 0) & usable).sum() / usable.sum())
+        if fraction > MAX_NEGATIVE_FRACTION:
             raise ValueError(
-                f"poisson counts photons, but {share:.0%} of the data are negative; take gaussian"
+                f"poisson counts photons, but {fraction:.0%} of the data are negative; take gaussian"
             )
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
@@ -97,6 +100,3 @@ class Poisson(Fidelity):
         deviance = p - y + torch.xlogy(y, y) - y * p.log()
         beyond = (y / floor - 1) * below + (y / floor + 1) * below.square() / (2 * floor)
         return photons * (counts * (deviance + beyond)).sum(dtype=torch.float64)
-
-
-CAUCHY_SCALE = 5.0  # residual, in standard deviations, at which a sample counts half (Cauchy's weights)

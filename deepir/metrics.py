@@ -1,4 +1,4 @@
-"""How close is a result to the truth? Never after warping one onto the other."""
+"""Errors of a result against the truth; never after a warp."""
 
 from __future__ import annotations
 
@@ -10,12 +10,17 @@ Array = np.ndarray[Any, Any]
 
 
 def scores(scene: Array, truth: Array) -> dict[str, float]:
-    """PSNR (dB) and SSIM of a scene (H, W), as it is and after one best gain and level (the gauge).
+    """PSNR and SSIM of a scene, with and without alignment by one gain and one level (the gauge).
 
-    Where each frame has a scene, (N, H, W), the gauge is one for all, and SSIM the mean. The peak is the truth's range.
-    `radiometric_rmse` is the error in the data's units after one level, which no burst shows; the gain stays as it is.
-    `residual_columns` and `residual_pixels` are what is left of a fixed pattern then, see `pattern`.
-    Truth that is not finite is left out, and filled with the scene for SSIM.
+    Args:
+        scene: (H, W), or (N, H, W) if each frame has a scene.
+        truth: Same shape; pixels that are not finite are left out, and filled with the scene for SSIM.
+
+    Returns:
+        `psnr`, `psnr_aligned`: dB, with the range of the truth as the peak.
+        `ssim`, `ssim_aligned`: mean over the frames.
+        `radiometric_rmse`: after alignment by a level only, data units.
+        `residual_columns`, `residual_pixels`: see `pattern`, after alignment, data units.
     """
     from skimage.metrics import peak_signal_noise_ratio  # a quarter of a second, and few runs have a truth
 
@@ -36,9 +41,13 @@ def scores(scene: Array, truth: Array) -> dict[str, float]:
 
 
 def pattern(error: Array) -> tuple[float, float]:
-    """Standard deviations of columns and of pixels in an error (..., H, W), from what neighbours differ by.
+    """Standard deviations of column and pixel noise in an error, from differences of neighbours.
 
-    What is smooth does not count, and for pixels neither do rows and columns.
+    Args:
+        error: (..., H, W).
+
+    Returns:
+        Of columns and of pixels, without smooth structure; that of pixels without rows and columns, too.
     """
     columns = np.diff(error.mean(-2), axis=-1)
     pixels = np.diff(np.diff(error, axis=-1), axis=-2)
@@ -46,9 +55,12 @@ def pattern(error: Array) -> tuple[float, float]:
 
 
 def roughness(scene: Array) -> float:
-    """What neighbours in a scene (..., H, W) differ by, to its level: the index of works on non-uniformity correction.
+    """Roughness index of non-uniformity correction: L1 norm of the gradient relative to that of the scene.
 
-    The sum of all absolute differences along rows and columns, over that of absolute values.
+    Args:
+        scene: (..., H, W).
+
+    Source: Hayat et al. 1999, "Statistical algorithm for nonuniformity correction in focal-plane arrays".
     """
     scene = scene.astype(float)
     steps = sum(float(np.abs(np.diff(scene, axis=axis)).sum()) for axis in (-1, -2))
@@ -56,9 +68,15 @@ def roughness(scene: Array) -> float:
 
 
 def motion_error(motion: Array, truth: Array, size: tuple[int, int]) -> float:
-    """How far two motions (N, 3, 3) send the corners of a frame (h, w) apart: root mean square, px.
+    """Root mean square distance of the corners of a frame under two motions, px.
 
-    The first frame, which defines both, and frames that are NaN are left out; NaN if none is left.
+    Args:
+        motion: (N, 3, 3) homographies; frames that are NaN are left out.
+        truth: Same shape.
+        size: (h, w) of a frame.
+
+    Returns:
+        The error without the first frame, which is the reference; NaN without any frame.
     """
     y, x = ((side - 1) / 2 for side in size)
     corners = np.array([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.closed_form.variable_projection import Elimination, eliminate
-from deepir.closed_form.weighted_least_squares import of_sensor
+from deepir.closed_form.weighted_least_squares import sensor_least_squares
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity, Gaussian
 from deepir.operators import Chain, Operator, Sensor
@@ -197,7 +197,7 @@ class Problem(nn.Module):
 
     def shown(self, name: str, value: Tensor, penalty: Penalty) -> Tensor:
         """What a penalty acts on: the unknown's value, or the scene's samples at pixel centres."""
-        return self.operator.image(value) if penalty.of_image and name == "scene" else value
+        return self.operator.to_pixels(value) if penalty.acts_on_pixels and name == "scene" else value
 
     def represent(self, name: str, field: Field, penalties: Mapping[str, Penalty]) -> None:
         """Replace the field and the penalties of an unknown; spatial weight maps are inherited."""
@@ -205,7 +205,7 @@ class Problem(nn.Module):
         for old in before:
             for new in penalties.values():
                 if isinstance(old, SpatiallyWeighted) and isinstance(new, SpatiallyWeighted):
-                    new.go_on_from(old)
+                    new.inherit_weights(old)
         self.fields[name] = field  # type: ignore[index]
         self.penalties[name] = nn.ModuleDict(penalties)  # type: ignore[index]
 
@@ -219,9 +219,9 @@ class Problem(nn.Module):
         slots = slots_of(self._slot_values(values), name)
         moves = slots["gain"].requires_grad or slots["offset"].requires_grad
         if isinstance(self.fidelity, Gaussian) and not moves:
-            freedom = None if found is None else found.freedom()
+            log_det = None if found is None else found.log_det_gradient()
             sensor = (slots["gain"], slots["offset"], slots["level"])
-            return of_sensor(flux, self.data, precision, sensor, freedom)
+            return sensor_least_squares(flux, self.data, precision, sensor, log_det)
         return self.fidelity(last(flux, **slots), self.data, precision)
 
     def alive(self) -> Tensor:
@@ -287,7 +287,7 @@ class Problem(nn.Module):
         flux = self.flux(values) if flux is None else flux
         precision = self.fitted() if precision is None else precision
         found = self._eliminate(values, group, flux, precision)
-        return dict(zip(list(self.sensor_unknowns().values())[:2], found.variances(), strict=True))
+        return dict(zip(list(self.sensor_unknowns().values())[:2], found.posterior_variances(), strict=True))
 
     @torch.no_grad()
     def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Elimination:

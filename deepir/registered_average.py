@@ -1,4 +1,4 @@
-"""The registered average of a problem's frames, and what fills its holes."""
+"""Registered average of the frames of a problem."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ if TYPE_CHECKING:
 
 
 class RegisteredAverage:
-    """The average of frames on the scene's grid, by one motion, one sensor and one set of weights.
+    """Weighted average of frames on the grid of the scene, `A' W (y - b) / A' W A 1` for the model `y = A x + b`.
 
-    With `y = A x + b`, and in W the `weights`, or else the precisions, as shares of the largest:
-    `A' W (y - b) / A' W A 1`. What is of A and W alone is computed once: a start averages a burst many times.
+    Terms that depend on A and W alone are computed once.
 
     Args:
         problem: Its operator and data.
-        values: Of its unknowns; the scene may be any.
-        weights: (N, C, h, w), of the samples.
+        values: Values of the unknowns; the scene is not used.
+        weights: Of the samples, (N, C, h, w); precisions relative to the largest if None.
     """
 
     def __init__(self, problem: Problem, values: Values, weights: Tensor | None = None) -> None:
@@ -29,17 +28,17 @@ class RegisteredAverage:
         self._problem, self._shape = problem, tuple(zero.shape)
         self._slots = {slot: values[name] for slot, name in problem.slots.items() if name in values}
         self._weights = (problem.precision if weights is None else weights) / unit
-        #: What the frames show of a scene of zero.
+        #: Prediction for a zero scene, b.
         self.at_zero = problem.predict(values | {"scene": zero})
         ones = problem.predict(values | {"scene": zero + 1}) - self.at_zero
-        #: Weight of each pixel of the scene, in frames, (S, C, H, W).
-        self.weight = self._carried(ones)
+        #: Sum of the weights at each pixel of the scene, in frames, (S, C, H, W).
+        self.weight = self._backproject(ones)
 
     def __call__(self, frames: Tensor) -> Tensor:
-        """The average, (S, C, H, W), of `y - b`, or of what else the frames are to show of a scene."""
-        return self._carried(frames) / self.weight.clamp(min=1e-6)
+        """The average of frames (N, C, h, w), such as `y - b`, (S, C, H, W)."""
+        return self._backproject(frames) / self.weight.clamp(min=1e-6)
 
-    def _carried(self, frames: Tensor) -> Tensor:
+    def _backproject(self, frames: Tensor) -> Tensor:
         # Without a warp, one prediction of its shape stands for all frames.
         each = (frames * self._weights).sum_to_size(self.at_zero.shape)
         return self._problem.operator.adjoint(each, self._shape, **self._slots)

@@ -1,4 +1,4 @@
-"""Tests for operators, one's own among them.
+"""Checks of operators, for plugins as well.
 
 operator, x, slots = MyOperator.example()
 check_operator(operator, x, slots, reference=lambda x, slots: ...)
@@ -27,19 +27,17 @@ def check_operator(
     *,
     reference: Callable[[Array, dict[str, Array]], Array] | None = None,
 ) -> None:
-    """Check all that the package relies on.
-
-    Shapes, types, devices, purity, linearity, adjoint, validity and gradients.
+    """Check shapes, types, devices, purity, linearity, adjoint, validity and gradients of an operator.
 
     Args:
         operator: The operator; `Operator.example` gives one with an input and slots.
         x: Input, (N or 1, C, H, W) float64; small, as each of its elements is perturbed.
         slots: Value of each slot, float64. Neither may lie where the operator has a kink.
-        reference: `(x, slots) -> y`, the same in numpy, by other means. The adjoint is then compared with the
-            transpose of the reference's dense matrix.
+        reference: Independent implementation `(x, slots) -> y` in numpy; the adjoint is compared with the
+            transpose of its dense matrix.
 
     Raises:
-        AssertionError: What is wrong, with the operator's name.
+        AssertionError: A property does not hold; with the name of the operator.
     """
     name = type(operator).__name__
     with torch.no_grad():

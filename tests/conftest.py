@@ -31,7 +31,7 @@ def small_nuc():
     from deepir.fields.constant import Constant
     from deepir.fields.motion import Shift
     from deepir.fields.pixels import Pixels
-    from deepir.fields.sensor_maps import Column, Pixel, Row, Sum
+    from deepir.fields.sensor_maps import Column, Pixel, Row, SumField
     from deepir.operators import Sensor, Warp
     from deepir.priors.penalties.ridge import Ridge
     from deepir.priors.penalties.tv import TV
@@ -44,7 +44,7 @@ def small_nuc():
 
         def parts(neutral, sigmas):
             kinds = zip((Column, Row, Pixel), sigmas, strict=True)
-            return Sum(maps, neutral, {k.__name__.lower(): k(maps, sigma=s) for k, s in kinds})
+            return SumField(maps, neutral, {k.__name__.lower(): k(maps, sigma=s) for k, s in kinds})
 
         fields = {
             "scene": Pixels((1, 1, *canvas)),

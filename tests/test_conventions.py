@@ -16,7 +16,7 @@ from deepir.config import load
 from deepir.fields.sensor_maps import Pixel
 from deepir.likelihoods import Gaussian
 from deepir.operators import Add, Blur, Chain, Downsample, Sensor, Warp
-from deepir.operators.geometry import MARGIN, footprint
+from deepir.operators.geometry import CANVAS_MARGIN, footprint
 from deepir.priors.penalties.tv import TV
 from deepir.registry import components
 from deepir.result import Result, to_gauge
@@ -99,7 +99,7 @@ def test_the_image_of_a_scene_is_what_a_frame_at_rest_shows():
     coefficients = picture()[None, None]
     operator = Warp((11, 12), (21, 24), (5, 6))
     at_rest = operator(coefficients, motion=homography()[None])
-    assert torch.allclose(at_rest, operator.image(coefficients)[..., 5:16, 6:18])
+    assert torch.allclose(at_rest, operator.to_pixels(coefficients)[..., 5:16, 6:18])
 
 
 def test_warps_pull_so_plus_x_looks_right_and_plus_y_looks_down():
@@ -183,11 +183,11 @@ def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_
             torch.tensor([width, height]) - 1 - seen.amax(0) - torch.tensor([x0, y0]),
         ]
     )
-    assert MARGIN == 8
-    assert room.min() >= MARGIN - 1e-9
-    assert (room[:2] < MARGIN + 1).all()
+    assert CANVAS_MARGIN == 8
+    assert room.min() >= CANVAS_MARGIN - 1e-9
+    assert (room[:2] < CANVAS_MARGIN + 1).all()
     for more, side in zip(
-        room[2:] - MARGIN, (width, height), strict=True
+        room[2:] - CANVAS_MARGIN, (width, height), strict=True
     ):  # up to a size of a quick transform
         assert more < 2 + 0.1 * side
 
@@ -203,7 +203,7 @@ def test_validity_that_the_corners_tell_is_that_of_all_samples():
     for x, angle in ((0.0, 0.0), (3.0, 0.1), (9.0, 0.0), (0.0, 0.5)):
         motion = homography(x=x, angle=angle)[None]
         reach = torch.tensor([(46 - 3) / 2, (40 - 3) / 2]) + 1e-4
-        each = (operator.points(motion).abs() <= reach).all(-1)[:, None]
+        each = (operator.sampling_points(motion).abs() <= reach).all(-1)[:, None]
         assert torch.equal(operator.valid(torch.ones(1, 1, 40, 46), motion=motion) > 0, each)
 
 

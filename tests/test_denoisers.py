@@ -65,7 +65,7 @@ def test_red_is_of_the_picture_and_not_of_the_splines_coefficients(small_nuc):
     scene = problem.fields["scene"]().detach()
     penalty = RED(tuple(scene.shape)).double()
     problem.represent("scene", problem.fields["scene"], {"red": penalty})
-    penalty.target.copy_(problem.operator.image(scene))
+    penalty.target.copy_(problem.operator.to_pixels(scene))
     assert float(problem.losses(problem.values())["scene.red"].detach()) == pytest.approx(0, abs=1e-12)
 
 
@@ -85,7 +85,7 @@ def test_red_falls_from_its_first_strength_to_its_last_and_trusts_as_much_as_it_
     penalty = RED((1, 1, 40, 48), denoiser=denoise, first=2.0, strength=1.0, trust=0.25)
     weights = []
     for _ in range(6):
-        weights.append(penalty.natural(10.0))
+        weights.append(penalty.default_weight(10.0))
         penalty.adapt(picture(), 10.0)
     assert told == pytest.approx([20, 16, 12.8, 10.24, 10, 10])
     assert weights == pytest.approx([0.25 / sigma**2 for sigma in told])

@@ -117,8 +117,8 @@ def test_poisson_is_finite_and_convex_below_zero():
 
 def test_what_is_negative_has_no_photons():
     about_zero = torch.tensor([-0.1, 0.2, 0.1, 0.4] * 10 + [3.0] * 80)
-    Poisson().demand(about_zero, about_zero.isfinite())
+    Poisson().check_data(about_zero, about_zero.isfinite())
     below = torch.tensor([-3.0, -1.0, -2.0, 1.0])
     with pytest.raises(ValueError, match="75% of the data are negative"):
-        Poisson().demand(below, below.isfinite())
-    Poisson().demand(below, below > 0)
+        Poisson().check_data(below, below.isfinite())
+    Poisson().check_data(below, below > 0)

@@ -5,7 +5,7 @@ import torch
 
 from deepir.fields.constant import Constant
 from deepir.fields.pixels import Pixels
-from deepir.fields.sensor_maps import Column, Pixel, Sum
+from deepir.fields.sensor_maps import Column, Pixel, SumField
 from deepir.likelihoods import Huber
 from deepir.operators import Blur, Chain, Sensor, Warp
 from deepir.priors.penalties.ridge import Ridge
@@ -109,7 +109,7 @@ def test_what_can_be_eliminated():
     assert sensor_problem().closed_form() == ["gain", "offset"]
     assert sensor_problem(gain=Constant(SHAPE, 1.0)).closed_form() == ["offset"]
     assert sensor_problem(gain=Pixels(SHAPE, 1.0)).closed_form() == ["offset"]
-    mixed = Sum(SHAPE, 1.0, {"column": Column(SHAPE, sigma=0.1), "pixels": Pixels(SHAPE)})
+    mixed = SumField(SHAPE, 1.0, {"column": Column(SHAPE, sigma=0.1), "pixels": Pixels(SHAPE)})
     assert sensor_problem(gain=mixed).closed_form() == ["offset"]
     assert sensor_problem(penalties={"gain": {"near": Ridge()}}).closed_form() == ["offset"]
     assert sensor_problem(fidelity=Huber()).closed_form() == []

@@ -8,16 +8,26 @@ import numpy as np
 from scipy import fft
 
 Array = np.ndarray[Any, Any]
-MAX_LAG = 50  # px
+#: Largest lag along an axis, px.
+MAX_LAG = 50
 
 
 def autocorrelation(pattern: Array, twin: Array, good: Array) -> Array:
-    """Of maps (h, w), zero where not good, at lags up to a quarter of the shorter side and at most 50 px."""
-    farthest = min(MAX_LAG, min(pattern.shape) // 4)
-    size = [fft.next_fast_len(side + farthest) for side in pattern.shape]
-    one, other, seen = (fft.rfft2(each, size) for each in (pattern, twin, good.astype(float)))
-    products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (seen, seen)))
-    lags = np.arange(-farthest, farthest + 1)
+    """Normalised correlation of two maps as a function of the lag, by fast Fourier transforms.
+
+    Args:
+        pattern: (h, w), zero where not good.
+        twin: The second map, same shape; `pattern` itself for an autocorrelation.
+        good: Pixels that count, (h, w), bool.
+
+    Returns:
+        Correlations (2 l + 1, 2 l + 1), one at the centre; l is a quarter of the shorter side, at most `MAX_LAG`.
+    """
+    max_lag = min(MAX_LAG, min(pattern.shape) // 4)
+    size = [fft.next_fast_len(side + max_lag) for side in pattern.shape]
+    one, other, mask = (fft.rfft2(each, size) for each in (pattern, twin, good.astype(float)))
+    products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (mask, mask)))
+    lags = np.arange(-max_lag, max_lag + 1)
     found = (products / pairs.clip(min=1))[np.ix_(lags, lags)]
     found = (found + found[::-1, ::-1]) / 2
-    return np.asarray(found / max(found[farthest, farthest], 1e-300))
+    return np.asarray(found / max(found[max_lag, max_lag], 1e-300))

@@ -7,8 +7,16 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
-def nearest_filled(image: Tensor, known: Tensor) -> Tensor:
-    """Replace unknown pixels (S, C, H, W) by the nearest known one of the row, or, where none is, of the column."""
+def fill_nearest(image: Tensor, known: Tensor) -> Tensor:
+    """Fill unknown pixels with the nearest known pixel of the row; of the column, if the row has none.
+
+    Args:
+        image: (S, C, H, W).
+        known: Same shape, bool.
+
+    Returns:
+        The filled image; unchanged where known.
+    """
     for axis in (-1, -2):
         side = image.shape[axis]
         at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
@@ -20,17 +28,24 @@ def nearest_filled(image: Tensor, known: Tensor) -> Tensor:
     return image
 
 
-def pull_push_filled(image: Tensor, known: Tensor) -> Tensor:
-    """Replace unknown pixels (S, C, H, W) by means of what is known around, over ever larger squares.
+def fill_pull_push(image: Tensor, known: Tensor) -> Tensor:
+    """Fill unknown pixels smoothly by pull-push over a pyramid of 2 x 2 averages.
 
-    (Pull and push: Gortler et al. 1996, "The lumigraph".)
+    Args:
+        image: (S, C, H, W).
+        known: Same shape, bool.
+
+    Returns:
+        The filled image; unchanged where known, or if nothing is known.
+
+    Source: Gortler et al. 1996, "The lumigraph", section 3.
     """
     if known.all() or not known.any():
         return image
     height, width = image.shape[-2:]
     odd = (0, width % 2, 0, height % 2)
-    share = F.avg_pool2d(F.pad(known.to(image), odd), 2)
+    weight = F.avg_pool2d(F.pad(known.to(image), odd), 2)
     total = F.avg_pool2d(F.pad(image.where(known, 0), odd), 2)
-    coarse = pull_push_filled(total / share.clamp(min=1e-6), share > 0)
+    coarse = fill_pull_push(total / weight.clamp(min=1e-6), weight > 0)
     fine = F.interpolate(coarse, scale_factor=2, mode="bilinear")[..., :height, :width]
     return torch.where(known, image, fine)

@@ -1,65 +1,102 @@
-"""How noisy are the samples? Estimates that need no model of the scene, for a start."""
+"""Noise level of frames, without a model of the scene."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD, median
-from deepir.arrays.subsample import ENOUGH, masked_values, subsample
+from deepir.arrays.statistics import (
+    MAD_TO_SIGMA,
+    MAX_SAMPLES_PER_FRAME,
+    masked_values,
+    median,
+    subsample,
+)
 
-WINDOW = 15  # px: side of the windows in which noise is looked for
-FLATTEST = 0.885  # a tenth of such medians of nothing but noise are less, in its own
-FEW = 5000  # samples of each frame are enough for the step of their values
-ROUNDED = 12**-0.5  # standard deviation that rounding makes, in steps
+#: Side of the windows whose medians are compared, px.
+NOISE_WINDOW = 15
+#: Quantile of the windows' medians that is taken for the noise.
+FLAT_WINDOW_QUANTILE = 0.1
+#: That quantile in windows of pure noise, relative to the median of the noise.
+FLAT_WINDOW_BIAS = 0.885
+#: Samples of a frame that suffice for the step between its values.
+MAX_SAMPLES_FOR_QUANTISATION = 5000
+#: Standard deviation of a rounding error, in quantisation steps.
+ROUNDING_SIGMA = 12**-0.5
 
 
 def sample_noise(frames: Tensor, usable: Tensor) -> float:
-    """Standard deviation of a sample's noise from frames (N, h, w); usable (N, h, w) bool.
+    """Standard deviation of the noise of a sample, from mixed second differences.
 
-    From differences of consecutive frames, in which a fixed pattern cancels, or from the one frame there is. The
-    median of diagonal second differences leaves smooth parts and edges of the scene out; fine texture stays in, so
-    that this is an upper bound.
+    Consecutive frames are subtracted first, which removes a fixed pattern; a single frame is used as it is. The median
+    leaves out smooth regions and edges of the scene, but not fine texture: the result is an upper bound.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, (N, h, w), bool.
+
+    Returns:
+        The standard deviation, in the units of the frames; zero without usable samples.
     """
     if len(frames) > 1:
         frames, usable = (frames[1:] - frames[:-1]) / 2**0.5, usable[1:] & usable[:-1]
     some, counts = subsample(*(each[:, None] for each in mixed_difference(frames, usable)))
     found = masked_values(some, counts).abs()
-    return MAD * median(found) if found.numel() else 0.0
+    return MAD_TO_SIGMA * median(found) if found.numel() else 0.0
 
 
-def flat_noise(frames: Tensor, usable: Tensor) -> float:
-    """Standard deviation of a sample's noise, from the flattest parts of frames (N, h, w); usable, bool.
+def noise_in_flat_windows(frames: Tensor, usable: Tensor) -> float:
+    """Standard deviation of the noise of a sample, from the flattest windows; for frames of different scenes.
 
-    For frames of different scenes that have no pattern left. Diagonal second differences have a median in each window:
-    the tenth of the windows with the least is next to flat.
+    Args:
+        frames: (N, h, w), without a fixed pattern.
+        usable: Samples that count, (N, h, w), bool.
+
+    Returns:
+        The standard deviation, in the units of the frames; zero without usable windows.
     """
     found = []
     for k in range(len(frames)):
         fine, whole = mixed_difference(frames[k : k + 1], usable[k : k + 1])
         fine = fine.abs().where(whole, torch.nan)[0]
-        windows = fine.unfold(0, WINDOW, WINDOW).unfold(1, WINDOW, WINDOW).flatten(2)
+        windows = fine.unfold(0, NOISE_WINDOW, NOISE_WINDOW).unfold(1, NOISE_WINDOW, NOISE_WINDOW).flatten(2)
         found.append(windows.nanmedian(2).values.flatten())
     each = torch.cat(found)
     each = each[each.isfinite()]
-    return float(MAD * each.quantile(0.1) / FLATTEST) if len(each) else 0.0
+    return float(MAD_TO_SIGMA * each.quantile(FLAT_WINDOW_QUANTILE) / FLAT_WINDOW_BIAS) if len(each) else 0.0
 
 
 def mixed_difference(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
-    """Diagonal second differences, of the noise's variance, and which of them are whole, (N, h - 1, w - 1)."""
+    """Mixed second differences along both axes, scaled to the variance of the noise.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, (N, h, w), bool.
+
+    Returns:
+        The differences, and where all four samples of one are usable, (N, h - 1, w - 1) each.
+    """
     fine = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
     whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
     return fine, whole
 
 
 def quantisation_step(frames: Tensor, usable: Tensor) -> float:
-    """What most neighbouring values of samples (N, 1, h, w) are apart; usable, bool. The step of rounded ones."""
-    some, counts = subsample(frames, usable, enough=FEW)
+    """Quantisation step of the samples: the lower quartile of the differences of consecutive distinct values.
+
+    Args:
+        frames: (N, 1, h, w).
+        usable: Samples that count, same shape, bool.
+
+    Returns:
+        The step, in the units of the frames; zero for constant frames.
+    """
+    some, counts = subsample(frames, usable, max_samples=MAX_SAMPLES_FOR_QUANTISATION)
     apart = some[counts].unique().diff()
     return float(apart.quantile(0.25)) if len(apart) else 0.0
 
 
 def median_sigma(precision: Tensor) -> float:
-    """Median standard deviation of the samples (N, C, h, w) that count; NaN if none does."""
-    (some,) = subsample(precision, enough=ENOUGH // len(precision))
+    """Median standard deviation of the samples, from their precisions (N, C, h, w); NaN if all are zero."""
+    (some,) = subsample(precision, max_samples=MAX_SAMPLES_PER_FRAME // len(precision))
     return median(masked_values(some, some > 0)) ** -0.5

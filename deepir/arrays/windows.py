@@ -6,11 +6,21 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-NEIGHBOURHOOD = 5  # px: side of a neighbourhood
+#: Side of a neighbourhood, px.
+DEFAULT_WINDOW = 5
 
 
 def median_filter(image: Tensor) -> Tensor:
-    """The median of each 3 x 3 neighbourhood, (1, 1, h, w): its columns are put in order, then those of a rank."""
+    """Median of each 3 x 3 neighbourhood, with replicated borders.
+
+    By partial sorting: first the columns of a window, then the values of one rank.
+
+    Args:
+        image: (1, 1, h, w).
+
+    Returns:
+        The filtered image, same shape.
+    """
     padded = F.pad(image, (1, 1, 1, 1), mode="replicate")
     above, here, below = (padded[..., i : i + image.shape[-2], :] for i in range(3))
     low, high = torch.minimum(above, here), torch.maximum(above, here)
@@ -24,8 +34,18 @@ def median_filter(image: Tensor) -> Tensor:
     return _middle(most, _middle(*middles), least)
 
 
-def box_sum(images: Tensor, window: int = NEIGHBOURHOOD) -> Tensor:
-    """The sum over each window of images (N, 1, h, w): of shifted images, twenty times as fast as torch's pooling."""
+def box_sum(images: Tensor, window: int = DEFAULT_WINDOW) -> Tensor:
+    """Sum over each window, with zeros beyond the border.
+
+    Shifted images are added, which is twenty times as fast as the pooling of torch.
+
+    Args:
+        images: (N, 1, h, w).
+        window: Side, px; odd.
+
+    Returns:
+        The sums, same shape.
+    """
     if len(images) > 1:  # one at a time stays in the cache
         return torch.cat([box_sum(image[None], window) for image in images])
     for axis in (-2, -1):

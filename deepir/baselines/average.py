@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
@@ -45,7 +45,7 @@ def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1
         total += seen * ndimage.map_coordinates(frame, at, order=3, mode="mirror")
         count += seen
     mean = torch.from_numpy(total / count.clip(min=1))[None, None]
-    return nearest_filled(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
+    return fill_nearest(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
 
 
 def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
@@ -91,7 +91,7 @@ def fill_invalid(frames: Array, valid: Array) -> Array:
     """
     pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
     return np.stack(
-        [nearest_filled(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs]
+        [fill_nearest(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs]
     )
 
 
@@ -133,7 +133,7 @@ def average_frames(
     else:
         with torch.no_grad():
             mean, weight = problem.backproject(problem.values())
-            scene = geometry.crop(nearest_filled(mean, weight > 0.3 * weight.max()))
+            scene = geometry.crop(fill_nearest(mean, weight > 0.3 * weight.max()))
     result = neutral(scene.numpy(), len(used), burst.size, burst.bad_pixels)
     if motion is not None:
         result.motion[used] = homographies(problem.values()["motion"]).detach().numpy()

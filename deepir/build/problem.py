@@ -17,7 +17,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity
 from deepir.operators import Chain, Operator, Sensor, Warp
-from deepir.operators.geometry import Geometry, footprint, locate
+from deepir.operators.geometry import Geometry, footprint, locate_first_frame
 from deepir.operators.trajectory import Trajectory
 from deepir.priors.penalties.base import Penalty
 from deepir.problem import Problem
@@ -71,7 +71,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     options = {k: v for k, v in fidelity.items() if k != "type"}
     compared: Fidelity = make("fidelity", kind, options, "fidelity")
     try:
-        compared.demand(data, usable)
+        compared.check_data(data, usable)
     except ValueError as error:
         raise ConfigError(f"fidelity: {error}") from error
     problem = Problem(
@@ -144,11 +144,11 @@ def _operator(
         options = {k: v for k, v in (settings or {}).items() if k in known}
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
         ratio = (twice[0] - out[0]) / size[0]
-        canvas, origin = footprint(None if motion is None else instants.through(motion), out, ratio)
+        canvas, origin = footprint(None if motion is None else instants.interpolate(motion), out, ratio)
         place = {"size": out, "canvas": canvas, "origin": origin}
         stage = make("operator", kind, options, where, **place, instants=instants, fps=config.data.fps)
         stages[name] = stage
-        instants = stage.path if stage.path != Trajectory() else instants
+        instants = stage.trajectory if stage.trajectory != Trajectory() else instants
         out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
     chain = Chain(dict(reversed(stages.items())))
     shapes = chain.slots((1, 1, *out), n_frames)
@@ -161,7 +161,7 @@ def _operator(
                 raise ConfigError(
                     f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}"
                 )
-    return chain, slots, locate(chain, size, out)
+    return chain, slots, locate_first_frame(chain, size, out)
 
 
 def _unknowns(slots: list[str]) -> dict[str, str]:

@@ -13,8 +13,8 @@ from deepir.config.components import make
 from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.fields.constant import Constant
-from deepir.fields.sensor_maps import Sum
-from deepir.operators.geometry import Geometry, scaled
+from deepir.fields.sensor_maps import SumField
+from deepir.operators.geometry import Geometry, rescale_motion
 from deepir.priors.penalties.base import Penalty
 
 #: What a slot's configuration may hold beside its field's own options.
@@ -57,7 +57,7 @@ def make_field(
         members = [name.strip() for name in kind.split("+")]
         if unknown := sorted(set(options) - set(members)):
             raise ConfigError(f"{where}: no option '{unknown[0]}'; {nearest(unknown[0], members)}")
-        field = Sum(shape, neutral, {
+        field = SumField(shape, neutral, {
             name: _fitting(name, options.get(name) or {}, f"{where}.{name}", {**context, "neutral": 0.0}, fits)
             for name in members
         })  # fmt: skip
@@ -135,7 +135,7 @@ def start_field(
 def _start(field: Field, init: Any, motion: Tensor | None, geometry: Geometry, where: str) -> None:
     if init == "register":
         if motion is not None:
-            field.init_from(scaled(motion, geometry.ratio))
+            field.init_from(rescale_motion(motion, geometry.ratio))
     elif isinstance(init, int | float) and not isinstance(init, bool):
         field.init_from(torch.full(field.shape, float(init)))
     elif isinstance(init, str):

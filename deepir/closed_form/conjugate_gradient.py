@@ -1,4 +1,4 @@
-"""Conjugate gradients (Hestenes and Stiefel 1952), preconditioned."""
+"""Preconditioned conjugate gradients."""
 
 from __future__ import annotations
 
@@ -7,36 +7,43 @@ from collections.abc import Callable
 from torch import Tensor
 
 
-def conjugate_gradients(
-    product: Callable[[Tensor], Tensor],
+def conjugate_gradient(
+    multiply: Callable[[Tensor], Tensor],
     rhs: Tensor,
     start: Tensor,
     *,
-    near: Callable[[Tensor], Tensor],
-    precise: float,
-    steps: int,
+    precondition: Callable[[Tensor], Tensor],
+    tolerance: float,
+    max_iterations: int,
 ) -> Tensor:
-    """The solution x of `product(x) = rhs`, for a symmetric positive definite product of vectors.
+    """Solve `A x = b` for a symmetric positive definite matrix A.
 
     Args:
-        product: The matrix times a vector.
-        rhs: The right-hand side.
-        start: Where to begin.
-        near: About the inverse of the matrix times a vector; symmetric and positive definite too.
-        precise: The residual that is small enough, in the right-hand side.
-        steps: At most so many.
+        multiply: `x -> A x`, on vectors (n,).
+        rhs: b, (n,).
+        start: First iterate, (n,).
+        precondition: `r -> M r` with M close to the inverse of A; symmetric positive definite.
+        tolerance: Norm of the residual, relative to that of b, at which to stop; in the metric of M.
+        max_iterations: Most iterations.
+
+    Returns:
+        The last iterate, (n,).
+
+    Source: Hestenes and Stiefel 1952, "Methods of conjugate gradients for solving linear systems".
     """
-    x, rest = start.clone(), rhs - product(start)
-    way = near(rest)
-    square, least = rest @ way, precise**2 * (rhs @ near(rhs))
-    for _ in range(steps):
-        if square <= least:
+    x, residual = start.clone(), rhs - multiply(start)
+    preconditioned = precondition(residual)
+    direction = preconditioned
+    rho, goal = residual @ preconditioned, tolerance**2 * (rhs @ precondition(rhs))
+    for _ in range(max_iterations):
+        if rho <= goal:
             break
-        image = product(way)
-        step = square / (way @ image)
-        x += step * way
-        rest -= step * image
-        better = near(rest)
-        before, square = square, rest @ better
-        way = better + square / before * way
+        conjugate = multiply(direction)
+        alpha = rho / (direction @ conjugate)
+        x += alpha * direction
+        residual -= alpha * conjugate
+        preconditioned = precondition(residual)
+        previous_rho, rho = rho, residual @ preconditioned
+        beta = rho / previous_rho
+        direction = preconditioned + beta * direction
     return x

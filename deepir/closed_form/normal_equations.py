@@ -11,18 +11,21 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-#: Relative residual at which conjugate gradients stop, and the most iterations they get.
-TOLERANCE, MAX_ITERATIONS = 1e-12, 200
-#: How many times stronger than the pixels' own parts lines may be for their system to be rounded to single precision,
-#: which takes half the room: its condition goes with the square. They are then wrong by some 1e-5 of their strength,
-#: so that a rougher solution does.
-FIRM, ROUGH_TOLERANCE = 30, 1e-9
+#: Relative residual at which conjugate gradients stop.
+TOLERANCE = 1e-12
+#: Most iterations of conjugate gradients.
+MAX_ITERATIONS = 200
+#: Prior standard deviation of lines relative to that of pixels up to which the system is stored in float32: its
+#: condition number grows with the square, and the rounding error is then some 1e-5 of the standard deviation.
+MAX_LINE_SIGMA_RATIO = 30
+#: Relative residual at which conjugate gradients stop if the system is in float32.
+FLOAT32_TOLERANCE = 1e-9
 
 
-class Pixels:
-    """`maps` (5, h, w), float64: the system (aa, ab, bb), then the right-hand side; `down` and `across`: its sums.
+class PixelEquations:
+    """`maps` (5, h, w), float64: the system (aa, ab, bb), then the right-hand side; `column_sums` and `row_sums`.
 
-    `nats`: half the logarithm of the determinants of `I + A V`, a scalar.
+    `log_det`: half the logarithm of the determinants of `I + A V`, a scalar.
 
     Args:
         flux: what falls on the detector, (N, h, w); `data` and `precision` likewise.
@@ -32,9 +35,9 @@ class Pixels:
     """
 
     maps: Tensor
-    down: Tensor  # (5, w)
-    across: Tensor  # (5, h)
-    nats: Tensor
+    column_sums: Tensor  # (5, w)
+    row_sums: Tensor  # (5, h)
+    log_det: Tensor
 
     def __init__(
         self,
@@ -47,7 +50,7 @@ class Pixels:
         lines: Tensor,
     ) -> None:
         self.sigma, self.dtype = sigma, flux.dtype
-        self.rounded = flux.dtype == torch.float32 and bool((lines <= FIRM * sigma).all())
+        self.rounded = flux.dtype == torch.float32 and bool((lines <= MAX_LINE_SIGMA_RATIO * sigma).all())
         self._reduce(flux, data, precision, level, neutral)
 
     def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
@@ -70,8 +73,8 @@ class Pixels:
         gain, offset = sa + m * sb + v * cross, sb + u * (sb * aa - sa * ab - m * cross)
         each = (whole + v * determinant, shifted, lower, gain, offset)
         system = 1 + u * whole + v * lower
-        self.maps, self.nats = torch.stack(each) / system, system.log().sum() / 2
-        self.down, self.across = self.maps.sum(1), self.maps.sum(2)
+        self.maps, self.log_det = torch.stack(each) / system, system.log().sum() / 2
+        self.column_sums, self.row_sums = self.maps.sum(1), self.maps.sum(2)
 
     def solve(
         self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
@@ -88,12 +91,12 @@ class Pixels:
         def by_rows(x: Tensor, rest: Tensor | float = 0.0) -> Tensor:
             c, terms = x[: 2 * width], x[2 * width :]
             columns = (root * (c - terms @ to_columns).reshape(2, 1, width)).sum(0)
-            along = self._system(columns[:, None]).sum(2) + (terms @ to_rows).reshape(2, -1) + rest
-            rows = symmetric(weights, along)
-            down = (root * self._system(rows[..., None]).sum(1)).sum(1).flatten()
+            along = self._multiply(columns[:, None]).sum(2) + (terms @ to_rows).reshape(2, -1) + rest
+            rows = multiply_symmetric(weights, along)
+            down = (root * self._multiply(rows[..., None]).sum(1)).sum(1).flatten()
             return torch.cat((down, to_rows @ rows.flatten() - to_columns @ down))
 
-        r = rhs - by_rows(torch.zeros_like(rhs), self.across[3:])
+        r = rhs - by_rows(torch.zeros_like(rhs), self.row_sums[3:])
         x, p, rr = 0 * r, r.clone(), torch.dot(r, r)  # what is not a number stays so
         goal = TOLERANCE**2 * rr
         for _ in range(MAX_ITERATIONS):
@@ -106,7 +109,7 @@ class Pixels:
             p = r + (rr / before) * p
         return x
 
-    def finish(
+    def back_substitute(
         self,
         columns: Tensor,
         smooth: tuple[Tensor, Tensor],
@@ -121,10 +124,10 @@ class Pixels:
         `neutral` added.
         """
         others = columns[:, None] + smooth[0] @ smooth[1]
-        errors = self.across[3:] - self._system(others).sum(2)
-        others = others + symmetric(weights, errors)[..., None]
+        errors = self.row_sums[3:] - self._multiply(others).sum(2)
+        others = others + multiply_symmetric(weights, errors)[..., None]
         sigma = self.sigma[:, None, None]
-        found = sigma * (self.maps[3:] - self._system(others))
+        found = sigma * (self.maps[3:] - self._multiply(others))
         for each, into in zip(found, white, strict=True):
             into.copy_(each)
         return errors, (neutral[:, None, None] + others + sigma * found).to(self.dtype)
@@ -141,42 +144,42 @@ class Pixels:
         p, q, r, s = 1 - u * aa, -u * ab, -v * ab, 1 - v * bb
         return torch.stack((aa * s - ab * r, ab * p - aa * q, bb * p - ab * q)) / (p * s - q * r)
 
-    def _system(self, x: Tensor) -> Tensor:
-        return symmetric(self.maps[:3], x)
+    def _multiply(self, x: Tensor) -> Tensor:
+        return multiply_symmetric(self.maps[:3], x)
 
 
-class PixelsOnCPU(Pixels):
+class PixelEquationsCPU(PixelEquations):
     """The same, each in one pass by a compiled loop."""
 
     def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
         from deepir.kernels.compile import parallel_for
-        from deepir.kernels.normal_equations import BAND, reduce
+        from deepir.kernels.normal_equations import ROWS_PER_BAND, reduce
 
         (_, height, width), u, v = flux.shape, *self.sigma.square().tolist()
-        self.bands = -(-height // BAND)
+        self.bands = -(-height // ROWS_PER_BAND)
         self.maps = torch.empty(5, height, width, dtype=torch.float64)
-        self.across = torch.empty(5, height, dtype=torch.float64)
+        self.row_sums = torch.empty(5, height, dtype=torch.float64)
         down = torch.empty(self.bands, 5, width, dtype=torch.float64)
         nats = torch.empty(self.bands, dtype=torch.float64)
         frames = (each.contiguous() for each in (flux, data, precision))
-        parallel_for(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.across, down, nats)
-        self.down, self.nats = down.sum(0), nats.sum()
+        parallel_for(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.row_sums, down, nats)
+        self.column_sums, self.log_det = down.sum(0), nats.sum()
 
     def solve(
         self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
     ) -> Tensor:
-        """See `Pixels`."""
+        """See `PixelEquations`."""
         from deepir.kernels.compile import parallel_for
         from deepir.kernels.normal_equations import solve
 
         x, maps, tolerance = rhs.clone(), self.maps[:3], TOLERANCE
         if self.rounded:
-            maps, tolerance = maps.float(), ROUGH_TOLERANCE
-        system = (maps, root, to_columns, to_rows, weights, self.across[3:].flatten())
+            maps, tolerance = maps.float(), FLOAT32_TOLERANCE
+        system = (maps, root, to_columns, to_rows, weights, self.row_sums[3:].flatten())
         parallel_for(solve, 1, *system, tolerance, MAX_ITERATIONS, x)
         return x
 
-    def finish(
+    def back_substitute(
         self,
         columns: Tensor,
         smooth: tuple[Tensor, Tensor],
@@ -184,20 +187,22 @@ class PixelsOnCPU(Pixels):
         neutral: Tensor,
         white: tuple[Tensor, Tensor],
     ) -> tuple[Tensor, Tensor]:
-        """See `Pixels`."""
+        """See `PixelEquations`."""
         from deepir.kernels.compile import parallel_for
-        from deepir.kernels.normal_equations import finish
+        from deepir.kernels.normal_equations import back_substitute
 
         errors, values = (
-            torch.empty_like(self.across[3:]),
+            torch.empty_like(self.row_sums[3:]),
             self.maps.new_empty(2, *self.maps.shape[1:], dtype=self.dtype),
         )
-        before = (columns.contiguous(), self.across[3:], weights, *(each.contiguous() for each in smooth))
-        parallel_for(finish, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values)
+        before = (columns.contiguous(), self.row_sums[3:], weights, *(each.contiguous() for each in smooth))
+        parallel_for(
+            back_substitute, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values
+        )
         return errors, values
 
 
-def symmetric(block: Tensor, x: Tensor) -> Tensor:
+def multiply_symmetric(block: Tensor, x: Tensor) -> Tensor:
     """Symmetric 2 x 2 matrices (aa, ab, bb), (3, ...), times (2, ...)."""
     aa, ab, bb = block
     return torch.stack((aa * x[0] + ab * x[1], ab * x[0] + bb * x[1]))

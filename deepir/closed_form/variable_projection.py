@@ -1,15 +1,14 @@
-"""Gain and offset in closed form, given the flux on the detector.
+"""Gain and offset in closed form, by variable projection.
 
-Variable projection (Golub and Pereyra 1973).
+For a fixed flux `z_k`, `y_k = gain * z_k + offset + level_k + noise` is linear in gain and offset with Gaussian priors.
+Their optimum solves one symmetric system, 2 x 2 at each pixel. Pixel parts are eliminated exactly, then rows; the
+remaining system of columns and shading terms is solved by conjugate gradients, whose products are one pass over the
+pixels. The solution must be exact: otherwise the objective is not a function of the scene, and line searches fail.
 
-With the flux `z_k` fixed, `y_k = gain * z_k + offset + level_k + noise` is linear in gain and offset, and
-their parts are Gaussian: the optimum solves one symmetric system, 2 x 2 (gain, offset) at each pixel. Pixel
-parts are eliminated from it exactly, then rows; what remains couples the columns and the few terms of the
-shading, and is solved by conjugate gradients, whose products are one pass over the pixels. It has to be *exact*: with
-an approximation the objective is no longer a function of the scene, and line searches fail.
+By the envelope theorem the gradient of the projected objective is the partial gradient at fixed gain and offset.
 
-By the envelope theorem the gradient of the eliminated objective in everything else is the partial gradient
-with gain and offset held.
+Source: Golub and Pereyra 1973, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
+variables separate".
 """
 
 from __future__ import annotations
@@ -20,62 +19,68 @@ from collections.abc import Iterator, Sequence
 import torch
 from torch import Tensor
 
-from deepir.closed_form.normal_equations import Pixels, PixelsOnCPU, symmetric
-from deepir.fields.sensor_maps import Part
+from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCPU, multiply_symmetric
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 
-#: What tells parts apart: the axes along which they are constant; a shading is none of these.
+#: Kind of a part: the axes along which it is constant; None for shading.
 Kind = tuple[int, ...] | None
 KINDS = PIXEL, COLUMN, ROW, SHADING = (), (-2,), (-1,), None
 
 
 class Elimination:
-    """The joint optimum of the parts of gain and offset, to which `eliminate` has set them.
+    """Joint optimum of the parts of gain and offset.
 
-    `values` (2, h, w): gain and offset, in the flux's type.
+    Attributes:
+        values: Gain and offset, (2, h, w), in the type of the flux.
     """
 
     def __init__(
-        self, parts: Sequence[dict[Kind, Part]], solved: dict[Kind, Pixels | _Lines | _Smooth], values: Tensor
+        self,
+        parts: Sequence[dict[Kind, GaussianMap]],
+        solved: dict[Kind, PixelEquations | _LineEquations | _ShadingEquations],
+        values: Tensor,
     ) -> None:
         self.parts, self.solved, self.values = parts, solved, values
 
-    def blocks(self) -> Iterator[tuple[list[Part | None], Tensor, Tensor]]:
-        """For pixels, columns and rows: the parts (gain, offset), what the data say of each, (3, K), and means (2, K).
+    def information_blocks(self) -> Iterator[tuple[list[GaussianMap | None], Tensor, Tensor]]:
+        """Information on pixels, columns and rows.
 
-        The former is the matrix (aa, ab, bb) with all else held, but the pixels' own parts in that of a line.
+        Yields:
+            The parts (gain, offset), None where there is none; the information matrices (aa, ab, bb), (3, K), with all
+            other parts fixed, but pixel parts integrated out for lines; the posterior means, (2, K).
         """
         for kind in (PIXEL, COLUMN, ROW):
-            parts = [mine.get(kind) for mine in self.parts]
+            parts = [maps_of.get(kind) for maps_of in self.parts]
             if any(parts):
                 yield parts, *self._block(kind, parts)
 
-    def _block(self, kind: Kind, parts: list[Part | None]) -> tuple[Tensor, Tensor]:
+    def _block(self, kind: Kind, parts: list[GaussianMap | None]) -> tuple[Tensor, Tensor]:
         pixels, solved = self.solved[PIXEL], self.solved[kind]
-        assert isinstance(pixels, Pixels)
-        if isinstance(solved, _Lines):
-            return (pixels.down if kind == COLUMN else pixels.across)[:3], solved.values
+        assert isinstance(pixels, PixelEquations)
+        if isinstance(solved, _LineEquations):
+            return (pixels.column_sums if kind == COLUMN else pixels.row_sums)[:3], solved.values
         nothing = pixels.maps.new_zeros(pixels.maps[0].numel())
-        white = torch.stack([part.white.detach().flatten() if part else nothing for part in parts])
+        white = torch.stack([part.whitened.detach().flatten() if part else nothing for part in parts])
         return pixels.information().flatten(1), pixels.sigma[:, None] * white
 
-    def freedom(self) -> tuple[Tensor, Tensor, Tensor]:
+    def log_det_gradient(self) -> tuple[Tensor, Tensor, Tensor]:
         """Half the log-determinant of the pixels' systems and its gradient; see `weighted_least_squares`."""
         pixels = self.solved[PIXEL]
-        assert isinstance(pixels, Pixels)
-        return pixels.nats, pixels.sigma.square(), pixels.maps
+        assert isinstance(pixels, PixelEquations)
+        return pixels.log_det, pixels.sigma.square(), pixels.maps
 
-    def variances(self) -> list[list[Tensor]]:
-        """The posterior variance of what the white values of each part stand for: the gain's, the offset's.
+    def posterior_variances(self) -> list[list[Tensor]]:
+        """Posterior variances of the values of each part, for gain and offset.
 
-        Couplings between columns, and between rows and all others, are left out of them.
+        Covariances between columns, and of rows with all others, are neglected.
         """
         return [
             [
-                part.scales.square() * self.solved[kind].variance(i).reshape(part.white.shape)
-                for kind, part in mine.items()
+                part.prior_sigma.square() * self.solved[kind].variance(i).reshape(part.whitened.shape)
+                for kind, part in maps_of.items()
             ]
-            for i, mine in enumerate(self.parts)
+            for i, maps_of in enumerate(self.parts)
         ]
 
 
@@ -84,8 +89,8 @@ def eliminate(
     flux: Tensor,
     data: Tensor,
     precision: Tensor,
-    gain: Sequence[Part],
-    offset: Sequence[Part],
+    gain: Sequence[GaussianMap],
+    offset: Sequence[GaussianMap],
     *,
     level: Tensor | None = None,
     neutral: tuple[float, float] = (0.0, 0.0),
@@ -93,46 +98,54 @@ def eliminate(
     """Set the parts of gain and offset to their joint optimum.
 
     Args:
-        flux: what falls on the detector, (N, 1, h, w), in the data's units.
-        data: the frames less what is known of gain times flux, and of the offset.
-        precision: 1 / noise variance, same shape; zero where a sample does not count.
-        gain: parts of the gain, at most one each of columns, rows, shading, pixels; none for a known gain.
-        offset: parts of the offset, likewise.
-        level: of each frame, N values; zero unless given.
-        neutral: the gain and the offset that the parts are deviations from.
+        flux: On the detector, (N, 1, h, w), data units.
+        data: Frames less known gain times flux and known offset, same shape.
+        precision: Inverse noise variance, same shape; zero where a sample does not count.
+        gain: Parts of the gain, at most one each of columns, rows, shading, pixels; none for a known gain.
+        offset: Parts of the offset, likewise.
+        level: Of each frame, (N,); zero if None.
+        neutral: Gain and offset from which the parts are deviations.
+
+    Returns:
+        The optimum; the parts are changed in place.
 
     Raises:
-        ValueError: Two parts are of the same kind, or one is constant along others than columns or rows.
+        ValueError: Two parts are of the same kind, or of a kind without a closed form.
     """
     parts = [_by_kind(each) for each in (gain, offset)]
     sigma = dict(zip(KINDS, _sigmas(parts, flux.device), strict=True))
     start = torch.tensor(neutral, dtype=torch.float64, device=flux.device)
     levels = start[1] + (start.new_zeros(len(flux)) if level is None else level.flatten().double())
-    make = PixelsOnCPU if flux.device.type == "cpu" else Pixels
+    make = PixelEquationsCPU if flux.device.type == "cpu" else PixelEquations
     lines = torch.maximum(sigma[COLUMN], sigma[ROW])
     pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL], lines)
-    columns, rows = _Lines(pixels.down, sigma[COLUMN]), _Lines(pixels.across, sigma[ROW])
-    smooth = _Smooth(_shading(parts), sigma[SHADING], pixels, columns)
+    columns, rows = (
+        _LineEquations(pixels.column_sums, sigma[COLUMN]),
+        _LineEquations(pixels.row_sums, sigma[ROW]),
+    )
+    smooth = _ShadingEquations(_shading(parts), sigma[SHADING], pixels, columns)
     finite = _solve(columns, rows, smooth, pixels)
     # Flux that is not a number spreads to a column: the trial went too far, and what was found before stays.
     white = [
-        mine[PIXEL].white.detach()[0, 0] if finite and PIXEL in mine else torch.empty_like(pixels.maps[0])
-        for mine in parts
+        maps_of[PIXEL].whitened.detach()[0, 0]
+        if finite and PIXEL in maps_of
+        else torch.empty_like(pixels.maps[0])
+        for maps_of in parts
     ]
-    errors, values = pixels.finish(
+    errors, values = pixels.back_substitute(
         columns.values, smooth.in_rows(), rows.weights, start, (white[0], white[1])
     )
-    rows.white = rows.times_inverse(rows.sigma * errors)
-    solved: dict[Kind, Pixels | _Lines | _Smooth]
+    rows.white = rows.multiply_inverse(rows.sigma * errors)
+    solved: dict[Kind, PixelEquations | _LineEquations | _ShadingEquations]
     solved = {PIXEL: pixels, COLUMN: columns, ROW: rows, SHADING: smooth}
-    for i, mine in enumerate(parts):
-        for kind, part in mine.items():
+    for i, maps_of in enumerate(parts):
+        for kind, part in maps_of.items():
             if finite and kind != PIXEL:
-                part.white.copy_(solved[kind].white[i].reshape(part.white.shape))  # type: ignore[union-attr]
+                part.whitened.copy_(solved[kind].white[i].reshape(part.whitened.shape))  # type: ignore[union-attr]
     return Elimination(parts, solved, values)
 
 
-class _Lines:
+class _LineEquations:
     """All columns or all rows, in white coordinates, `value = sigma * white`, (2, lines); from their `sums` (5, lines).
 
     `inverse`, (3, lines), is that of the block of each line, and `weights` that for right-hand sides and values that
@@ -157,8 +170,8 @@ class _Lines:
         (aa, ab), last = self.block, self.inverse[2].sqrt()
         return torch.stack((aa.rsqrt(), torch.zeros_like(aa), -ab / aa * last, last)).unflatten(0, (2, 2))
 
-    def times_inverse(self, x: Tensor) -> Tensor:
-        return symmetric(self.inverse, x)
+    def multiply_inverse(self, x: Tensor) -> Tensor:
+        return multiply_symmetric(self.inverse, x)
 
     @property
     def values(self) -> Tensor:
@@ -169,82 +182,86 @@ class _Lines:
         return self.inverse[2 * i]
 
 
-class _Smooth:
+class _ShadingEquations:
     """The terms of the shading, in white coordinates: those of gain and offset that have a strength.
 
     Its system has the columns eliminated, `L L'` with the lower triangle L, and `root` `L^-1`.
     """
 
-    found: Tensor
+    solution: Tensor
 
-    def __init__(self, shading: Shading | None, sigma: Tensor, pixels: Pixels, columns: _Lines) -> None:
+    def __init__(
+        self, shading: Shading | None, sigma: Tensor, pixels: PixelEquations, columns: _LineEquations
+    ) -> None:
         self.shading, self.size = shading, pixels.maps.shape[1:]
-        self.of = [i for i, each in enumerate(sigma.tolist()) if each > 0]  # gain, offset
-        if shading is None or not self.of:
+        self.active = [i for i, each in enumerate(sigma.tolist()) if each > 0]  # gain, offset
+        if shading is None or not self.active:
             self.to_rows, self.to_columns = (sigma.new_zeros(0, 2 * side) for side in self.size)
             self.root, self.rhs, self.sigma = sigma.new_zeros(0, 0), sigma[:0], sigma[:0]
             return
-        self.sigma = torch.outer(sigma[self.of], shading.share).flatten()
-        down = shading.down(pixels.maps)
-        by_column = self._blocks(shading.by_column(down[:3]))
+        self.sigma = torch.outer(sigma[self.active], shading.relative_sigma).flatten()
+        down = shading.column_moments(pixels.maps)
+        by_column = self._blocks(shading.column_sums(down[:3]))
         to_columns = (columns.root * (columns.sigma * by_column)[:, None]).sum(2).flatten(1)
-        gram = self._blocks(shading.gram(down[:3]))[:, self.of].flatten(1) * self.sigma
+        gram = self._blocks(shading.gram(down[:3]))[:, self.active].flatten(1) * self.sigma
         gram.diagonal().add_(1)
         triangle, _ = torch.linalg.cholesky_ex(gram - to_columns @ to_columns.T)
         one = torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
         self.root = torch.linalg.solve_triangular(triangle, one, upper=False)
-        #: Couplings to the lines, (terms, 2 lines), in the coordinates of `Pixels.solve`.
+        #: Couplings to the lines, (terms, 2 lines), in the coordinates of `PixelEquations.solve`.
         self.to_columns = self.root @ to_columns
-        self.to_rows = self.root @ self._blocks(shading.by_row(pixels.maps[:3])).flatten(1)
-        self.rhs = self.root @ (self.sigma * shading.sums_of(down[3:])[self.of].flatten())
+        self.to_rows = self.root @ self._blocks(shading.row_sums(pixels.maps[:3])).flatten(1)
+        self.rhs = self.root @ (self.sigma * shading.analyse_moments(down[3:])[self.active].flatten())
 
     def _blocks(self, each: Tensor) -> Tensor:
         """`[aa ab; ab bb]` of three (terms, n), times this one's sigma, (all terms, 2, n)."""
         aa, ab, bb = each
         blocks = (torch.stack((aa, ab), 1), torch.stack((ab, bb), 1))
-        return self.sigma[:, None, None] * torch.cat([blocks[i] for i in self.of])
+        return self.sigma[:, None, None] * torch.cat([blocks[i] for i in self.active])
 
     def in_rows(self) -> tuple[Tensor, Tensor]:
         """The values in each row as a combination (2, h, n) of functions of x, (n, w)."""
-        if self.shading is None or not self.of:
+        if self.shading is None or not self.active:
             return self.root.new_zeros(2, self.size[0], 0), self.root.new_zeros(0, self.size[1])
-        return self.shading.in_rows(self._spread(self.sigma * self.found)), self.shading.in_x
+        return self.shading.row_coefficients(self._scatter(self.sigma * self.solution)), self.shading.basis_x
 
     @functools.cached_property
     def white(self) -> Tensor:
         """(2, terms), once they are found."""
-        return self._spread(self.found)
+        return self._scatter(self.solution)
 
     def variance(self, i: int) -> Tensor:
         """Posterior variance of the white terms of gain (0) or offset (1)."""
-        return 1 - self._spread(1 - self.root.square().sum(0))[i]
+        return 1 - self._scatter(1 - self.root.square().sum(0))[i]
 
-    def _spread(self, found: Tensor) -> Tensor:
+    def _scatter(self, found: Tensor) -> Tensor:
         """(2, terms), zero without a strength."""
         assert self.shading is not None
-        spread = found.new_zeros(2, len(self.shading.white))
-        for i, each in zip(self.of, found.split(len(self.shading.white)), strict=False):
+        spread = found.new_zeros(2, len(self.shading.whitened))
+        for i, each in zip(self.active, found.split(len(self.shading.whitened)), strict=False):
             spread[i] = each
         return spread
 
 
-def _solve(columns: _Lines, rows: _Lines, smooth: _Smooth, pixels: Pixels) -> bool:
+def _solve(
+    columns: _LineEquations, rows: _LineEquations, smooth: _ShadingEquations, pixels: PixelEquations
+) -> bool:
     """Set the white values of columns and shading, the rows eliminated; whether they are finite.
 
     Without a part, sigma is zero, and so are its couplings.
     """
     root = columns.root * columns.sigma
-    c = (root * pixels.down[3:]).sum(1).flatten()
+    c = (root * pixels.column_sums[3:]).sum(1).flatten()
     rhs = torch.cat((c, smooth.rhs - smooth.to_columns @ c))
     found = pixels.solve(root, smooth.to_columns, smooth.to_rows, rows.weights, rhs)
     c, terms = found[: len(c)], found[len(c) :]
     columns.white = (columns.root * (c - terms @ smooth.to_columns).reshape(2, 1, -1)).sum(0)
-    smooth.found = terms @ smooth.root
+    smooth.solution = terms @ smooth.root
     return bool(found.isfinite().all())
 
 
-def _by_kind(parts: Sequence[Part]) -> dict[Kind, Part]:
-    found = {SHADING if isinstance(part, Shading) else part.along: part for part in parts}
+def _by_kind(parts: Sequence[GaussianMap]) -> dict[Kind, GaussianMap]:
+    found = {SHADING if isinstance(part, Shading) else part.constant_axes: part for part in parts}
     if len(found) < len(parts) or not found.keys() <= {PIXEL, COLUMN, ROW, SHADING}:
         raise ValueError(
             f"no closed form for parts {[type(part).__name__.lower() for part in parts]}: at most one each of "
@@ -253,12 +270,12 @@ def _by_kind(parts: Sequence[Part]) -> dict[Kind, Part]:
     return found
 
 
-def _shading(parts: Sequence[dict[Kind, Part]]) -> Shading | None:
+def _shading(parts: Sequence[dict[Kind, GaussianMap]]) -> Shading | None:
     """One of the shading parts, whose terms are the same; None if there is none."""
     return next((part for each in parts if isinstance(part := each.get(SHADING), Shading)), None)
 
 
-def _sigmas(parts: Sequence[dict[Kind, Part]], device: torch.device) -> Tensor:
+def _sigmas(parts: Sequence[dict[Kind, GaussianMap]], device: torch.device) -> Tensor:
     """Prior standard deviations of (gain, offset) for each kind of part, (4, 2), float64; zero where there is none."""
     zero = torch.zeros((), dtype=torch.float64, device=device)
     found = [each[kind].sigma.double() if kind in each else zero for kind in KINDS for each in parts]

@@ -1,4 +1,4 @@
-"""Half the sum of squared, weighted residuals, with the gradient that is at hand; on the CPU in one pass."""
+"""Weighted least squares with analytic gradients; one pass over the frames on the CPU."""
 
 from __future__ import annotations
 
@@ -10,36 +10,38 @@ from torch import Tensor
 
 def weighted_least_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
     """`½ Σ w r²`, a float64 scalar with a gradient in the prediction."""
-    nats: Tensor = _HalfSquares.apply(prediction, data, precision)
+    nats: Tensor = _WeightedLeastSquares.apply(prediction, data, precision)
     return nats
 
 
-def of_sensor(
+def sensor_least_squares(
     flux: Tensor,
     data: Tensor,
     precision: Tensor,
     sensor: tuple[Tensor, Tensor, Tensor],
-    freedom: tuple[Tensor, Tensor, Tensor] | None = None,
+    log_det: tuple[Tensor, Tensor, Tensor] | None = None,
 ) -> Tensor:
-    """The same of `gain * flux + offset + level`, with a gradient in flux and level.
+    """`½ Σ w r²` for the prediction `gain * flux + offset + level`, with gradients in flux and level.
 
     Args:
-        flux: (N, 1, h, w), as are data and precision.
-        data: The frames.
-        precision: 1 / variance of each sample.
+        flux: (N, 1, h, w).
+        data: Same shape.
+        precision: Inverse variance of each sample, same shape.
         sensor: Gain (1, 1, h, w), offset (1, 1, h, w), level (N, 1, 1, 1).
-        freedom: What the pixels add that have gain and offset of their own, in nats; the prior variances of these,
-            (2,), and the maps (aa, ab) of the system with them eliminated, (2 or more, h, w). With its covariances
-            it has a gradient in the flux, `precision * (of gain * flux + with offset)`.
+        log_det: Half the log-determinant of the eliminated pixel parts, nats; their prior variances, (2,); and the maps
+            (aa, ab) of the reduced system, (2 or more, h, w), for its gradient in the flux.
+
+    Returns:
+        A float64 scalar, nats.
     """
-    if freedom is None:
+    if log_det is None:
         zero = flux.new_zeros((), dtype=torch.float64)
-        freedom = (zero, zero.expand(2), zero.expand(2, 1, 1))
-    nats: Tensor = _OfSensor.apply(flux, data, precision, *sensor, *freedom)
+        log_det = (zero, zero.expand(2), zero.expand(2, 1, 1))
+    nats: Tensor = _SensorLeastSquares.apply(flux, data, precision, *sensor, *log_det)
     return nats
 
 
-class _HalfSquares(torch.autograd.Function):
+class _WeightedLeastSquares(torch.autograd.Function):
     """Its gradient is `w r`: half the passes over the frames that autograd makes."""
 
     @staticmethod
@@ -55,7 +57,7 @@ class _HalfSquares(torch.autograd.Function):
         return _times(gradient, slope), None, None
 
 
-class _OfSensor(torch.autograd.Function):
+class _SensorLeastSquares(torch.autograd.Function):
     """Its gradients in flux and level are at hand."""
 
     @staticmethod
@@ -95,13 +97,13 @@ def weighted(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tenso
 def weighted_on_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
     """The same in one pass."""
     from deepir.kernels.compile import parallel_for
-    from deepir.kernels.weighted_least_squares import half_squares
+    from deepir.kernels.weighted_least_squares import weighted_residuals
 
     prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
     slope = torch.empty_like(prediction)
     nats = torch.empty(prediction.shape[:-1], dtype=torch.float64).flatten()
     rows = (each.flatten(0, -2) for each in (prediction, data, precision, slope))
-    parallel_for(half_squares, len(nats), *rows, nats)
+    parallel_for(weighted_residuals, len(nats), *rows, nats)
     return slope, nats.sum()
 
 
@@ -116,7 +118,7 @@ def weighted_sensor(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The same in one pass."""
     from deepir.kernels.compile import parallel_for
-    from deepir.kernels.weighted_least_squares import of_sensor
+    from deepir.kernels.weighted_least_squares import sensor_weighted_residuals
 
     flux, data, precision, gain, offset, level, variances, system = given
     frames = [each.contiguous().flatten(1, -2) for each in (flux, data, precision)]
@@ -124,7 +126,7 @@ def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     slope = torch.empty_like(frames[0])
     half, drift = frames[0].new_empty(2, *slope.shape[:2], dtype=torch.float64)
     parallel_for(
-        of_sensor,
+        sensor_weighted_residuals,
         slope.shape[1],
         *frames,
         *maps,

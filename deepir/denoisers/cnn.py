@@ -11,7 +11,8 @@ from deepir import weights
 from deepir.denoisers.unet import UNet
 from deepir.registry import register
 
-MOST = 4.0  # standard deviations: noise does not reach further, so nothing is changed by more
+#: Largest change of a pixel, noise standard deviations: noise does not reach further.
+MAX_CHANGE_SIGMAS = 4.0
 
 
 @register("denoiser", "cnn")
@@ -20,7 +21,9 @@ def cnn(picture: Tensor, noise: float) -> Tensor:
     network = _network().to(picture)
     flat = picture.reshape(-1, 1, *picture.shape[-2:])
     with torch.no_grad():
-        found = flat + (network.of_any_size(flat, noise) - flat).clamp(-MOST * noise, MOST * noise)
+        found = flat + (network.of_any_size(flat, noise) - flat).clamp(
+            -MAX_CHANGE_SIGMAS * noise, MAX_CHANGE_SIGMAS * noise
+        )
     return found.reshape(picture.shape)
 
 

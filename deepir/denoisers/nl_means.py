@@ -8,21 +8,25 @@ from torch import Tensor
 
 from deepir.registry import register
 
-PATCH, REACH = 5, 6  # px: side of a patch, and how far others are looked for
-FILTER = 0.8  # of the noise's standard deviation: how far patches that are alike may differ
+#: Side of a patch, px.
+PATCH_SIDE = 5
+#: Largest distance of patches that are compared, px.
+SEARCH_RADIUS = 6
+#: Filter parameter h, noise standard deviations.
+FILTER_STRENGTH = 0.8
 
 
 @register("denoiser", "nl_means")
 def nl_means(picture: Tensor, noise: float) -> Tensor:
-    """Means of pixels whose surroundings are alike (Buades, Coll, Morel 2005), as scikit-image has it."""
+    """Non-local means (Buades, Coll, Morel 2005), by scikit-image."""
     from skimage.restoration import denoise_nl_means  # not above: it is slow to import
 
     low = picture.min()
     span = float((picture.max() - low).clamp(min=1e-30))  # it works with values of about one
     options = {
-        "patch_size": PATCH,
-        "patch_distance": REACH,
-        "h": FILTER * noise / span,
+        "patch_size": PATCH_SIDE,
+        "patch_distance": SEARCH_RADIUS,
+        "h": FILTER_STRENGTH * noise / span,
         "sigma": noise / span,
     }
     planes = ((picture - low) / span).reshape(-1, *picture.shape[-2:]).double().cpu().numpy()

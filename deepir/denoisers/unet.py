@@ -1,4 +1,4 @@
-"""A small network that takes off noise."""
+"""A small bias-free U-net for denoising."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-FOLD = 2  # px of a side that become channels: a quarter of the positions, at no loss
-MARGIN = 16  # px: what the network makes up beyond the picture's edge does not reach further
+#: Side of the pixel blocks that become channels, px.
+FOLD = 2
+#: Padding beyond the border, px: its influence does not reach further.
+PADDING = 16
 
 
 class Residual(nn.Module):
@@ -27,7 +29,7 @@ class Residual(nn.Module):
 
 
 class UNet(nn.Module):
-    """A U-net that is told how strong the noise is, `(picture (B, 1, H, W), sigma) -> picture`, and knows no units.
+    """Noise-conditional U-net without units, `(image (B, 1, H, W), sigma) -> image`.
 
     There is no bias, so with `a > 0` the result scales with picture and noise (Mohan et al. 2020, "Robust and
     interpretable blind image denoising via bias-free convolutional neural networks"); the first filters have mean zero
@@ -69,14 +71,14 @@ class UNet(nn.Module):
         return picture - F.pixel_shuffle(self.tail(x + levels.pop()), FOLD)
 
     def of_any_size(self, picture: Tensor, sigma: Tensor | float) -> Tensor:
-        """The same for H and W that need not be multiples: the picture goes on as it is at its edges."""
+        """`forward` for any H and W, by replicate padding."""
         height, width = picture.shape[-2:]
-        bottom, right = (MARGIN + -side % self.multiple for side in (height, width))
-        padded = F.pad(picture, (MARGIN, right, MARGIN, bottom), mode="replicate")
+        bottom, right = (PADDING + -side % self.multiple for side in (height, width))
+        padded = F.pad(picture, (PADDING, right, PADDING, bottom), mode="replicate")
         out: Tensor = self(padded, sigma)
-        return out[..., MARGIN : MARGIN + height, MARGIN : MARGIN + width]
+        return out[..., PADDING : PADDING + height, PADDING : PADDING + width]
 
     def _filters(self) -> Tensor:
-        """Those of the first layer, blind to the picture's level."""
+        """Filters of the first layer, made independent of the level of the image."""
         of_picture, of_strength = self.head.weight.split((FOLD**2, 1), dim=1)
         return torch.cat((of_picture - of_picture.mean((1, 2, 3), keepdim=True), of_strength), 1)

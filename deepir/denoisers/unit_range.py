@@ -1,4 +1,4 @@
-"""Denoisers that others have made, for pictures in [0, 1]."""
+"""Adapter for denoisers of images in [0, 1]."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from torch import Tensor
 
 
 def unit_range(model: Callable[[Tensor, float], Tensor]) -> Callable[[Tensor, float], Tensor]:
-    """A denoiser of pictures in any unit from one of pictures (B, 1, H, W) in [0, 1], `model(picture, sigma)`.
+    """Denoiser for any units from `model(image, sigma)` for images (B, 1, H, W) in [0, 1].
 
-    Those of the package deepinv are of that kind. Give the result to `RED`, or give it a name by `register`.
+    Models of the package deepinv have this form. Pass the result to `RED`, or register it under a name.
     """
 
     def denoise(picture: Tensor, noise: float) -> Tensor:

@@ -9,10 +9,14 @@ from torch import Tensor
 from deepir.errors import ConfigError
 from deepir.registry import register
 
+#: Daubechies wavelet with two vanishing moments.
 WAVELET = "db2"
-MARGIN = 16  # px, mirrored: the shifts are cyclic
-SHARE = 0.75  # of the universal threshold, which is meant for one picture and not for an average over shifts
-SHIFTS = 3  # px, along each axis, of the pictures whose results are averaged
+#: Mirrored margin, px: the shifts are cyclic.
+MIRRORED_MARGIN = 16
+#: Factor on the universal threshold, which is meant for a single image, not for an average over shifts.
+THRESHOLD_FACTOR = 0.75
+#: Largest shift along each axis, px.
+MAX_SHIFT = 3
 
 
 @register("denoiser", "wavelets")
@@ -27,7 +31,7 @@ def wavelets(picture: Tensor, noise: float) -> Tensor:
     from skimage.restoration import cycle_spin, denoise_wavelet  # not above: it is slow to import
 
     options = {
-        "sigma": SHARE * noise,
+        "sigma": THRESHOLD_FACTOR * noise,
         "wavelet": WAVELET,
         "method": "VisuShrink",
         "mode": "hard",
@@ -37,7 +41,11 @@ def wavelets(picture: Tensor, noise: float) -> Tensor:
     try:
         found = [
             cycle_spin(
-                np.pad(plane, MARGIN, "symmetric"), denoise_wavelet, SHIFTS, workers=1, func_kw=options
+                np.pad(plane, MIRRORED_MARGIN, "symmetric"),
+                denoise_wavelet,
+                MAX_SHIFT,
+                workers=1,
+                func_kw=options,
             )
             for plane in planes
         ]
@@ -45,5 +53,5 @@ def wavelets(picture: Tensor, noise: float) -> Tensor:
         raise ConfigError(
             "denoiser 'wavelets': it needs PyWavelets: pip install 'deepir[wavelets]'"
         ) from None
-    inside = np.stack(found)[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
+    inside = np.stack(found)[:, MIRRORED_MARGIN:-MIRRORED_MARGIN, MIRRORED_MARGIN:-MIRRORED_MARGIN]
     return torch.from_numpy(inside.copy()).to(picture).reshape(picture.shape)

@@ -1,4 +1,4 @@
-"""Frames whose histogram was equalised."""
+"""Detect frames with an equalised histogram."""
 
 from __future__ import annotations
 
@@ -6,23 +6,27 @@ import numpy as np
 
 from deepir.io.inspection.display_range import Array
 
-EQUAL = 0.01  # of the samples: equalised frames have so many of each range of values; others are 0.13 and more off
+#: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
+MAX_DISTANCE_FROM_UNIFORM = 0.01
 
 
 def is_equalised(frames: Array) -> bool:
-    """Whether the histogram of each of frames (N, h, w), NaN where unknown, is even: a sample's value is its rank."""
+    """Whether the histogram of every frame is uniform; frames (N, h, w), NaN where unknown."""
     for frame in frames:
         values, counts = np.unique(frame[np.isfinite(frame)], return_counts=True)
         if len(values) < 3:
             return False
         below = counts[1:].cumsum() / counts[1:].sum()
-        if np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max() > EQUAL:
+        if (
+            np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max()
+            > MAX_DISTANCE_FROM_UNIFORM
+        ):
             return False
     return True
 
 
 def equalised_message(frames: Array) -> list[str]:
-    """Say so if frames (N, h, w), NaN where unknown, are equalised."""
+    """Warning for equalised frames (N, h, w), NaN where unknown; [] otherwise."""
     if not is_equalised(frames):
         return []
     return [

@@ -1,4 +1,4 @@
-"""Interlaced frames: their odd rows are of another time than their even ones, and a moving camera sets them apart."""
+"""Detect interlaced frames: even and odd rows are exposed at different times, and a moving camera shifts them."""
 
 from __future__ import annotations
 
@@ -9,49 +9,67 @@ from deepir.registration.alignment import tukey_weights
 from deepir.registration.preprocess import preprocess
 from deepir.registration.pyramid import Level, sample, smooth_shading
 
-SIDE, MOST = 320, 10  # px and frames: the middle of larger frames, and the first of more, tell enough
-ENOUGH = 3  # frames: a scene and a pattern explain any two
-PASSES = 3  # over scene and pattern
-CLASSES = 4  # of rows: two of each field
-CERTAIN = 5.0  # times as far apart as rows of one field; progressive frames come to 2.5, interlaced ones to 9 and more
-LEAST = 0.1  # px: what asks for less is little apart
+#: Largest side of the central crop that is examined, px.
+MAX_CROP_SIDE = 320
+#: Most frames that are examined.
+MAX_FRAMES = 10
+#: Fewest frames: a scene and a pattern explain any two.
+MIN_FRAMES = 3
+#: Alternations between scene and pattern.
+N_ALTERNATIONS = 3
+#: Row classes modulo which shifts are estimated: two of each field.
+N_ROW_CLASSES = 4
+#: Shift between fields relative to that within a field; 2.5 at most in progressive frames, 9 at least in interlaced.
+MIN_FIELD_SHIFT_RATIO = 5.0
+#: Smallest shift between fields that counts, px.
+MIN_FIELD_SHIFT = 0.1
 
 
 @torch.no_grad()
 def are_interlaced(frames: Tensor, motion: Tensor, ignore: Tensor | None = None) -> bool:
-    """Whether the odd rows of frames `(N, H, W)` at motions `(N, 3, 3)` are off the even ones, not by chance.
+    """Whether even and odd rows are shifted by more than rows of one field are by chance.
 
-    Rows of one field, two and two, say how far chance sets rows apart. ignore: `(H, W)` bool, pixels without use.
+    Args:
+        frames: (N, H, W).
+        motion: (N, 3, 3) homographies.
+        ignore: Pixels without use, (H, W), bool.
     """
-    if len(frames) < ENOUGH:
+    if len(frames) < MIN_FRAMES:
         return False
-    steps = steps_of_rows(middle(frames[:MOST]), motion[:MOST], None if ignore is None else middle(ignore))
+    steps = row_class_shifts(
+        centre_crop(frames[:MAX_FRAMES]), motion[:MAX_FRAMES], None if ignore is None else centre_crop(ignore)
+    )
     first, second, third, fourth = steps.unbind()
     between = (first - second + third - fourth) / 2
     within = torch.stack((first + second - third - fourth, first - second - third + fourth)) / 2
     apart, chance = (float(each.square().sum(-1).mean().sqrt()) for each in (between, within))
-    return apart > max(LEAST, CERTAIN * chance)
+    return apart > max(MIN_FIELD_SHIFT, MIN_FIELD_SHIFT_RATIO * chance)
 
 
-def middle(images: Tensor) -> Tensor:
-    """The middle of images `(..., H, W)`, about the same centre."""
+def centre_crop(images: Tensor) -> Tensor:
+    """Central crop of images (..., H, W), with the same centre."""
     for axis in (-2, -1):
-        cut = max(0, -(-(images.shape[axis] - SIDE) // 2))
+        cut = max(0, -(-(images.shape[axis] - MAX_CROP_SIDE) // 2))
         images = images.narrow(axis, cut, images.shape[axis] - 2 * cut)
     return images
 
 
-def steps_of_rows(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tensor:
-    """The shift `(4, N, 2)` in px that every fourth row of frames, from the first four on, asks for beside the motion.
+def row_class_shifts(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tensor:
+    """Residual shift of each class of rows, one Gauss-Newton step for scene and pattern of all rows.
 
-    A step of Gauss and Newton for each, scene and pattern being those of all rows: what all four ask for alike is an
-    error of the motion.
+    Args:
+        frames: (N, H, W).
+        motion: (N, 3, 3) homographies.
+        ignore: Pixels without use, (H, W), bool.
+
+    Returns:
+        (4, N, 2), px; a shift common to all classes is an error of the motion.
     """
     flat, weight = preprocess(frames, ignore)
     flat -= weight * torch.stack([smooth_shading(frame[None])[0] for frame in flat])
     level = Level(1, flat, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
     pattern = torch.zeros_like(weight)
-    for _ in range(PASSES):
+    for _ in range(N_ALTERNATIONS):
         pulled, known = sample(flat - pattern, torch.linalg.inv(motion), level)
         scene, seen = sample((pulled.sum(0) / known.sum(0).clamp_min(1))[None], motion, level)
         rest = (flat - scene) * seen
@@ -62,8 +80,8 @@ def steps_of_rows(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> Tens
     slope_x, slope_y = scene[:, 1:-1, 2:] - scene[:, 1:-1, :-2], scene[:, 2:, 1:-1] - scene[:, :-2, 1:-1]
     each = torch.stack((slope_x / 2, slope_y / 2, torch.ones_like(slope_x)), 1).double()
     found = []
-    for row in range(CLASSES):
-        some = [image[..., row::CLASSES, :].flatten(-2) for image in (each, trust, rest[:, 1:-1, 1:-1])]
+    for row in range(N_ROW_CLASSES):
+        some = [image[..., row::N_ROW_CLASSES, :].flatten(-2) for image in (each, trust, rest[:, 1:-1, 1:-1])]
         design, right = some[0] * some[1][:, None], some[2].double()
         normal = design @ some[0].mT + 1e-9 * torch.eye(3, dtype=torch.float64)
         found.append(torch.linalg.solve(normal, design @ right[:, :, None])[:, :2, 0])

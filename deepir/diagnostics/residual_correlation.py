@@ -1,8 +1,8 @@
-"""Whether what the fit leaves of the frames is noise, or something that is neither scene nor pattern.
+"""Check whether the residuals of the frames are noise.
 
-Noise of one pixel says nothing of the next. What is left next to each other is alike or opposite by the freedom that
-the fit has; a few pixels on it is not, unless clouds, leaves or shadows changed, things are at many depths, the frames
-are blurred, each by its own motion, or the pixels are slow: then what is left is alike to how the frame before differs.
+The noise of a pixel is independent of its neighbours. The degrees of freedom of the fit correlate adjacent residuals,
+but not those a few pixels apart. Correlation at that distance means changing clouds, leaves or shadows, parallax, blur
+within frames, or thermal lag: residuals then resemble the difference to the previous frame.
 """
 
 from __future__ import annotations
@@ -13,67 +13,82 @@ from torch import Tensor
 from deepir.operators import Sensor
 from deepir.problem import Problem
 
-APART = (3, 5)  # px, along rows and columns
-WILD = 3.0  # standard deviations at which what is left is cut off
-#: Correlation of what is left so far apart from which it is no noise: 0.08 at most where the model is right.
-ALIKE = 0.12
-#: Correlation with what the frame before shows beside from which pixels are slow: 0.05 at most where they are not.
-TRAILS = 0.15
+#: Distances along rows and columns at which the correlation is taken, px.
+CORRELATION_DISTANCES = (3, 5)
+#: Residual at which samples are clipped, noise standard deviations.
+RESIDUAL_CLIP_SIGMAS = 3.0
+#: Correlation of residuals from which they are not noise; 0.08 at most where the model is right.
+MIN_RESIDUAL_CORRELATION = 0.12
+#: Correlation with the difference to the previous frame from which pixels lag; 0.05 at most where they do not.
+MIN_LAG_CORRELATION = 0.15
 
 
 @torch.no_grad()
 def residual_correlation_message(problem: Problem) -> list[str]:
-    """Say so if the fit leaves more than noise of the frames, and why if that is thermal lag."""
+    """Warning for residuals that are not noise, or that show thermal lag; [] otherwise."""
     stages = [stage for _, stage in problem.operator.named()]
-    if not isinstance(stages[-1], Sensor) or min(problem.data.shape[2:]) < 4 * max(APART):
+    if not isinstance(stages[-1], Sensor) or min(problem.data.shape[2:]) < 4 * max(CORRELATION_DISTANCES):
         return []
     values = problem.values()
-    left = problem.data - problem.predict(values)
-    left.mul_(problem.precision.sqrt()).clamp_(-WILD, WILD)
-    several = len(left) > 2 and not any(stage.temporal for stage in stages)
-    if several and trailing(left, problem.flux(values), problem.precision) > TRAILS:
+    residual = problem.data - problem.predict(values)
+    residual.mul_(problem.precision.sqrt()).clamp_(-RESIDUAL_CLIP_SIGMAS, RESIDUAL_CLIP_SIGMAS)
+    several = len(residual) > 2 and not any(stage.temporal for stage in stages)
+    if several and lag_correlation(residual, problem.flux(values), problem.precision) > MIN_LAG_CORRELATION:
         return [
             "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "
             "camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run deblur_lag "
             "data.fps=...` takes the tail away"
         ]
-    if (alike := correlation(left, problem.precision)) < ALIKE:
+    if (correlation := residual_correlation(residual, problem.precision)) < MIN_RESIDUAL_CORRELATION:
         return []
+    near, far = CORRELATION_DISTANCES
     return [
-        f"the frames hold what is neither scene nor pattern: what is left of them is alike by {alike:.2f} "
-        f"{APART[0]} and {APART[1]} px apart, and noise is not. Things are at many depths (then `deepir run flow` "
+        f"the frames hold what is neither scene nor pattern: what is left of them is alike by {correlation:.2f} "
+        f"{near} and {far} px apart, and noise is not. Things are at many depths (then `deepir run flow` "
         "follows them), clouds, leaves, shadows or the shading change, or the camera moves within a frame: the scene "
         "is less sure than its deviation says"
     ]
 
 
-def correlation(left: Tensor, precision: Tensor) -> float:
-    """Of what is left of frames (N, 1, h, w), `APART` px along rows and columns: the mean, the least by distance.
+def residual_correlation(residual: Tensor, precision: Tensor) -> float:
+    """Correlation of residuals at `CORRELATION_DISTANCES` along rows and columns.
 
-    Noise of frames that a camera enlarged, or packed as JPEG, is alike 3 px apart, but not 5.
+    Args:
+        residual: (N, 1, h, w), noise standard deviations.
+        precision: Same shape; zero where a sample does not count.
+
+    Returns:
+        The mean over frames and axes, the smallest over distances: enlarged or JPEG-compressed frames have correlated
+        noise at 3 px, but not at 5.
     """
-    counts = (precision > 0).to(left.dtype)
-    power = (left.square().sum((1, 2, 3)) / counts.sum((1, 2, 3)).clamp(min=1)).clamp(min=1e-30)
+    counts = (precision > 0).to(residual.dtype)
+    power = (residual.square().sum((1, 2, 3)) / counts.sum((1, 2, 3)).clamp(min=1)).clamp(min=1e-30)
     found = []
-    for apart in APART:
+    for apart in CORRELATION_DISTANCES:
         both = []
         for along in (2, 3):
-            size = left.shape[along] - apart
-            here, there = (each.narrow(along, 0, size) for each in (left, counts))
-            beyond, too = (each.narrow(along, apart, size) for each in (left, counts))
+            size = residual.shape[along] - apart
+            here, there = (each.narrow(along, 0, size) for each in (residual, counts))
+            beyond, too = (each.narrow(along, apart, size) for each in (residual, counts))
             pairs = (there * too).sum((1, 2, 3)).clamp(min=1)
             both.append((here * beyond).sum((1, 2, 3)) / pairs / power)
         found.append(float(torch.stack(both).mean()))
     return min(found)
 
 
-def trailing(left: Tensor, flux: Tensor, precision: Tensor) -> float:
-    """How alike what is left of frames is to what the frame before shows beside; the median over frames.
+def lag_correlation(residual: Tensor, flux: Tensor, precision: Tensor) -> float:
+    """Correlation of the residuals with the difference of the flux to the previous frame.
 
-    `left` (N, 1, h, w) is in standard deviations, `flux` is what falls on the detector.
+    Args:
+        residual: (N, 1, h, w), noise standard deviations.
+        flux: On the detector, same shape.
+        precision: Same shape.
+
+    Returns:
+        The median over frames.
     """
     beside = (flux[:-1] - flux[1:]).mul_(precision[1:].sqrt())
     beside = beside - beside.mean((1, 2, 3), keepdim=True)
-    product = (left[1:] * beside).sum((1, 2, 3))
-    power = beside.square().sum((1, 2, 3)) * left[1:].square().sum((1, 2, 3))
+    product = (residual[1:] * beside).sum((1, 2, 3))
+    power = beside.square().sum((1, 2, 3)) * residual[1:].square().sum((1, 2, 3))
     return float((product / power.sqrt().clamp(min=1e-30)).median())

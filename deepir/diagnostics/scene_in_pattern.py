@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.autocorrelation import autocorrelation
-from deepir.arrays.median import MAD, median
+from deepir.arrays.statistics import MAD_TO_SIGMA, median
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
 from deepir.optim.low_order_model import polynomials
@@ -22,12 +22,16 @@ from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import log_likelihood_ratio
 
-BESIDE = 2  # px: noise in the motion and the scene's interpolation reach one
-OUTLIER = 4.0  # robust standard deviations at which values are cut off
+PATTERN_DISTANCE = 2  # px: noise in the motion and the scene's interpolation reach one
+PATTERN_CLIP_SIGMAS = 4.0  # robust standard deviations at which values are cut off
 #: Correlation of pixels so far apart from which a pattern is a picture; those that were found right have 0.08 at most.
-ALIKE = 0.1
-FAINT = 0.2  # of the scene: what is less may be of a sensor that was corrected with a scene in view
-MOVES = 0.3  # nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong
+MIN_PATTERN_CORRELATION = 0.1
+MIN_PATTERN_CONTRAST = (
+    0.2  # of the scene: what is less may be of a sensor that was corrected with a scene in view
+)
+MIN_MOTION_NATS = (
+    0.3  # nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong
+)
 
 
 @torch.no_grad()
@@ -42,7 +46,11 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
     shown = (gain * flux.median() + offset).expand_as(flux[:1])
     pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
-    if pattern.std() < FAINT * scene.std() or _alike(pattern, problem.alive()) < ALIKE or _moves(problem):
+    if (
+        pattern.std() < MIN_PATTERN_CONTRAST * scene.std()
+        or _alike(pattern, problem.alive()) < MIN_PATTERN_CORRELATION
+        or _moves(problem)
+    ):
         return []
     return [
         "the fixed pattern that was found looks like a picture, as where the camera stands still and something else "
@@ -57,7 +65,7 @@ def _moves(problem: Problem) -> bool:
     if motion.shape != (len(problem.data), 3, 3):
         return False
     flat, weight = preprocess(problem.data[:, 0].cpu(), ~problem.alive().cpu())
-    return log_likelihood_ratio(search_level(flat, weight), identity(len(motion)), motion) > MOVES
+    return log_likelihood_ratio(search_level(flat, weight), identity(len(motion)), motion) > MIN_MOTION_NATS
 
 
 def _rough(image: Tensor, good: Tensor) -> Tensor:
@@ -65,13 +73,13 @@ def _rough(image: Tensor, good: Tensor) -> Tensor:
     image = image.double()
     image = image - image.median(1, keepdim=True).values
     image = image - image.median(0, keepdim=True).values
-    image = image - polynomials(*image.shape, image.device).nearest(image)
-    limit = OUTLIER * MAD * median(image.abs())
+    image = image - polynomials(*image.shape, image.device).project(image)
+    limit = PATTERN_CLIP_SIGMAS * MAD_TO_SIGMA * median(image.abs())
     return image.clamp(-limit, limit) * good
 
 
 def _alike(image: Tensor, good: Tensor) -> float:
-    """Correlation of pixels that are `BESIDE` px apart, along rows and columns."""
+    """Correlation of pixels that are `PATTERN_DISTANCE` px apart, along rows and columns."""
     found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
     middle = len(found) // 2
-    return float(found[middle, middle + BESIDE] + found[middle + BESIDE, middle]) / 2
+    return float(found[middle, middle + PATTERN_DISTANCE] + found[middle + PATTERN_DISTANCE, middle]) / 2

@@ -1,4 +1,4 @@
-"""A shutter that closes in the midst of a burst: what stands still is another pattern from then on."""
+"""Detect a shutter event within a burst: the fixed pattern changes."""
 
 from __future__ import annotations
 
@@ -7,29 +7,43 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.noise_level import mixed_difference
-from deepir.arrays.subsample import subsample
+from deepir.arrays.statistics import subsample
 
-ENOUGH, LEAST = 40_000, 200  # samples of all frames, and of each
-BULK = 0.75  # share of the samples that count: edges of the scene do not
-APART = 1.3  # times as far from each other: frames of two patterns
+#: Samples of all frames that suffice.
+MAX_SAMPLES = 40_000
+#: Fewest samples of a frame.
+MIN_SAMPLES_PER_FRAME = 200
+#: Fraction of the smallest differences that count: the others are edges of the scene.
+BULK_FRACTION = 0.75
+#: Distance between two groups of frames relative to that within them from which their patterns differ.
+MIN_SEPARATION = 1.3
 
 
 @torch.no_grad()
-def one_pattern(frames: Tensor, usable: Tensor) -> slice:
-    """The longer part of frames (N, h, w) where the pattern changes in between, or all; usable (N, h, w), bool.
+def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
+    """Longest run of frames with one fixed pattern.
 
-    The finest detail of frames is pattern and noise, mostly. Frames before and after a shutter differ by more of it
-    than any two before it or after it; a camera that moves on does not make such parts.
+    Mixed differences of frames are mostly pattern and noise. Across a shutter event they differ by more than within
+    either part; a camera in motion does not separate frames into such parts.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, same shape, bool.
+
+    Returns:
+        The frames of the longer part; all of them without an event.
     """
     n, whole = len(frames), slice(0, len(frames))
     if n < 4:
         return whole
     fine, counts = mixed_difference(frames, usable.all(0).expand_as(usable))
-    some, known = subsample(fine[:, None], counts[:, None], enough=max(LEAST, ENOUGH // n))
+    some, known = subsample(
+        fine[:, None], counts[:, None], max_samples=max(MIN_SAMPLES_PER_FRAME, MAX_SAMPLES // n)
+    )
     some = some[:, known[0]]
     if not some.numel():
         return whole
-    bulk = max(1, int(BULK * some.shape[1]))
+    bulk = max(1, int(BULK_FRACTION * some.shape[1]))
     values = some.numpy()
     apart = np.stack([np.partition(np.abs(values - one), bulk - 1)[:, :bulk].mean(1) for one in values])
 
@@ -38,13 +52,13 @@ def one_pattern(frames: Tensor, usable: Tensor) -> slice:
         return float(apart[:at, at:].min()) / max(within, 1e-30)
 
     at = max(range(2, n - 1), key=stands_out)
-    if stands_out(at) < APART:
+    if stands_out(at) < MIN_SEPARATION:
         return whole
     return slice(0, at) if 2 * at >= n else slice(at, n)
 
 
 def shutter_message(part: slice, n: int) -> list[str]:
-    """Say so if only a part of n frames is used."""
+    """Warning if only a part of n frames is used; [] otherwise."""
     if part == slice(0, n):
         return []
     at, other = (part.start, f":{part.start}") if part.start else (part.stop, f"{part.stop}:")

@@ -14,9 +14,8 @@ import torch
 from scipy.special import chdtri
 from torch import Tensor
 
-from deepir.arrays.median import MAD
-from deepir.arrays.subsample import subsample
-from deepir.arrays.windows import NEIGHBOURHOOD, box_sum, median_filter
+from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
+from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import temporal_mean
 from deepir.problem import Problem
@@ -49,7 +48,7 @@ def pattern_outliers(pattern: Tensor, known: Tensor) -> Tensor:
     apart = apart.abs()
     return (
         known
-        & (apart > OUTLIER_DEVIATION * MAD * differ.median())
+        & (apart > OUTLIER_DEVIATION * MAD_TO_SIGMA * differ.median())
         & (apart > ISOLATION * median_filter(apart))
     )
 
@@ -77,7 +76,7 @@ def dead_pixels(calm: Tensor, pattern: Tensor, known: Tensor) -> Tensor:
     for axis in (-2, -1):  # a dead column differs from all others in its rows
         apart = (pattern - line_median(pattern, live, axis)).abs()
         some, counts = subsample(apart, live)
-        far |= apart > DEAD_DEVIATION * MAD * some[counts].median()
+        far |= apart > DEAD_DEVIATION * MAD_TO_SIGMA * some[counts].median()
     return calm & far
 
 
@@ -146,7 +145,7 @@ def neighbourhood_doubt(misfit: Tensor, usable: Tensor) -> Tensor:
     What moves by itself misfits over many pixels, a little each.
     """
     total, share = box_sum(misfit.clamp(max=MAX_MISFIT)), box_sum(usable.to(misfit))
-    return total.div_(share.clamp_(min=0.1 * NEIGHBOURHOOD**2)).sub_(CROWD_MISFIT).clamp_(min=0)
+    return total.div_(share.clamp_(min=0.1 * DEFAULT_WINDOW**2)).sub_(CROWD_MISFIT).clamp_(min=0)
 
 
 @torch.no_grad()

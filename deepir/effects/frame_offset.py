@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, subsample
 from deepir.effects.effect import Effect
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise
@@ -39,14 +39,14 @@ def start_line_levels(problem: Problem) -> bool:
     """
     name = problem.sensor_unknowns().get("level", "")
     fields = problem.fields[name].modules() if name in problem.free() else ()
-    drifts = [field for field in fields if isinstance(field, Drift) and not field.given]
+    drifts = [field for field in fields if isinstance(field, Drift) and not field.sigma_is_fixed]
     level = level_residuals(problem)
     level -= level.mean()
     data, precision, expected = subsample(problem.data, problem.precision, problem.predict(problem.values()))
     rest = masked_values(data - expected - level.flatten(1), precision > 0)
     if not drifts or not level.abs().max() > START_LEVEL * rest.std():
         return False
-    drifts[0].jumps.add_(level)
+    drifts[0].level_offsets.add_(level)
     return True
 
 
@@ -58,7 +58,7 @@ def drift_message(problem: Problem) -> list[str]:
         return []
     if name in problem.free():
         found = problem.fields[name]().detach().mean((1, 2, 3))
-        chance = sum(each.in_level for each in problem.modules() if isinstance(each, LineNoise))
+        chance = sum(each.frame_mean_variance for each in problem.modules() if isinstance(each, LineNoise))
         if float((found - found.mean()).abs().max()) <= least + CHANCE_DRIFT * chance**0.5:
             return []
         return [

@@ -7,11 +7,10 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import masked_values
+from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median
 from deepir.effects.effect import Effect, Rounds
-from deepir.estimation.line_levels import line_noise_fields, lines_jump
+from deepir.estimation.line_levels import has_line_noise, line_noise_fields
 from deepir.fields.line_noise import LineNoise
 from deepir.problem import Problem
 from deepir.registry import register
@@ -35,8 +34,8 @@ def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
     level = problem.sensor_unknowns()["level"]
     step = Step((*scene.steps[0].group, *([level] if level in problem.free() else [])))
     return [
-        dataclasses.replace(scene, needed=lambda it: not lines_jump(it)),
-        dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=lines_jump),
+        dataclasses.replace(scene, needed=lambda it: not has_line_noise(it)),
+        dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=has_line_noise),
     ]
 
 
@@ -44,7 +43,7 @@ def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
 def line_noise_message(problem: Problem) -> list[str]:
     """A message if lines jump."""
     noise = median_sigma(problem.precision)
-    found = [(field.lines, float(field.sigma)) for field in line_noise_fields(problem) if field.sigma > 0]
+    found = [(field.line_name, float(field.sigma)) for field in line_noise_fields(problem) if field.sigma > 0]
     return [
         f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
         "estimated and taken out"
@@ -61,30 +60,30 @@ def estimate_line_noise(problem: Problem) -> None:
     """
     fields = line_noise_fields(problem)
     for field in fields:
-        field.just_found = False
+        field.newly_detected = False
     if not fields or len(problem.data) < MIN_FRAMES:
         return
     residual, precision = problem.data - problem.predict(problem.values()), problem.fitted()
     for field in fields:
         mean, apart, known, white = _means(residual, precision, field)
-        if field.given:
+        if field.sigma_is_fixed:
             variance = float(field.sigma) ** 2
         else:
-            whole, chance = (_variance(each, known, field.across) for each in (mean, apart))
+            whole, chance = (_variance(each, known, field.line_axis) for each in (mean, apart))
             variance = (whole - chance) * len(mean) / (len(mean) - 2)
-            least = MIN_JUMP**2 * white * residual.shape[field.along[0]]
-            certain = MIN_VARIANCE_RATIO * max(1.0, LONG_LINE / residual.shape[field.along[0]]) ** 2
+            least = MIN_JUMP**2 * white * residual.shape[field.constant_axes[0]]
+            certain = MIN_VARIANCE_RATIO * max(1.0, LONG_LINE / residual.shape[field.constant_axes[0]]) ** 2
             variance = variance if whole > certain * chance and variance > least else 0.0
-            field.just_found = bool(variance) and not field.sigma > 0
+            field.newly_detected = bool(variance) and not field.sigma > 0
             field.sigma.fill_(variance**0.5)
-        field.step.fill_(white**0.5)
-        field.values.copy_(mean * variance / (variance + white) / field.step)
+        field.preconditioning_scale.fill_(white**0.5)
+        field.values.copy_(mean * variance / (variance + white) / field.preconditioning_scale)
 
 
 def _means(residual: Tensor, precision: Tensor, field: LineNoise) -> tuple[Tensor, Tensor, Tensor, float]:
     """Each line's mean above what is predicted without jumps, zero where it is not known; half of what its two halves
     differ by; where both are known; and the variance that white noise leaves in a mean."""
-    along = field.along[0]
+    along = field.constant_axes[0]
     side = residual.shape[along]
     (a, b), (u, v) = (
         [part.sum(along, keepdim=True) for part in each.split([side // 2, side - side // 2], along)]
@@ -100,7 +99,7 @@ def _variance(values: Tensor, known: Tensor, across: int) -> float:
     """Of lines that lie side by side, without what is slow across them, or far out."""
     count = known.shape[across] - 1
     both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
-    return (MAD * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2
+    return (MAD_TO_SIGMA * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2
 
 
 @register("effect", "line_noise")

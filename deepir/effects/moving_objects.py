@@ -11,9 +11,8 @@ import torch.nn.functional as F
 from scipy.ndimage import find_objects, label
 from torch import Tensor
 
-from deepir.arrays.median import MAD, median
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import masked_values
+from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median
 from deepir.arrays.windows import box_sum
 from deepir.effects.effect import Effect
 from deepir.effects.foreground import foreground
@@ -166,7 +165,9 @@ def _usual(seen: Tensor, known: Tensor) -> float:
     count = known.sum(0)
     apart = seen - (seen * known).sum(0) / count.clamp(min=1)
     return (
-        MAD * median(masked_values(apart.abs_(), known & (count > 1))) * (len(seen) / (len(seen) - 1)) ** 0.5
+        MAD_TO_SIGMA
+        * median(masked_values(apart.abs_(), known & (count > 1)))
+        * (len(seen) / (len(seen) - 1)) ** 0.5
     )
 
 

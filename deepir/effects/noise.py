@@ -10,9 +10,8 @@ import torch
 from scipy.optimize import nnls
 from torch import Tensor
 
-from deepir.arrays.median import MAD, median
-from deepir.arrays.noise_level import ROUNDED, quantisation_step, sample_noise
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.noise_level import ROUNDING_SIGMA, quantisation_step, sample_noise
+from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, subsample
 from deepir.effects.bad_pixels import defective_pixels, neighbourhood_doubt
 from deepir.effects.effect import Effect
 from deepir.likelihoods import CAUCHY_SCALE
@@ -71,7 +70,7 @@ def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> NoiseModel
     residuals, totals = residual[order].split(sizes), np.bincount(group, light.cpu().numpy(), 2 * SIGNAL_BINS)
     # Data that are rounded more coarsely than they are noisy may leave no residual at all.
     rounding = (torch.finfo(problem.data.dtype).eps * float((some * counts).max())) ** 2
-    least = (ROUNDED * quantisation_step(problem.data, problem.precision > 0)) ** 2
+    least = (ROUNDING_SIGMA * quantisation_step(problem.data, problem.precision > 0)) ** 2
     rows, seen = [], []
     for i in range(0, 2 * SIGNAL_BINS, 2):
         fitted, new = residuals[i : i + 2]
@@ -93,7 +92,7 @@ def huber_scale(residuals: Tensor) -> float:
 
     Unlike the median it reads right what is a mixture: within a bin variances and leverages differ.
     """
-    found = MAD * median(residuals)
+    found = MAD_TO_SIGMA * median(residuals)
     for _ in range(HUBER_STEPS):
         found = math.sqrt(float(residuals.clamp(max=HUBER_K * found).square_().mean()) / HUBER_CONSISTENCY)
     return found
@@ -115,7 +114,7 @@ def start_precision(problem: Problem) -> None:
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = subsample(problem.data, usable)
     robust_std = float(masked_values(data, counts).std())
-    rounded = ROUNDED * quantisation_step(
+    rounded = ROUNDING_SIGMA * quantisation_step(
         problem.data, usable
     )  # in a plain scene differences may be all zero
     # Noiseless data: a solve still wants finite weights.

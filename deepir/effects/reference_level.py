@@ -18,7 +18,7 @@ from torch import Tensor
 
 from deepir.effects.effect import Effect
 from deepir.effects.sensor_pattern import update_parts
-from deepir.estimation.variance_components import marginal
+from deepir.estimation.variance_components import reference_level_nats
 from deepir.operators import Sensor
 from deepir.problem import Problem, Values
 from deepir.registry import register
@@ -68,8 +68,12 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
     if problem.stretched or problem.ends is not None:  # pictures, and pixels whose range is cut off
         return None
     values = problem.values()
-    parts, information, means = next(problem.solved(values, closed).blocks())
-    known = [part for part in parts if part and not part.along and not part.given and part.sigma > 0]
+    parts, information, means = next(problem.solved(values, closed).information_blocks())
+    known = [
+        part
+        for part in parts
+        if part and not part.constant_axes and not part.sigma_is_fixed and part.sigma > 0
+    ]
     if len(known) < 2 or not _follows_level(problem, values):
         return None
     sigma = torch.stack([part.sigma.double() for part in known])
@@ -77,7 +81,7 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
     data = problem.data[problem.precision > 0].double().cpu().numpy() + reference
 
     def nats(level: float) -> float:
-        return marginal(information, means, sigma, level - reference)
+        return reference_level_nats(information, means, sigma, level - reference)
 
     low, high = min(0.0, float(data.min())), max(0.0, float(data.max()))
     levels = sorted({low, 0.0, high, *np.multiply(SHARES, data.mean()), *np.quantile(data, QUANTILES)})

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import robust_std
+from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import DEAD_DEVIATION
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean

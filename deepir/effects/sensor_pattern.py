@@ -7,15 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import robust_std
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.effects.bad_pixels import pattern_outliers
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.line_levels import line_noise_fields
 from deepir.estimation.residuals import temporal_mean
-from deepir.estimation.variance_components import MAX_SIGMA_RATIO, high_pass, likeliest
-from deepir.fields.sensor_maps import Part
+from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.problem import Problem
 from deepir.registry import register
@@ -42,10 +41,10 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     level = rms if problem.reference else float(used.mean().abs())
     for slot, unit, most in (("gain", rms, level), ("offset", 1.0, 1.0)):
         for part in _all_parts(problem, slot):
-            if not (part.given or isinstance(part, Shading)):
+            if not (part.sigma_is_fixed or isinstance(part, Shading)):
                 found = robust_std(high_pass(pattern, part)) / 2**0.5
                 part.sigma.fill_(found / unit)
-                part.most.fill_(MAX_SIGMA_RATIO * found / most)
+                part.max_sigma.fill_(MAX_SIGMA_RATIO * found / most)
     known = usable.any(0, keepdim=True)
     # Of the median, too: one frame does not condemn a pixel.
     middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
@@ -89,22 +88,28 @@ def update_parts(problem: Problem) -> None:
 
     Parts along lines that were just found to jump wait for a round that knows of it.
     """
-    unasked = {field.along for field in line_noise_fields(problem) if field.just_found}
+    unasked = {field.constant_axes for field in line_noise_fields(problem) if field.newly_detected}
     closed = problem.closed_form()
     if not closed:
         return
     values = problem.values()
     flux = problem.flux(values)
     for _ in range(UPDATE_ROUNDS):
-        for parts, information, means in problem.solved(values, closed, flux=flux).blocks():
+        for parts, information, means in problem.solved(values, closed, flux=flux).information_blocks():
             sigma, most = (
                 torch.stack([getattr(part, name).double() if part else means.new_zeros(()) for part in parts])
                 for name in ("sigma", "most")
             )
-            free = [i for i, p in enumerate(parts) if p and not p.given and p.along not in unasked]
-            quick = high_order(means) if any(part and part.along for part in parts) else means
-            for part, found in zip(parts, likeliest(information, quick, sigma, most, free), strict=True):
-                if part and not part.given:
+            free = [
+                i
+                for i, p in enumerate(parts)
+                if p and not p.sigma_is_fixed and p.constant_axes not in unasked
+            ]
+            quick = high_order(means) if any(part and part.constant_axes for part in parts) else means
+            for part, found in zip(
+                parts, estimate_sigmas(information, quick, sigma, most, free), strict=True
+            ):
+                if part and not part.sigma_is_fixed:
                     part.sigma.copy_(found)
 
 
@@ -116,12 +121,12 @@ def high_order(values: Tensor) -> Tensor:
     return values - values @ basis @ basis.T
 
 
-def _all_parts(problem: Problem, slot: str) -> list[Part]:
+def _all_parts(problem: Problem, slot: str) -> list[GaussianMap]:
     """Parts of what is bound to a slot of this name, whether they have a closed form or not."""
     unknowns = problem.sensor_unknowns()
     if not unknowns:
         return []
-    return [each for each in problem.fields[unknowns[slot]].modules() if isinstance(each, Part)]
+    return [each for each in problem.fields[unknowns[slot]].modules() if isinstance(each, GaussianMap)]
 
 
 @register("effect", "sensor_pattern")

@@ -40,14 +40,14 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
     for field in drifts:
         field.sigma.fill_(drift)
         if step is not None:
-            field.step.copy_(step)
-            field.init_from(field.jumps + evidence.levels(smooth, drift))
+            field.preconditioning_scale.copy_(step)
+            field.init_from(field.level_offsets + evidence.levels(smooth, drift))
     for each in stray:
-        if not each.given:
+        if not each.sigma_is_fixed:
             known = bool(smooth) and bool(each.sigma > 0)
             each.sigma.fill_(float(each.coefficients.square().mean().sqrt()) if known else smooth)
         if step is not None:
-            each.step.copy_(step)
+            each.preconditioning_scale.copy_(step)
             each.init_from(evidence.slow_pattern(smooth, drift))
     if start and (smooth or drift):
         scene = problem.fields["scene"]
@@ -64,9 +64,9 @@ def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpan
     parts = problem.fields[offset].parts() if offset in closed else ()
     fields = [module for name in free for module in problem.fields[name].modules()]
     return (
-        [part for part in parts if isinstance(part, Shading) and not part.given],
+        [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed],
         strays(problem),
-        [field for field in fields if isinstance(field, Drift) and not field.given],
+        [field for field in fields if isinstance(field, Drift) and not field.sigma_is_fixed],
     )
 
 

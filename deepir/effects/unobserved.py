@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from deepir.arrays.fill import pull_push_filled
+from deepir.arrays.fill import fill_pull_push
 from deepir.effects.effect import Effect
 from deepir.optim.preconditioner import MIN_FRAMES_SEEN
 from deepir.problem import Problem
@@ -26,7 +26,7 @@ def fill_unobserved(problem: Problem) -> None:
     weight = problem.operator.adjoint(usable, tuple(values["scene"].shape), **slots)
     known = weight > MIN_FRAMES_SEEN * weight.max() / len(problem.data)
     if not known.all():
-        problem.fields["scene"].init_from(pull_push_filled(values["scene"], known))
+        problem.fields["scene"].init_from(fill_pull_push(values["scene"], known))
 
 
 @register("effect", "unobserved")

@@ -9,7 +9,7 @@ import torch
 from deepir.effects.effect import Effect, Rounds
 from deepir.effects.shading import low_order_doubt, low_order_unknowns
 from deepir.estimation.gain_offset_evidence import GainOffsetEvidence, gain_and_offset
-from deepir.estimation.line_levels import lines_jump
+from deepir.estimation.line_levels import has_line_noise
 from deepir.fields.shading import Shading
 from deepir.problem import Problem
 from deepir.registry import register
@@ -54,7 +54,7 @@ class Vignetting(Effect):
         if not offsets or stray or len(problem.data) < self.min_frames:
             return []
         parts = gain_and_offset(problem)[0].parts()
-        return [part for part in parts if isinstance(part, Shading) and not part.given]
+        return [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed]
 
     def is_present(self, problem: Problem) -> bool:
         """Whether the evidence is for a shaded gain."""
@@ -71,7 +71,7 @@ class Vignetting(Effect):
             part.sigma.fill_(gain)
         for part in offsets:  # a gain stands in for it, unless the scene is flat
             part.sigma.fill_(max(offset, float(part.sigma)))
-        if not lines_jump(problem):  # without the means of lines the levels are not seen
+        if not has_line_noise(problem):  # without the means of lines the levels are not seen
             for field in drifts:
                 field.sigma.fill_(drift)
 
@@ -81,7 +81,7 @@ class Vignetting(Effect):
 
         It has to be likelier, too, where the low-order parts of the frames are doubted.
         """
-        drift = bool(low_order_unknowns(problem)[2]) and not lines_jump(problem)
+        drift = bool(low_order_unknowns(problem)[2]) and not has_line_noise(problem)
         for doubted in (False, True):
             evidence = GainOffsetEvidence(problem, doubt=low_order_doubt(problem) if doubted else None)
             even, _ = evidence.best(shaded=False, drift=drift)

@@ -1,7 +1,9 @@
-"""Whether the scene's prior is too strong: it has taken more than noise.
+"""Detect an oversmoothed scene by the discrepancy principle.
 
-Where a prior makes the scene flat it takes the noise that was left there, a square standard deviation for each pixel,
-and the frames are explained so much worse than by the scene before. What they are explained worse than that was scene.
+A prior that flattens a region removes its noise: the squared residual grows by one noise variance per pixel. Growth
+beyond that is removed scene.
+
+Source: Morozov 1966, "On the solution of functional equations by the method of regularization".
 """
 
 from __future__ import annotations
@@ -12,42 +14,45 @@ import torch
 
 from deepir.problem import Problem
 
-MORE = 0.1  # variances of the noise for each pixel, by which more was taken than noise
-PLAIN = 0.4  # share of a scene that is flat, from which that tells: beside much texture it comes and goes
-LOOSER = 2**-0.5  # share of its weight that is left to a penalty that took more
+#: Excess of the squared residual over pure noise from which a scene is oversmoothed, noise variances per pixel.
+MAX_EXCESS_MISFIT = 0.1
+#: Fraction of the scene that must be flat for the test: beside much texture the residual varies by more.
+MIN_FLAT_FRACTION = 0.4
+#: Factor on the weight of a penalty that oversmooths.
+WEIGHT_REDUCTION = 2**-0.5
 
 
 @torch.no_grad()
 def store_reference_misfit(problem: Problem) -> None:
-    """Keep how far the frames are from what the unknowns say now, under next to no prior."""
-    problem.rough.copy_(_misfit(problem))
+    """Store the squared residual of the present estimate, obtained with a weak prior, as the reference."""
+    problem.rough.copy_(_squared_residual(problem))
 
 
 def is_oversmoothed(problem: Problem) -> bool:
-    """Whether more than noise was taken from the scene; not, where that cannot be told."""
-    flat = _flat(problem)
-    if not flat > PLAIN:
+    """Whether the prior has removed more than noise from the scene; False if the test does not apply."""
+    flat = _flat_fraction(problem)
+    if not flat > MIN_FLAT_FRACTION:
         return False
-    taken = float(_misfit(problem) - problem.rough) / int(problem.alive().sum())
-    return taken - flat > MORE
+    taken = float(_squared_residual(problem) - problem.rough) / int(problem.alive().sum())
+    return taken - flat > MAX_EXCESS_MISFIT
 
 
 def reduce_weight(problem: Problem) -> None:
-    """Let the scene's penalties be weaker."""
+    """Multiply the weights of the scene's penalties by `WEIGHT_REDUCTION`."""
     for penalty in problem.penalties["scene"].values():
-        penalty.weight.mul_(LOOSER)
+        penalty.weight.mul_(WEIGHT_REDUCTION)
 
 
 @torch.no_grad()
-def _misfit(problem: Problem) -> torch.Tensor:
+def _squared_residual(problem: Problem) -> torch.Tensor:
     return 2 * problem.misfit(problem.values(), (), problem.precision)
 
 
 @torch.no_grad()
-def _flat(problem: Problem) -> float:
-    """The share of the scene that its penalty makes flat; NaN if there is not one that its noise gives its weight."""
+def _flat_fraction(problem: Problem) -> float:
+    """Fraction of the scene that its penalty flattens; NaN unless there is one penalty with an automatic weight."""
     penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
-    if len(penalties) != 1 or penalties[0].given is not None:
+    if len(penalties) != 1 or penalties[0].user_weight is not None:
         return math.nan
     scene = problem.values()["scene"]
-    return penalties[0].flat(problem.shown("scene", scene, penalties[0]))
+    return penalties[0].fraction_shrunk_to_zero(problem.shown("scene", scene, penalties[0]))

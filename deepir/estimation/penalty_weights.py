@@ -1,23 +1,20 @@
-"""Strengths from the data: how noisy the samples are, and how strong each part of gain and offset.
-
-Everything is estimated between the stages of a solve, from what the stage before it found, and stays fixed during a
-stage, so that the objective is one function.
-"""
+"""Weights of the scene's penalties; they are constant during a stage, so that its objective is one function."""
 
 from __future__ import annotations
 
 import torch
 
-from deepir.arrays.median import median
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, median, subsample
 from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 from deepir.problem import Problem
 
 
 def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
-    """Set the weights of the scene's penalties: `factor` times what is given, or what suits the noise.
+    """Set the weights of the scene's penalties and adapt their state to the present scene.
 
-    What else they need they learn from the scene as it is.
+    Args:
+        problem: Its penalties are changed.
+        factor: Factor on the weight of the configuration, or on the default weight for the noise.
     """
     first = problem.operator.named()[0][1]
     with torch.no_grad():
@@ -27,12 +24,12 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
     average = median(masked_values(precision, precision > 0)) ** -0.5
     for penalty in problem.penalties["scene"].values() if "scene" in problem.penalties else ():
         noise = average * problem.operator.noise_gain
-        if penalty.of_image and first.moves:  # it sees pixels, not the spline's coefficients
+        if penalty.acts_on_pixels and first.moves:  # it sees pixels, not the spline's coefficients
             noise /= first.noise_gain
-        natural = penalty.natural(noise)
-        if isinstance(penalty, SpatiallyWeighted) and not penalty.follows:  # by places, as the others do
-            natural *= 2 ** float(problem.plain)
-        natural *= 2 ** max(float(problem.plain) - penalty.clear, 0.0)
-        penalty.weight.fill_(factor * (natural if penalty.given is None else penalty.given))
+        default = penalty.default_weight(noise)
+        if isinstance(penalty, SpatiallyWeighted) and not penalty.adapts:  # by places, as the others do
+            default *= 2 ** float(problem.plain)
+        default *= 2 ** max(float(problem.plain) - penalty.smooth_scene_threshold, 0.0)
+        penalty.weight.fill_(factor * (default if penalty.user_weight is None else penalty.user_weight))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)

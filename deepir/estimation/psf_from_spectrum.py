@@ -1,10 +1,11 @@
-"""How wide is a blur? What the frames' spectrum says of it.
+"""Point-spread function from the power spectrum of the frames.
 
-Natural scenes have power spectra that fall as a power of the frequency, of about 2.4 (Field 1987, Burton and Moorhead
-1987); a blur falls off faster, and the noise is flat. So the frames' spectrum has a shape of its own for each width,
-whatever the scene is, and the likeliest is found without it. (With the scene it is not: a prior that prefers few and
-small steps is best served by a blurred scene behind a sharp lens. Levin et al. 2009, "Understanding and evaluating
-blind deconvolution algorithms".)
+Power spectra of natural scenes fall as a power of the frequency, of about 2.4; a blur falls faster, and the
+noise is flat. The width of maximum likelihood therefore needs no scene. (A joint estimate with a sparse prior
+prefers a blurred scene and a sharp lens: Levin et al. 2009, "Understanding and evaluating blind deconvolution
+algorithms".)
+
+Source: Field 1987; Burton and Moorhead 1987; likelihood of Whittle 1953.
 """
 
 from __future__ import annotations
@@ -16,29 +17,38 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.fields.psf.base import PSF
 
-#: Of the scene's power spectrum: the mean of natural scenes, and how far it is followed.
-SLOPE, SPREAD = 2.4, 0.13
-LEAST = 0.15  # radians a px: slower waves are few, and of the scene's large shapes
-BEST, ITERATIONS = 3, 40  # starts that are followed, and how far
+#: Mean exponent of the power spectrum of natural scenes (Field 1987, Burton and Moorhead 1987).
+SPECTRAL_EXPONENT = 2.4
+#: Standard deviation of that exponent in the prior.
+SPECTRAL_EXPONENT_SIGMA = 0.13
+#: Lowest frequency that is used, radians per px: below, few waves represent large shapes of the scene.
+MIN_FREQUENCY = 0.15
+#: Starting points from which the likelihood is maximised.
+N_REFINED_STARTS = 3
+#: Most iterations of a maximisation.
+MAX_REFINEMENT_ITERATIONS = 40
 
 
 def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
-    """Set the parameters of a point-spread function to the likeliest; minus the logarithm of its likelihood.
+    """Fit the parameters of a point-spread function by maximum likelihood.
 
     Args:
-        field: Of the blur, in px of the frames.
-        frames: (N, 1, h, w), their pattern taken out.
-        usable: Where they count, bool; elsewhere they are like their nearest neighbour.
+        field: Changed in place; px of the frames.
+        frames: (N, 1, h, w), without the fixed pattern.
+        usable: Samples that count, same shape, bool; the others are filled by the nearest.
+
+    Returns:
+        Negative log-likelihood, nats.
     """
-    misfit, trial = _Misfit(nearest_filled(frames, usable)), copy.deepcopy(field).double()
+    misfit, trial = _WhittleLikelihood(fill_nearest(frames, usable)), copy.deepcopy(field).double()
     # The likelihood has several optima in the width, so that it is asked at many first, and followed from the best.
-    starts = sorted(trial.starts(), key=lambda start: _minimised(misfit, trial, start, []))
+    starts = sorted(trial.search_starts(), key=lambda start: _minimise_from(misfit, trial, start, []))
     ends = []
-    for start in starts[:BEST]:
-        loss = _minimised(misfit, trial, start, list(trial.parameters()))
+    for start in starts[:N_REFINED_STARTS]:
+        loss = _minimise_from(misfit, trial, start, list(trial.parameters()))
         ends.append((loss, copy.deepcopy(trial.state_dict())))
     loss, state = min(ends, key=lambda end: end[0])
     field.load_state_dict(state)
@@ -46,19 +56,24 @@ def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
 
 
 def spectral_noise(psf: Tensor, frames: Tensor, usable: Tensor) -> float:
-    """Standard deviation of the noise behind a blur (1, 1, n, n): what is flat of the frames' spectrum.
+    """Standard deviation of the noise behind a known blur, from the flat part of the spectrum.
 
-    Arguments as for `fit_psf`. A texture, which looks like noise from pixel to pixel, does not pass a blur.
+    Unlike texture, which resembles noise between pixels, noise does not pass through the blur.
+
+    Args:
+        psf: (1, 1, n, n).
+        frames: (N, 1, h, w), without the fixed pattern.
+        usable: Samples that count, same shape, bool.
     """
-    misfit = _Misfit(nearest_filled(frames, usable))
-    noise = _followed(misfit, lambda: misfit.response(psf.double()), [])[1][2]
+    misfit = _WhittleLikelihood(fill_nearest(frames, usable))
+    noise = _minimise(misfit, lambda: misfit.response(psf.double()), [])[1][2]
     return math.sqrt(misfit.unit * math.exp(noise))
 
 
-class _Misfit:
-    """Minus the logarithm of Whittle's likelihood of the frames' spectrum.
+class _WhittleLikelihood:
+    """Negative logarithm of Whittle's likelihood of the spectrum.
 
-    Power has an exponential distribution about its mean, here `(A f^-p |pixel|² |psf|² + noise)`.
+    The power of a wave is exponentially distributed about `A f^-p |pixel|² |psf|² + noise`.
     """
 
     def __init__(self, frames: Tensor) -> None:
@@ -66,34 +81,42 @@ class _Misfit:
         self.size = (int(frames.shape[-2]), int(frames.shape[-1]))
         squared = y**2 + x**2
         # Lines along the axes are the sensor's rows and columns.
-        self.used = (squared > LEAST**2) & (y != 0) & (x != 0)
+        self.used = (squared > MIN_FREQUENCY**2) & (y != 0) & (x != 0)
         self.unit = float(power[self.used].median())
         self.power, self.logarithm = power[self.used] / self.unit, squared[self.used].log()
         self.pixel = (torch.sinc(y / (2 * math.pi)) * torch.sinc(x / (2 * math.pi)))[self.used].square()
 
     def response(self, psf: Tensor) -> Tensor:
-        """Squared, of pixels behind a point-spread function (1, 1, n, n), to each wave."""
+        """Squared frequency response of pixels behind a point-spread function (1, 1, n, n)."""
         blur = torch.fft.rfft2(psf[0, 0], s=self.size)[self.used]
         return self.pixel * (blur.real.square() + blur.imag.square())
 
     def __call__(self, response: Tensor, scene: Tensor) -> Tensor:
         amplitude, slope, noise = scene
         expected = response * torch.exp(amplitude - slope / 2 * self.logarithm) + noise.exp()
-        return (expected.log() + self.power / expected).sum() + ((slope - SLOPE) / SPREAD) ** 2 / 2
+        return (expected.log() + self.power / expected).sum() + (
+            (slope - SPECTRAL_EXPONENT) / SPECTRAL_EXPONENT_SIGMA
+        ) ** 2 / 2
 
 
-def _minimised(misfit: _Misfit, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]) -> float:
-    """The least misfit over the scene's spectrum, the noise, and what is free of the field, from a start."""
+def _minimise_from(
+    misfit: _WhittleLikelihood, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]
+) -> float:
+    """Minimum over spectrum, noise and the free parameters of the field, from a start."""
     field.load_state_dict(start)
-    return _followed(misfit, lambda: misfit.response(field()), free)[0]
+    return _minimise(misfit, lambda: misfit.response(field()), free)[0]
 
 
-def _followed(
-    misfit: _Misfit, response: Callable[[], Tensor], free: list[nn.Parameter]
+def _minimise(
+    misfit: _WhittleLikelihood, response: Callable[[], Tensor], free: list[nn.Parameter]
 ) -> tuple[float, list[float]]:
-    """The least misfit over the scene's spectrum, the noise and `free`; log amplitude, slope and log noise."""
-    scene = torch.tensor([0.0, SLOPE, -1.0], dtype=torch.float64, device=misfit.power.device).requires_grad_()
-    optimiser = torch.optim.LBFGS([*free, scene], max_iter=ITERATIONS, line_search_fn="strong_wolfe")
+    """Minimum over spectrum, noise and `free`; and log amplitude, exponent and log noise at it."""
+    scene = torch.tensor(
+        [0.0, SPECTRAL_EXPONENT, -1.0], dtype=torch.float64, device=misfit.power.device
+    ).requires_grad_()
+    optimiser = torch.optim.LBFGS(
+        [*free, scene], max_iter=MAX_REFINEMENT_ITERATIONS, line_search_fn="strong_wolfe"
+    )
     with torch.no_grad():
         known = None if free else response()
 
@@ -109,10 +132,15 @@ def _followed(
 
 
 def periodogram(frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Mean power of the frames (N, 1, h, w) at each wave, (h, w / 2 + 1), and the waves, radians a px; float64.
+    """Periodogram of the periodic component of the frames, which has no steps at the borders.
 
-    Of their periodic component, so that opposite edges do not meet in a step (Moisan 2011, "Periodic plus smooth image
-    decomposition").
+    Args:
+        frames: (N, 1, h, w).
+
+    Returns:
+        Mean power (h, w / 2 + 1), and frequencies along y and x, radians per px; float64.
+
+    Source: Moisan 2011, "Periodic plus smooth image decomposition".
     """
     frames = frames[:, 0].double()
     _, height, width = frames.shape

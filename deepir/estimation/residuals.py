@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import robust_std
-from deepir.arrays.subsample import masked_values, subsample
+from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
 from deepir.registered_average import RegisteredAverage
@@ -14,10 +13,16 @@ from deepir.registered_average import RegisteredAverage
 
 @torch.no_grad()
 def fixed_pattern_residual(problem: Problem, average: RegisteredAverage | None = None) -> Tensor:
-    """What the frames are above their prediction, (N, 1, h, w), once the scene has followed what is no pattern of it.
+    """Residual after a scene update that leaves out the fixed-pattern part.
 
-    An average is smooth: without that step a small bright thing stays in all frames, and passes for what moves.
-    `average` spares its computation where it is known.
+    The present scene may be too smooth: without the update a small bright object leaves a residual in all frames.
+
+    Args:
+        problem: Its current values give the prediction.
+        average: Registered average to reuse; computed if None.
+
+    Returns:
+        Data minus prediction, (N, 1, h, w).
     """
     values = problem.values()
     rest = problem.data - problem.predict(values)
@@ -26,26 +31,28 @@ def fixed_pattern_residual(problem: Problem, average: RegisteredAverage | None =
 
 
 def temporal_mean(rest: Tensor, weight: Tensor) -> Tensor:
-    """The mean of that over the frames, (1, 1, h, w), by the weight of their samples."""
-    total, share = (torch.zeros_like(rest[:1]) for _ in range(2))
+    """Weighted temporal mean of residuals (N, 1, h, w), (1, 1, h, w): the fixed pattern that is not modelled yet."""
+    total, weight_sum = (torch.zeros_like(rest[:1]) for _ in range(2))
     for rest_k, weight_k in zip(rest, weight, strict=True):  # one at a time stays in the cache
         total.addcmul_(rest_k, weight_k)
-        share += weight_k
-    return total.div_(share.clamp_(min=1e-6))
+        weight_sum += weight_k
+    return total.div_(weight_sum.clamp_(min=1e-6))
 
 
 @torch.no_grad()
 def down_weight_outliers(problem: Problem, rest: Tensor) -> None:
-    """Let samples count less that neither the scene as it is nor a pattern explains.
+    """Down-weight samples with a large residual by Cauchy weights; nothing if the noise is known.
 
-    They are badly registered, or what they show moves by itself.
+    Args:
+        problem: Its precisions are replaced.
+        rest: Residuals, (N, 1, h, w); overwritten.
     """
     if problem.noise is not None:
         return
     most = problem.precision.amax()
     rest = rest - temporal_mean(rest, problem.precision / most)
     some, known = subsample(rest, problem.precision)
-    if (usual := robust_std(masked_values(some, known > 0))) > 0:  # one frame leaves nothing
+    if (typical := robust_std(masked_values(some, known > 0))) > 0:  # one frame leaves nothing
         for rest_k, precision_k in zip(rest, problem.precision, strict=True):
-            doubt = rest_k.div_(CAUCHY_SCALE * usual).square_().add_(1)
-            torch.div(precision_k > 0, doubt, out=precision_k).mul_(most)
+            inverse_weight = rest_k.div_(CAUCHY_SCALE * typical).square_().add_(1)
+            torch.div(precision_k > 0, inverse_weight, out=precision_k).mul_(most)

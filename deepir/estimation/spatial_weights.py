@@ -1,4 +1,4 @@
-"""How strong the scene's penalties are from place to place: where it is plain, rich, dark."""
+"""Spatially adaptive weights of the scene's penalties: stronger in smooth regions, weaker in texture."""
 
 from __future__ import annotations
 
@@ -11,66 +11,101 @@ from deepir.operators import Sensor
 from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 from deepir.problem import Problem
 
-WINDOW = 7  # px: side of the windows whose gradients are one texture
-SURE = 5  # px: side of the windows whose samples are taken together
-#: Gradients of `r` standard deviations of the noise bear `2 ** ((PLAIN / r)² - RICH)` times the natural weight,
-#: `2 ** MOST` at most: the best on the truth of the bursts in docs/estimates-scene.md.
-PLAIN, RICH, MOST = 2.75, 0.3, 1.5
-#: A scene whose mean gradient is `r` may be held `2 ** (PLAINER / r)²` times as strongly; noise alone has `NOISE`, √π.
-PLAINER, NOISE = 3.1, 1.77
-LEAST = 0.1  # standard deviations: gradients are not told from this
-#: What samples say of a place, to what they say of a usual one, is taken into account between these.
-UNEVEN = (0.5, 1.0)
+#: Side of the windows over which gradients are averaged, px.
+TEXTURE_WINDOW = 7
+#: Side of the windows over which the information of samples is averaged, px.
+INFORMATION_WINDOW = 5
+#: Numerator a of the weight `2 ** ((a / r)² - b)` at gradients of r noise standard deviations; fitted on the truth of
+#: the bursts in docs/estimates-scene.md, as the next two are.
+LOCAL_SMOOTHNESS_SCALE = 2.75
+#: Offset b of that exponent.
+LOCAL_EXPONENT_OFFSET = 0.3
+#: Largest exponent, unless the whole scene is smoother.
+MAX_LOCAL_EXPONENT = 1.5
+#: Numerator a of the factor `2 ** (a / r)²` on the weight for a scene of mean gradient r, noise standard deviations.
+GLOBAL_SMOOTHNESS_SCALE = 3.1
+#: Mean gradient of pure noise, noise standard deviations: the square root of pi.
+NOISE_GRADIENT = 1.77
+#: Offset of a gradient before its logarithm is averaged, noise standard deviations.
+GRADIENT_OFFSET = 0.1
+#: Range of the information of samples at a pixel, relative to a typical one, that the weights follow.
+WEIGHT_INFORMATION_RANGE = (0.5, 1.0)
 
 
 @torch.no_grad()
 def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
-    """Let penalties that may vary be weaker where the scene is rich or its samples unsure, stronger where it is plain.
+    """Set the weight maps of adaptive penalties from the texture and the information at each pixel.
 
-    Texture is the geometric mean of gradients, over windows, of the scene that was found under next to no prior: edges
-    in a plain place are few, and do not count for much. It costs `cost` dB that the pattern is not known: the scene's
-    noise is as much above that of its samples, which weigh so much more than they tell.
+    Texture is the geometric mean over windows of the gradients of a scene found under a weak prior, so that single
+    edges in a smooth region count little. Other spatially weighted penalties get one factor for the whole scene.
+
+    Args:
+        problem: Its scene is the one under a weak prior; the weights of its penalties are changed.
+        cost: Loss of the scene by the unknown pattern, dB: its noise exceeds that of the samples by this.
     """
     if problem.fields["scene"].shape[0] > 1:
         return
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    free = [each for each in penalties if isinstance(each, SpatiallyWeighted) and each.free]
-    sure, usual = _information(problem)
-    above = 10 ** (cost / 20)
-    image = problem.operator.image(problem.fields["scene"]())
+    adaptive = [each for each in penalties if isinstance(each, SpatiallyWeighted) and each.is_adaptive]
+    information, typical = _information(problem)
+    noise_factor = 10 ** (cost / 20)
+    image = problem.operator.to_pixels(problem.fields["scene"]())
     gradient = squared_gradient(image)
-    plain = smoothness_exponent(float(gradient[sure > UNEVEN[0] * usual].sqrt().mean()) * usual**0.5)
-    share = above * weight_from_gradients((gradient * sure).sqrt_(), plain, above) * (sure / usual).sqrt_()
-    problem.plain.fill_(plain)
-    for penalty in free:
-        if penalty.follows:
-            penalty.share.copy_(share[0, 0])
+    exponent = smoothness_exponent(
+        float(gradient[information > WEIGHT_INFORMATION_RANGE[0] * typical].sqrt().mean()) * typical**0.5
+    )
+    weight_map = (
+        noise_factor
+        * weight_from_gradients((gradient * information).sqrt_(), exponent, noise_factor)
+        * (information / typical).sqrt_()
+    )
+    problem.plain.fill_(exponent)
+    for penalty in adaptive:
+        if penalty.adapts:
+            penalty.weight_map.copy_(weight_map[0, 0])
         else:
-            penalty.weight.mul_(2**plain)
+            penalty.weight.mul_(2**exponent)
 
 
 def smoothness_exponent(gradient: float) -> float:
-    """The power of two that a scene may be held by more whose mean gradient, in standard deviations, is given."""
-    return (PLAINER / max(gradient, NOISE)) ** 2
+    """log2 of the extra penalty weight that a smooth scene allows.
+
+    Args:
+        gradient: Mean gradient of the scene, noise standard deviations per px.
+    """
+    return (GLOBAL_SMOOTHNESS_SCALE / max(gradient, NOISE_GRADIENT)) ** 2
 
 
-def weight_from_gradients(gradient: Tensor, plain: float, above: float = 1.0) -> Tensor:
-    """How strongly places (1, 1, H, W) are held that have these gradients, in standard deviations of the noise."""
-    texture = _mean((gradient + LEAST).log_(), WINDOW).exp_()
-    return ((above * PLAIN / texture) ** 2 - RICH).clamp_(max=max(MOST, plain)).exp2_()
+def weight_from_gradients(gradient: Tensor, exponent: float, noise_factor: float = 1.0) -> Tensor:
+    """Weight map of a penalty, relative to its default weight.
+
+    Args:
+        gradient: Of the scene, (1, 1, H, W), noise standard deviations per px; changed in place.
+        exponent: Of `smoothness_exponent` for the whole scene.
+        noise_factor: Noise of the scene relative to that of its samples.
+
+    Returns:
+        (1, 1, H, W).
+    """
+    texture = _mean((gradient + GRADIENT_OFFSET).log_(), TEXTURE_WINDOW).exp_()
+    return (
+        ((noise_factor * LOCAL_SMOOTHNESS_SCALE / texture) ** 2 - LOCAL_EXPONENT_OFFSET)
+        .clamp_(max=max(MAX_LOCAL_EXPONENT, exponent))
+        .exp2_()
+    )
 
 
 def _information(problem: Problem) -> tuple[Tensor, float]:
-    """One over the square of the noise of each pixel of the scene, (1, 1, H, W), and of a usual one."""
+    """Inverse noise variance of each pixel of the scene, (1, 1, H, W), and of a typical one."""
     slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
     summed = problem.precision.sum(0)
-    usual = float(summed[summed > 0].median())
+    typical = float(summed[summed > 0].median())
     weighed = problem.precision * slots.get(problem.slot(Sensor, "gain"), 1.0)  # once more by the adjoint
-    told = problem.operator.adjoint(weighed, (1, 1, *problem.fields["scene"].shape[-2:]), **slots)
-    low, high = UNEVEN
-    return _mean(told, SURE).clamp_(low * usual, high * usual), usual
+    information = problem.operator.adjoint(weighed, (1, 1, *problem.fields["scene"].shape[-2:]), **slots)
+    low, high = WEIGHT_INFORMATION_RANGE
+    return _mean(information, INFORMATION_WINDOW).clamp_(low * typical, high * typical), typical
 
 
 def _mean(image: Tensor, window: int) -> Tensor:
-    """The mean over each window of an image (1, 1, H, W); at the edge of what is inside."""
+    """Mean over each window of an image (1, 1, H, W), at the border over its inner part."""
     return box_sum(image, window) / box_sum(torch.ones_like(image), window)

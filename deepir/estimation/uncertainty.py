@@ -1,4 +1,4 @@
-"""How well a burst determines what was estimated from it: standard deviations at each pixel, and one figure."""
+"""Uncertainty of the estimates: standard deviations of maps, and the loss by the unknown pattern."""
 
 from __future__ import annotations
 
@@ -16,11 +16,17 @@ Maps = dict[str, np.ndarray]
 
 @torch.no_grad()
 def nuc_penalty_db(problem: Problem, weak: float = 1.0) -> float:
-    """What it costs the scene, in dB, that the pattern is not known; NaN where there is no model of it.
+    """Loss of the scene by the unknown pattern, dB.
 
-    Mean squared errors of the scene's waves, the pattern unknown over known, by the model of
-    `deepir.optim.preconditioner`. Noise alone gives `10 log10 (n / (n - 1))` for n frames and any pattern, and
-    waves that fit the motion more. `weak` times the scene's penalties is what held them while the pattern was found.
+    Ratio of the mean squared errors of the scene with unknown and with known pattern, by the model of
+    `deepir.optim.preconditioner`. For white noise and any pattern it is `10 log10 (n / (n - 1))` for n frames.
+
+    Args:
+        problem: Its current values are the point of expansion.
+        weak: Factor on the scene's penalties while the pattern was estimated.
+
+    Returns:
+        The loss; NaN without a Fourier model.
     """
     found = [variance_spectrum(problem, each, weak) for each in (problem.closed_form(), ())]
     if any(each is None for each in found):
@@ -33,11 +39,17 @@ def nuc_penalty_db(problem: Problem, weak: float = 1.0) -> float:
 
 @torch.no_grad()
 def uncertainty(problem: Problem, cost: float) -> Maps:
-    """Standard deviations of `scene` (S, 1, H, W), `gain` and `offset` (h, w), in their units.
+    """Standard deviations of the estimates, in their units.
 
-    Scene: the noise of the samples that see a pixel, carried back to it, times the pattern's cost. Gain and offset:
-    posterior deviations given the scene, so rather too small. What is not estimated in closed form is left out;
-    and so are both where each frame has a scene of its own: given the scenes, they would be known exactly.
+    Scene: noise of the samples, back-projected, times the loss by the pattern. Gain and offset: posterior given the
+    scene, hence slightly too small; left out without a closed form, or if each frame has a scene of its own.
+
+    Args:
+        problem: Its current values are the estimates.
+        cost: Of `nuc_penalty_db`, dB.
+
+    Returns:
+        `scene` (S, 1, H, W), `gain` and `offset` (h, w), float32.
     """
     values = problem.values()
     slots = {slot: values[name] for slot, name in problem.slots.items()}
@@ -47,7 +59,7 @@ def uncertainty(problem: Problem, cost: float) -> Maps:
     if closed and len(seen) == 1:
         for name, variances in problem.eliminate(values, closed, precision=problem.precision).items():
             parts = problem.fields[name].parts()
-            total = sum(part.over_map(each) for part, each in zip(parts, variances, strict=True))
+            total = sum(part.map_variance(each) for part, each in zip(parts, variances, strict=True))
             if isinstance(total, Tensor):
                 found[name] = total.expand(problem.fields[name].shape)[0, 0].sqrt()
         if problem.reference and len(closed) == 2:
@@ -57,8 +69,8 @@ def uncertainty(problem: Problem, cost: float) -> Maps:
 
 
 def _from_zero(problem: Problem, values: dict[str, Tensor], gain: Tensor, offset: Tensor) -> Tensor:
-    """Standard deviation (h, w) of the offset `o - (g - 1) L` of data that are measured from zero, not from L."""
-    parts, (aa, ab, bb), _ = next(problem.solved(values, problem.closed_form()).blocks())
+    """Standard deviation (h, w) of the offset `o - (g - 1) L` relative to zero instead of the reference level L."""
+    parts, (aa, ab, bb), _ = next(problem.solved(values, problem.closed_form()).information_blocks())
     u, v = (float(part.sigma) ** 2 if part else 0.0 for part in parts)
     covariance = -ab * u * v / (1 + u * aa + v * bb + u * v * (aa * bb - ab * ab))
     level = float(problem.reference)

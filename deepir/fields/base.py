@@ -1,4 +1,4 @@
-"""What a field is: the representation of one unknown."""
+"""Base class of fields, the parametrisations of unknowns."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ from typing import TYPE_CHECKING, ClassVar
 from torch import Tensor, nn
 
 if TYPE_CHECKING:
-    from deepir.fields.sensor_maps import Part
+    from deepir.fields.sensor_maps import GaussianMap
 
 Shape = tuple[int, ...]
 
 
 class Field(nn.Module):
-    """How an unknown is represented: `forward()` gives its value, a tensor of `shape`.
+    """Parametrisation of an unknown: `forward()` returns its value, a tensor of `shape`.
 
-    `neutral` is the value that leaves the data as they are (1 for a gain). Options that a configuration may
-    set are the keyword-only arguments of the constructor. Parameters are stored so that a change of one in
-    each of them is of the same order in the data: that is what lets one L-BFGS step move scene and motion
-    together.
+    Keyword-only arguments of the constructor are the options of a configuration. Parameters are scaled so that a unit
+    change of each has an effect of the same order on the data: one L-BFGS step can then move scene and motion together.
+
+    Args:
+        shape: Of the value.
+        neutral: Value that leaves the data unchanged (1 for a gain).
     """
 
-    #: Whether `init_from` takes any value over that the field can represent; a network cannot.
-    exact: ClassVar[bool] = True
-    #: Of a motion: the registration's model at which it starts.
+    #: Whether `init_from` reproduces any value that the field can represent; a network cannot.
+    can_represent: ClassVar[bool] = True
+    #: Motion model of the registration that initialises the field; None unless it is a motion.
     model: ClassVar[str | None] = None
 
     def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
@@ -43,8 +45,8 @@ class Field(nn.Module):
         """The field's own negative log-prior in nats, or None."""
         return None
 
-    def parts(self) -> Sequence[Part]:
-        """Gaussian parts that add up to the deviation from neutral: what can be solved in closed form."""
+    def parts(self) -> Sequence[GaussianMap]:
+        """Gaussian maps whose sum is the deviation from neutral, for a solution in closed form; () without one."""
         return ()
 
     @classmethod
@@ -53,10 +55,16 @@ class Field(nn.Module):
         return cls((1, 1, 6, 7))
 
 
-def counted(**counts: tuple[int, int]) -> None:
-    """Raise `ValueError` for a number, given with the most that is allowed, that is not 1 to that.
+def check_counts(**counts: tuple[int, int]) -> None:
+    """Check that integers are in the range 1 to a maximum.
 
-    >>> counted(width=(64, 1024))
+    Args:
+        counts: Name -> (value, maximum).
+
+    Raises:
+        ValueError: A value is out of range.
+
+    >>> check_counts(width=(64, 1024))
     """
     for name, (value, most) in counts.items():
         if not 1 <= value <= most:

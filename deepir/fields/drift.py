@@ -11,36 +11,48 @@ from deepir.fields.base import Shape
 from deepir.fields.gaussian_field import GaussianField
 from deepir.registry import register
 
-#: Standard deviation of a step from one frame to the next, to that of what all steps have in common.
-WOBBLE = 1 / 8
+#: Standard deviation of a step of the random walk, relative to that of the common trend per frame.
+WALK_SIGMA_RATIO = 1 / 8
 
 
 @functools.lru_cache(maxsize=8)
-def steps(count: int, device: torch.device) -> Tensor:
-    """What a steady change, and then each step of a random walk, make of the levels, (frames, unknowns), mean zero.
+def level_basis(count: int, device: torch.device) -> Tensor:
+    """Basis of the levels: a linear trend, then the steps of a random walk, each of zero mean.
 
-    A camera warms up or cools down: its level goes one way for a while, and where it goes by chance it stays. Levels
-    that were independent would have to pay for each frame.
+    A camera that warms up drifts in one direction for a while; independent levels would be penalised in each frame.
+
+    Args:
+        count: Number of frames N.
+        device: Of the result.
+
+    Returns:
+        (N, N), frames by unknowns, float64.
     """
     after = torch.ones(count, count, dtype=torch.float64, device=device).tril()
-    after[:, 1:] *= WOBBLE
+    after[:, 1:] *= WALK_SIGMA_RATIO
     after[:, 0] = torch.arange(count)
     return after - after.mean(0)
 
 
 @register("field", "drift")
 class Drift(GaussianField):
-    """One value for each frame, of mean zero: a steady change and a random walk, both Gaussian.
+    """Level of each frame, (N, 1, 1, 1), of zero mean: a linear trend and a random walk, both Gaussian.
 
-    `sigma`, of the change from frame to frame in data units, is found from the burst if not given; a step of the walk
-    has `WOBBLE` of it.
+    With `sigma` zero the field is zero: a camera that moves over a slope of the scene sees its level change, so a
+    free level would absorb part of that slope. `level_offsets` are known levels, which are added: differences
+    larger than those of the pattern of a frame cannot come from a slope.
 
-    Without strength it is zero: over a burst that does not drift, a free level would take part of the scene's slope
-    away, for a camera that moves over a slope sees its level change. `jumps` are levels that are known, to which it is
-    added: no slope makes levels that differ by more than a frame's pattern does.
+    Args:
+        shape: (N, 1, 1, 1).
+        neutral: Level that leaves the data unchanged.
+        sigma: Prior standard deviation of the change from frame to frame, data units; estimated if None. A step of
+            the random walk has `WALK_SIGMA_RATIO` times this.
+
+    Raises:
+        ValueError: `shape` is not one value for each frame.
     """
 
-    jumps: Tensor
+    level_offsets: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         if any(side != 1 for side in shape[1:]):
@@ -49,28 +61,32 @@ class Drift(GaussianField):
             )
         super().__init__(shape, neutral, sigma=sigma)
         self.values = nn.Parameter(torch.zeros(self.shape))
-        self.register_buffer("jumps", torch.zeros(self.shape))
+        self.register_buffer("level_offsets", torch.zeros(self.shape))
 
     def forward(self) -> Tensor:
         """The levels, (N, 1, 1, 1)."""
-        return self.neutral + self.jumps + self.levels
+        return self.neutral + self.level_offsets + self.levels
 
     @property
     def levels(self) -> Tensor:
-        """What is added to the known jumps, of mean zero."""
-        made = steps(len(self.values), self.values.device).to(self.values)
-        return torch.tensordot(made, self.step * (self.sigma > 0) * self.values, 1)
+        """Deviation from the known level offsets, of zero mean, (N, 1, 1, 1)."""
+        made = level_basis(len(self.values), self.values.device).to(self.values)
+        return torch.tensordot(made, self.preconditioning_scale * (self.sigma > 0) * self.values, 1)
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take the levels over, less their mean."""
-        value = value.to(self.values).expand(self.shape) - self.neutral - self.jumps
-        back = torch.linalg.pinv(steps(len(value), value.device)).to(value)
-        self.values.copy_(torch.tensordot(back, value - value.mean(), 1) / self.step)
+        """Represent the levels less their mean."""
+        value = value.to(self.values).expand(self.shape) - self.neutral - self.level_offsets
+        back = torch.linalg.pinv(level_basis(len(value), value.device)).to(value)
+        self.values.copy_(torch.tensordot(back, value - value.mean(), 1) / self.preconditioning_scale)
 
     def penalty(self) -> Tensor | None:
         """`½ Σ step² / sigma²`."""
-        return (self.step * self.values / self.sigma).square().sum() / 2 if self.sigma > 0 else None
+        return (
+            (self.preconditioning_scale * self.values / self.sigma).square().sum() / 2
+            if self.sigma > 0
+            else None
+        )
 
     @classmethod
     def example(cls) -> Drift:

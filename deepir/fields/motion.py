@@ -12,47 +12,51 @@ from deepir.fields.base import Field, Shape
 from deepir.operators.motion_models import nearest_angle, nearest_rigid
 from deepir.registry import register
 
-#: What a parameter that all samples feel moves for a step of one, times the detector's side in its own px: see
-#: `Field`. The misfit's curvature in a shift is about their number times that in a pixel of the scene, weighted by
-#: the scene's squared gradient.
-STEP = 10.0
-#: What bends a frame by less, in px at its corners, is rigid.
-ROUNDING = 1e-3
+#: Displacement per unit of a parameter, detector px times the square root of the samples it affects. The curvature of
+#: the misfit in a shift is about the number of samples times that in a scene pixel times its squared gradient.
+PARAMETER_SCALE = 10.0
+#: Deviation from a rigid motion at the corners of the frame that counts as rounding, px.
+RIGID_TOLERANCE = 1e-3
 
 
 class Motion(Field):
-    """Pull homographies (N, 3, 3); frame 0 is the identity, always.
+    """Parametric motion: homographies (N, 3, 3) from frame to scene, px; frame 0 is the identity.
 
-    Parameters are displacements in px at the edge of the frame, whose (h, w) is `size`, `ratio` px for each of the
-    detector's.
+    Parameters are displacements at the edge of the frame.
+
+    Args:
+        shape: (N, 3, 3).
+        neutral: Unused.
+        size: (h, w) of a frame, scene px.
+        ratio: Scene px per detector px.
     """
 
-    count: ClassVar[int]
+    n_parameters: ClassVar[int]
 
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
     ) -> None:
         super().__init__(shape, neutral)
         self.radius = math.hypot(*size) / 2
-        self.felt = size[0] * size[1]  # how many samples feel a step of one parameter
-        self.step = STEP * ratio / math.sqrt(self.felt)
-        self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.count))
+        self.n_samples_affected = size[0] * size[1]
+        self.preconditioning_scale = PARAMETER_SCALE * ratio / math.sqrt(self.n_samples_affected)
+        self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.n_parameters))
 
     def forward(self) -> Tensor:
         """Identity for frame 0, then the parameters' homographies."""
-        moved = self.matrices(self.step * self.values)
+        moved = self.matrices(self.preconditioning_scale * self.values)
         first = torch.eye(3, dtype=moved.dtype, device=moved.device)[None]
         return torch.cat((first, moved))
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take over `value` (N, 3, 3), relative to its frame 0; what the model lacks is dropped."""
+        """Represent homographies (N, 3, 3) relative to frame 0, projected onto the model."""
         value = value.double()
         relative = torch.linalg.solve(value[:1], value[1:])
-        self.values.copy_(self.parameters_of(relative / relative[:, 2:, 2:]) / self.step)
+        self.values.copy_(self.parameters_of(relative / relative[:, 2:, 2:]) / self.preconditioning_scale)
 
     def matrices(self, p: Tensor) -> Tensor:
-        """(N - 1, count) parameters in px -> (N - 1, 3, 3)."""
+        """(N - 1, n_parameters) parameters in px -> (N - 1, 3, 3)."""
         raise NotImplementedError
 
     def parameters_of(self, t: Tensor) -> Tensor:
@@ -69,7 +73,7 @@ class Motion(Field):
 class Shift(Motion):
     """Translation, 2 parameters a frame."""
 
-    model, count = "shift", 2
+    model, n_parameters = "shift", 2
 
     def matrices(self, p: Tensor) -> Tensor:
         """`T p = p + t`."""
@@ -85,7 +89,7 @@ class Shift(Motion):
 class Rigid(Motion):
     """Rotation about the frame's centre and translation, 3 parameters a frame."""
 
-    model, count = "rigid", 3
+    model, n_parameters = "rigid", 3
 
     def matrices(self, p: Tensor) -> Tensor:
         """`T p = R(angle) p + t`."""
@@ -93,14 +97,14 @@ class Rigid(Motion):
 
     def parameters_of(self, t: Tensor) -> Tensor:
         """Translation, and the angle of the nearest rotation."""
-        return _of_rigid(t, self.radius)
+        return _rigid_parameters(t, self.radius)
 
 
 @register("field", "affine")
 class Affine(Motion):
     """Any linear map and translation, 6 parameters a frame."""
 
-    model, count = "affine", 6
+    model, n_parameters = "affine", 6
 
     def matrices(self, p: Tensor) -> Tensor:
         """`T p = A p + t`."""
@@ -117,7 +121,7 @@ class Affine(Motion):
 class Homography(Motion):
     """Any perspective map, 8 parameters a frame."""
 
-    model, count = "homography", 8
+    model, n_parameters = "homography", 8
 
     def matrices(self, p: Tensor) -> Tensor:
         """Affine part, and two perspective terms."""
@@ -132,45 +136,47 @@ class Homography(Motion):
 
 @register("field", "auto")
 class Auto(Homography):
-    """Rigid, or a homography where the motion that it begins with bends by more than rounding."""
+    """Rigid motion, or homographies if the initial motion is not rigid."""
 
     model = "auto"
-    bends: Tensor
+    uses_homography: Tensor
 
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
     ) -> None:
         super().__init__(shape, neutral, size=size, ratio=ratio)
-        self.register_buffer("bends", torch.tensor(False))
+        self.register_buffer("uses_homography", torch.tensor(False))
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take over `value` (N, 3, 3), relative to its frame 0, and whether it bends."""
+        """Represent homographies (N, 3, 3) relative to frame 0, and select the model."""
         value = value.double()
         relative = torch.linalg.solve(value[:1], value[1:])
         relative = relative / relative[:, 2:, 2:]
         bend = (relative - nearest_rigid(relative)).abs()
         bend[:, :, :2] *= self.radius
         bend[:, 2] *= self.radius
-        self.bends.fill_(bool((bend > ROUNDING).any()))
+        self.uses_homography.fill_(bool((bend > RIGID_TOLERANCE).any()))
         super().init_from(value)
 
     @torch.no_grad()
-    def bend(self) -> None:
-        """Let a rigid motion bend, from where it is."""
+    def switch_to_homography(self) -> None:
+        """Switch from rigid motion to homographies at the present value."""
         now = self()[1:].double()
-        self.bends.fill_(True)
-        self.values.copy_(self.parameters_of(now) / self.step)
+        self.uses_homography.fill_(True)
+        self.values.copy_(self.parameters_of(now) / self.preconditioning_scale)
 
     def matrices(self, p: Tensor) -> Tensor:
-        """A homography; of rigid motion the last parameters are idle."""
-        return super().matrices(p) if self.bends else _rigid(p[:, :3], self.radius)
+        """Homographies; the last parameters of a rigid motion are unused."""
+        return super().matrices(p) if self.uses_homography else _rigid(p[:, :3], self.radius)
 
     def parameters_of(self, t: Tensor) -> Tensor:
         """The inverse of `matrices`."""
-        if self.bends:
+        if self.uses_homography:
             return super().parameters_of(t)
-        return torch.nn.functional.pad(_of_rigid(t, self.radius), (0, self.count - Rigid.count))
+        return torch.nn.functional.pad(
+            _rigid_parameters(t, self.radius), (0, self.n_parameters - Rigid.n_parameters)
+        )
 
 
 def _rigid(p: Tensor, radius: float) -> Tensor:
@@ -179,7 +185,7 @@ def _rigid(p: Tensor, radius: float) -> Tensor:
     return _matrix(cos, -sin, p[:, 0], sin, cos, p[:, 1])
 
 
-def _of_rigid(t: Tensor, radius: float) -> Tensor:
+def _rigid_parameters(t: Tensor, radius: float) -> Tensor:
     return torch.cat((t[:, :2, 2], radius * nearest_angle(t)[:, None]), 1)
 
 

@@ -193,7 +193,7 @@ def _combine_slopes(flat, width, at, ends, fx, fy, out_x, out_y):
 
 
 @compiled
-def pull(first, last, scene, motion, out):
+def warp(first, last, scene, motion, out):
     """Rows [first, last) of each frame: `out` (N, C, h, w) from the coefficients `scene` (1 or N, C, Hc, Wc)."""
     (frames, channels, h, w), (height, width) = out.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
@@ -206,8 +206,8 @@ def pull(first, last, scene, motion, out):
 
 
 @compiled
-def push(first, last, gradient, motion, scene):
-    """Rows [first, last) of the canvas `scene`, which is added to: the adjoint of `pull`."""
+def warp_adjoint(first, last, gradient, motion, scene):
+    """Rows [first, last) of the canvas `scene`, which is added to: the adjoint of `warp`."""
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
     fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
@@ -251,7 +251,7 @@ def push(first, last, gradient, motion, scene):
 
 
 @compiled
-def turn(first, last, gradient, scene, motion, sums):
+def grad_homography(first, last, gradient, scene, motion, sums):
     """The gradient of rows [first, last) in each row of the homographies: `sums` (N, h, 3, 2) of it, and of it by x."""
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)
@@ -285,7 +285,7 @@ def turn(first, last, gradient, scene, motion, sums):
 
 
 @compiled
-def shove(first, last, gradient, scene, points, out):
+def grad_displacement(first, last, gradient, scene, points, out):
     """The gradient of rows [first, last) in the points (N, 2, h, w): `out`, of their shape."""
     (frames, channels, h, w), (height, width) = gradient.shape, scene.shape[2:]
     at, ends = np.empty(w, np.int32), np.empty(w, np.int32)

@@ -1,4 +1,8 @@
 """Constants that the kernels and their torch twins share."""
 
-#: Entries of a homography are kept below `MAX_ENTRY`, and depths above `MIN_DEPTH`, so that no coordinate overflows.
-MAX_ENTRY, MIN_DEPTH = 1e6, 1e-3
+#: Largest entry of a homography: beyond, coordinates overflow in float32.
+MAX_ENTRY = 1e6
+#: Smallest depth of a projected point.
+MIN_DEPTH = 1e-3
+#: Determinants that are multiplied before one logarithm is taken.
+DETERMINANTS_PER_LOG = 8

@@ -7,21 +7,22 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
-SIDE = 5  # px: of a filter
+#: Side of a filter, px.
+FILTER_SIDE = 5
 
 
 @compiled
 def experts(first, last, value, share, filters, weights, tails, rounding, energy, gradient):
     """Rows [first, last) of a picture (h, w): `energy` (h), summed in float64, and its `gradient` (h, w).
 
-    `filters` (C, SIDE, SIDE) answer where they lie within the picture; what they answer counts by the `share` (h, w)
-    of their middle, by `weights` (C), and from `tails` (C) on less and less.
+    `filters` (C, FILTER_SIDE, FILTER_SIDE) are applied where they lie inside the picture. A response is weighted by the
+    weight map `share` (h, w) at its centre and by `weights` (C); beyond `tails` (C) its cost grows as a square root.
     """
     height, width = value.shape
-    half = SIDE // 2
-    e, one, inside = value.dtype.type(rounding), value.dtype.type(1), width - SIDE + 1
-    padded = np.zeros(width + SIDE - 1, value.dtype)  # of answers, with nothing beyond both ends
-    answer = padded[SIDE - 1 : SIDE - 1 + inside]
+    half = FILTER_SIDE // 2
+    e, one, inside = value.dtype.type(rounding), value.dtype.type(1), width - FILTER_SIDE + 1
+    padded = np.zeros(width + FILTER_SIDE - 1, value.dtype)  # of answers, with nothing beyond both ends
+    answer = padded[FILTER_SIDE - 1 : FILTER_SIDE - 1 + inside]
     for i in range(first, last):
         energy[i] = 0
         gradient[i] = 0
@@ -30,7 +31,7 @@ def experts(first, last, value, share, filters, weights, tails, rounding, energy
         counts = share[i, half:]
         for c in range(len(filters)):
             answer[:] = 0
-            for a in range(SIDE):
+            for a in range(FILTER_SIDE):
                 f0, f1, f2, f3, f4 = filters[c, a]
                 r = value[i + a - half]
                 for j in range(inside):
@@ -46,7 +47,7 @@ def experts(first, last, value, share, filters, weights, tails, rounding, energy
                 answer[j] *= counted / (length * root)
             if first <= i < last:
                 energy[i] += total
-            for a in range(max(0, first - i + half), min(SIDE, last - i + half)):
+            for a in range(max(0, first - i + half), min(FILTER_SIDE, last - i + half)):
                 f4, f3, f2, f1, f0 = filters[c, a]
                 r, row = padded, gradient[i + a - half]
                 for j in range(width):

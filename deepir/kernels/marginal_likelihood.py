@@ -6,20 +6,19 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.kernels.compile import compiled
-
-TOGETHER = 8  # determinants that share a logarithm
+from deepir.kernels.constants import DETERMINANTS_PER_LOG
 
 
 @compiled
-def nats(first, last, values, counts, u, v, sums):
+def negative_log_likelihood(first, last, values, counts, u, v, sums):
     """Sums over those of the values (aa, ab, bb, s, t), (5, K), that count (K,), for variances u and v: `sums` (6,).
 
     Of `log det(1 + A V) - s' V (1 + A V)^-1 s`, of its slope in u and v, and of its curvature (uu, uv, vv).
     """
     nats, by_u, by_v, by_uu, by_uv, by_vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for start in range(0, values.shape[1], TOGETHER):
+    for start in range(0, values.shape[1], DETERMINANTS_PER_LOG):
         product = 1.0
-        for k in range(start, min(start + TOGETHER, values.shape[1])):
+        for k in range(start, min(start + DETERMINANTS_PER_LOG, values.shape[1])):
             aa, ab, bb, s, t = values[0, k], values[1, k], values[2, k], values[3, k], values[4, k]
             one, whole = 1.0 if counts[k] else 0.0, aa * bb - ab * ab
             system = 1 + u * aa + v * bb + u * v * whole

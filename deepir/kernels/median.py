@@ -7,7 +7,10 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
-DIGIT, DIGITS = 11, 3  # bits that are told apart at a time, of 33
+#: Bits that one pass of the radix selection separates.
+BITS_PER_DIGIT = 11
+#: Passes: 33 bits hold a float32 and its sign.
+N_DIGITS = 3
 
 
 @compiled
@@ -20,9 +23,9 @@ def median(first, last, bits, found):
     for i in range(left):
         value = np.int64(bits[i])
         keys[i] = value + 0x80000000 if value >= 0 else -1 - value
-    size, rank, key = np.empty(1 << DIGIT, np.int64), (left - 1) // 2, 0
-    for digit in range(DIGITS):
-        shift = (DIGITS - 1 - digit) * DIGIT
+    size, rank, key = np.empty(1 << BITS_PER_DIGIT, np.int64), (left - 1) // 2, 0
+    for digit in range(N_DIGITS):
+        shift = (N_DIGITS - 1 - digit) * BITS_PER_DIGIT
         size[:] = 0
         for i in range(left):
             size[(keys[i] >> shift) & (len(size) - 1)] += 1
@@ -30,7 +33,7 @@ def median(first, last, bits, found):
         while rank >= size[at]:
             rank -= size[at]
             at += 1
-        key, count, left = (key << DIGIT) + at, left, 0
+        key, count, left = (key << BITS_PER_DIGIT) + at, left, 0
         for i in range(count):
             keys[left] = keys[i]
             left += keys[i] >> shift == key

@@ -1,4 +1,4 @@
-"""Memory that is freed is kept for the next array: large arrays from the system cost a pass, or ten, to be zeroed."""
+"""Keep freed memory in the process: fresh pages from the system cost up to ten passes to be zeroed."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ import contextlib
 import ctypes
 from collections.abc import Iterator
 
-#: Options of glibc's mallopt (malloc.h), with what they are to be afterwards: what glibc itself adapts to at most.
-TRIM_THRESHOLD, MMAP_THRESHOLD, MMAP_MAX = -1, -3, -4
-AFTER = {TRIM_THRESHOLD: 2**26, MMAP_THRESHOLD: 2**25, MMAP_MAX: 2**16}
+#: Option of mallopt: free memory at the top of the heap that is kept, bytes (glibc, malloc.h).
+TRIM_THRESHOLD = -1
+#: Option of mallopt: size from which arrays get pages of their own, bytes (glibc, malloc.h).
+MMAP_THRESHOLD = -3
+#: Option of mallopt: largest number of such arrays (glibc, malloc.h).
+MMAP_MAX = -4
+#: Values afterwards: the largest that glibc itself adapts to.
+RESTORED_OPTIONS = {TRIM_THRESHOLD: 2**26, MMAP_THRESHOLD: 2**25, MMAP_MAX: 2**16}
 
 
 @contextlib.contextmanager
 def kept() -> Iterator[None]:
-    """While it lasts, free memory stays with the process; then it is given back. Only with glibc (Linux)."""
+    """Context in which freed memory stays in the process; it is returned at the end. Only with glibc (Linux)."""
     try:
         libc = ctypes.CDLL("libc.so.6")
         known = libc.mallopt, libc.malloc_trim
@@ -26,6 +31,6 @@ def kept() -> Iterator[None]:
     try:
         yield
     finally:
-        for option, value in AFTER.items():
+        for option, value in RESTORED_OPTIONS.items():
             mallopt(option, value)
         trim(0)

@@ -1,7 +1,8 @@
 # mypy: disable-error-code="no-untyped-def"
 """Passes over the pixels' normal equations; see `deepir.closed_form.normal_equations` for what they compute.
 
-Ranges are of bands of `BAND` rows, and columns are summed by band: parts of a range never write to the same place.
+A range is of bands of `ROWS_PER_BAND` rows. Columns are summed by band, so that no two parts of a range write to the
+same element.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.kernels.compile import compiled
+from deepir.kernels.constants import DETERMINANTS_PER_LOG
 
-BAND = 32
-BLOCK = 512  # pixels whose sums stay in the cache
-TOGETHER = 8  # determinants that share a logarithm
+#: Rows of a band, the unit of parallel work.
+ROWS_PER_BAND = 32
+#: Pixels whose sums stay in the cache.
+PIXELS_PER_BLOCK = 512
 
 
 @compiled
@@ -22,14 +25,14 @@ def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, acros
     Each band's half of the logarithm of the determinants goes to `nats` (bands,).
     """
     frames, height, width = flux.shape
-    block, whole_system = np.empty((5, BLOCK)), np.empty(BLOCK)
+    block, whole_system = np.empty((5, PIXELS_PER_BLOCK)), np.empty(PIXELS_PER_BLOCK)
     aa, ab, bb, sa, sb = block[0], block[1], block[2], block[3], block[4]
     for band in range(first, last):
         down[band], nats[band] = 0, 0
-        for i in range(band * BAND, min(band * BAND + BAND, height)):
+        for i in range(band * ROWS_PER_BAND, min(band * ROWS_PER_BAND + ROWS_PER_BAND, height)):
             across[:, i] = 0
-            for start in range(0, width, BLOCK):
-                stop = min(start + BLOCK, width)
+            for start in range(0, width, PIXELS_PER_BLOCK):
+                stop = min(start + PIXELS_PER_BLOCK, width)
                 block[:] = 0
                 m = flux[0, i, start:stop]
                 for k in range(frames):
@@ -69,9 +72,9 @@ def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, acros
                         d4[j] + p4,
                     )
                     s0, s1, s2, s3, s4 = s0 + p0, s1 + p1, s2 + p2, s3 + p3, s4 + p4
-                for j in range(0, stop - start, TOGETHER):
+                for j in range(0, stop - start, DETERMINANTS_PER_LOG):
                     product = 1.0
-                    for k in range(j, min(j + TOGETHER, stop - start)):
+                    for k in range(j, min(j + DETERMINANTS_PER_LOG, stop - start)):
                         product *= whole_system[k]
                     nats[band] += np.log(product) / 2
                 across[0, i] += s0
@@ -89,7 +92,7 @@ def _copy(values, into):
 
 
 @compiled
-def _by_rows(maps, root, to_columns, to_rows, weights, x, rest, columns, rows, out):
+def _multiply_row_coupling(maps, root, to_columns, to_rows, weights, x, rest, columns, rows, out):
     """What the rows do to white columns and terms `x`, from which they start at `rest`: `out`; the others are room."""
     height, width = maps.shape[1:]
     terms, a, b = x[2 * width :], columns[:width], columns[width:]
@@ -137,7 +140,7 @@ def solve(first, last, maps, root, to_columns, to_rows, weights, rest, tolerance
         np.zeros(2 * maps.shape[1]),
     )
     p, q, r, rr = np.zeros(len(x)), np.empty(len(x)), np.empty(len(x)), 0.0
-    _by_rows(maps, root, to_columns, to_rows, weights, p, rest, columns, rows, q)
+    _multiply_row_coupling(maps, root, to_columns, to_rows, weights, p, rest, columns, rows, q)
     for k in range(len(x)):  # one by one: operations on whole arrays take long to compile
         r[k] = x[k] - q[k]
         p[k], x[k] = r[k], 0 * r[k]  # what is not a number stays so
@@ -146,7 +149,7 @@ def solve(first, last, maps, root, to_columns, to_rows, weights, rest, tolerance
     for _ in range(iterations):
         if not rr > goal:
             break
-        _by_rows(maps, root, to_columns, to_rows, weights, p, nothing, columns, rows, q)
+        _multiply_row_coupling(maps, root, to_columns, to_rows, weights, p, nothing, columns, rows, q)
         along = 0.0
         for k in range(len(x)):
             q[k] = p[k] - q[k]
@@ -161,13 +164,13 @@ def solve(first, last, maps, root, to_columns, to_rows, weights, rest, tolerance
 
 
 @compiled
-def finish(
+def back_substitute(
     first, last, maps, columns, rest, weights, along, in_x, sigma, neutral, errors, gain, offset, values
 ):
     """White pixel values `gain` and `offset` (h, w), the `errors` that the rows solve (2, h), and the `values`."""
     height, width = maps.shape[1:]
     x, y = np.empty(width), np.empty(width)
-    for i in range(first * BAND, min(last * BAND, height)):
+    for i in range(first * ROWS_PER_BAND, min(last * ROWS_PER_BAND, height)):
         aa, ab, bb, sa, sb = maps[0, i], maps[1, i], maps[2, i], maps[3, i], maps[4, i]
         _copy(columns[0], x)
         _copy(columns[1], y)

@@ -11,8 +11,11 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
-#: Least depth, and by how many px a point may lie beyond the outermost, by rounding.
-NEAR, BESIDE = np.float32(1e-3), np.float32(1e-3)
+#: Smallest depth of a projected point; float32, as the operands are.
+MIN_DEPTH = np.float32(1e-3)
+#: How far a point may lie beyond the outermost pixel, by rounding, px.
+EDGE_TOLERANCE = np.float32(1e-3)
+#: Numbers in float32: with integers of Python numba computes in float64.
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 
@@ -26,10 +29,10 @@ def _sample(image, weight, whole, t, i, at, f, g, values, known):
     bx, by, bz = t[0, 1] * y + t[0, 2], t[1, 1] * y + t[1, 2], t[2, 1] * y + t[2, 2]
     for j in range(width):
         x = np.float32(j)
-        nearness = ONE / max(az * x + bz, NEAR)
+        nearness = ONE / max(az * x + bz, MIN_DEPTH)
         px, py = (ax * x + bx) * nearness, (ay * x + by) * nearness
         beyond = max(-px, px - to_x, -py, py - to_y)
-        known[j] = ONE if beyond < BESIDE else ZERO
+        known[j] = ONE if beyond < EDGE_TOLERANCE else ZERO
         # In this order a NaN, too, ends up inside.
         px, py = px if px > ZERO else ZERO, py if py > ZERO else ZERO
         px, py = px if px < to_x else to_x, py if py < to_y else to_y
@@ -54,7 +57,7 @@ def _sample(image, weight, whole, t, i, at, f, g, values, known):
 
 
 @compiled
-def pull(first, last, images, weight, whole, motion, values, known):
+def sample_images(first, last, images, weight, whole, motion, values, known):
     """Rows [first, last) of `images` (1 or N, h, w) at moved points: `values`, and where they are `known`."""
     width = values.shape[2]
     at, f, g = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
@@ -65,7 +68,7 @@ def pull(first, last, images, weight, whole, motion, values, known):
 
 
 @compiled
-def differ(first, last, frames, weight, whole, picture, motion, count, mean, rest, power):
+def residual_moments(first, last, frames, weight, whole, picture, motion, count, mean, rest, power):
     """Rows [first, last) of what `frames` (N, h, w) are beside a `picture` (h, w) at moved points.
 
     For each pixel over the frames: samples that are known, their mean, and the sum of squares about it; and the frames'
@@ -103,7 +106,7 @@ def _expect(seen, known, total, count, expected, both):
 
 
 @compiled
-def step(first, last, frames, known, total, count, ax, ay, stride, unit, middle, limit, sums):
+def gauss_newton_sums(first, last, frames, known, total, count, ax, ay, stride, unit, middle, limit, sums):
     """Sums (rows, N, P + 2, P + 3) over every `stride`-th pixel of rows [first, last) but the outermost.
 
     Of products of all that a frame (h, w) may differ by from the mean of the others: what the motion's parameters

@@ -13,15 +13,16 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
-HUGE = 1e200  # a product of determinants, or its inverse, of which a logarithm is taken while it is a number
+#: Products of determinants stay below this and above its inverse; beyond, their logarithm is taken.
+MAX_PRODUCT = 1e200
 
 
 @compiled
-def nats(first, last, real, imag, shifts, y, x, scene, pattern, noise, found, slope):
+def negative_log_likelihood(first, last, real, imag, shifts, y, x, scene, pattern, noise, found, slope):
     """Rows [first, last): their parts of minus the log-likelihood, (h,), and of its slope, (h, N, 2)."""
-    cosine, sine, turn, waves = _prepared(real, shifts, x)
+    cosine, sine, turn, waves = _phase_tables(real, shifts, x)
     for r in range(first, last):
-        _solve(r, real, imag, shifts, y, scene, pattern, noise, cosine, sine, turn, waves)
+        _solve_row(r, real, imag, shifts, y, scene, pattern, noise, cosine, sine, turn, waves)
         same, moved, both, det, s, p = waves
         total, product = 0.0, 1.0
         for c in range(len(x)):
@@ -34,7 +35,7 @@ def nats(first, last, real, imag, shifts, y, x, scene, pattern, noise, found, sl
             s[1, c] *= each
         for c in range(len(x)):
             product *= det[0, c]
-            if not 1 / HUGE < product < HUGE:
+            if not 1 / MAX_PRODUCT < product < MAX_PRODUCT:
                 total += math.log(product)
                 product = 1.0
         found[r] = total + math.log(product)
@@ -50,15 +51,15 @@ def nats(first, last, real, imag, shifts, y, x, scene, pattern, noise, found, sl
 
 
 @compiled
-def powers(first, last, real, imag, shifts, y, x, scene, pattern, noise, kind, expected, white):
+def expected_powers(first, last, real, imag, shifts, y, x, scene, pattern, noise, kind, expected, white):
     """Rows [first, last): expected squares of scene and noise, summed over waves of a kind, (h, kinds, 2).
 
     The kind of a wave is in (h, w); the pattern's, which is of one kind, are in `white`, (h,).
     """
-    cosine, sine, turn, waves = _prepared(real, shifts, x)
+    cosine, sine, turn, waves = _phase_tables(real, shifts, x)
     n = len(real)
     for r in range(first, last):
-        _solve(r, real, imag, shifts, y, scene, pattern, noise, cosine, sine, turn, waves)
+        _solve_row(r, real, imag, shifts, y, scene, pattern, noise, cosine, sine, turn, waves)
         _, left, both, det, s, p = waves
         left[0] = 0.0
         for j in range(n):
@@ -77,7 +78,7 @@ def powers(first, last, real, imag, shifts, y, x, scene, pattern, noise, kind, e
 
 
 @compiled
-def _prepared(real, shifts, x):
+def _phase_tables(real, shifts, x):
     """Cosine and sine of what shifts along x turn waves by, (N, w) each; room for all turns, and for a row's waves."""
     n, _, w = real.shape
     cosine, sine = np.empty((n, w)), np.empty((n, w))
@@ -88,7 +89,7 @@ def _prepared(real, shifts, x):
 
 
 @compiled
-def _solve(r, real, imag, shifts, y, scene, pattern, noise, cosine, sine, turn, waves):
+def _solve_row(r, real, imag, shifts, y, scene, pattern, noise, cosine, sine, turn, waves):
     """Of a row: turns, and as real and imaginary parts the frames' sum as they are and moved back, the normal
     equations' off-diagonal and (real) determinant, and their solution, scene and pattern."""
     n, _, w = real.shape

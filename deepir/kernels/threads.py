@@ -12,22 +12,22 @@ from contextvars import ContextVar
 
 import torch
 
-#: Samples of a burst from which a second thread pays.
-LARGE = 400_000
+#: Samples of a burst from which a second thread is faster.
+MIN_PARALLEL_SAMPLES = 400_000
 
 _given = ContextVar("threads", default=0)
 
 
 def count() -> int:
-    """How many threads a loop is spread over; as many as torch has, unless a solve runs."""
+    """Number of threads of a compiled loop: that of the running solve, or else that of torch."""
     return _given.get() or torch.get_num_threads()
 
 
 @contextlib.contextmanager
-def for_burst(samples: int, most: int | None = None) -> Iterator[None]:
-    """While it lasts, loops and torch have what threads suit so many samples: one, or `most`, torch's by default."""
+def for_burst(samples: int, max_threads: int | None = None) -> Iterator[None]:
+    """Context with threads for a number of samples: one, or `max_threads` (those of torch if None) for large bursts."""
     before = torch.get_num_threads()
-    number = (most or count()) if samples >= LARGE else 1
+    number = (max_threads or count()) if samples >= MIN_PARALLEL_SAMPLES else 1
     token = _given.set(number)
     torch.set_num_threads(number)
     try:

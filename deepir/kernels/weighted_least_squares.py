@@ -7,7 +7,7 @@ from deepir.kernels.compile import compiled
 
 
 @compiled
-def half_squares(first, last, prediction, data, precision, weighted, nats):
+def weighted_residuals(first, last, prediction, data, precision, weighted, nats):
     """Rows [first, last) of (rows, w): the `weighted` residuals, and their part of the sum, `nats` (rows)."""
     for i in range(first, last):
         p, y, w, into, total = prediction[i], data[i], precision[i], weighted[i], 0.0
@@ -19,7 +19,9 @@ def half_squares(first, last, prediction, data, precision, weighted, nats):
 
 
 @compiled
-def of_sensor(first, last, flux, data, precision, gain, offset, level, u, v, system, slope, nats, drift):
+def sensor_weighted_residuals(
+    first, last, flux, data, precision, gain, offset, level, u, v, system, slope, nats, drift
+):
     """Rows [first, last) of frames (N, h, w) that a sensor made of `flux`, with gain and offset (h, w).
 
     The `slope` in the flux, (N, h, w), the rows' parts of the sum, `nats` (N, h), and of its slope in the level,

@@ -9,7 +9,7 @@ import torch
 from scipy.fft import dctn, idctn
 from torch import Tensor
 
-from deepir.fields.sensor_maps import Part
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.multiview.gradients import Edges
 from deepir.multiview.whitened_maps import WhiteParts
 
@@ -28,7 +28,7 @@ class ColouredPixels(WhiteParts):
     """
 
     def __init__(
-        self, along: tuple[int, ...], pair: list[Part | None], level: float, size: Sequence[int]
+        self, along: tuple[int, ...], pair: list[GaussianMap | None], level: float, size: Sequence[int]
     ) -> None:
         super().__init__(along, pair, level, size)
         #: Of each axis the octave of each coefficient's frequency, from the lowest.
@@ -90,7 +90,7 @@ class ColouredPixels(WhiteParts):
         The noise of the estimate is what the two halves of the frames differ by.
         """
         super().update_strengths(edges, pattern, values)
-        if any(part and part.given for part in self.pair):
+        if any(part and part.sigma_is_fixed for part in self.pair):
             return
         weight = float(edges.information(self.along)[2].mean()) / 4
         curvature = self.curvature.clamp(min=1e-12)

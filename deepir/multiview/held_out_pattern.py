@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.multiview.low_order_pattern import averaged
 from deepir.multiview.pattern import median_pattern
 from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, sampled
@@ -160,4 +160,4 @@ def _change(frames: Array, found: Displacement) -> Array:
 
 def _spread(change: Array) -> float:
     """Robust standard deviation about zero."""
-    return MAD * float(np.median(np.abs(change)))
+    return MAD_TO_SIGMA * float(np.median(np.abs(change)))

@@ -16,9 +16,9 @@ import torch.nn.functional as F
 from scipy.fft import dctn, idctn
 from torch import Tensor
 
-from deepir.closed_form.conjugate_gradient import conjugate_gradients
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
-from deepir.fields.sensor_maps import Column, Part, Pixel, Row
+from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
 from deepir.multiview.coloured_pixels import ColouredPixels
 from deepir.multiview.gradients import AXES, Edges, median_gradients
@@ -37,7 +37,7 @@ PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for tho
 
 @torch.no_grad()
 def find_pattern(
-    frames: Tensor, usable: Tensor, gain: Sequence[Part], offset: Sequence[Part]
+    frames: Tensor, usable: Tensor, gain: Sequence[GaussianMap], offset: Sequence[GaussianMap]
 ) -> tuple[Edges, Tensor, Shading]:
     """Set the parts of gain and offset, with their strengths where those are not given.
 
@@ -67,7 +67,7 @@ def find_pattern(
     pattern = unknowns.finish()
     pattern[1] += isolated
     for part in offset:
-        if part.along == PIXEL and not isinstance(part, Shading):
+        if part.constant_axes == PIXEL and not isinstance(part, Shading):
             part.assign(part.values + isolated)
     return edges, pattern, unknowns.slow
 
@@ -148,42 +148,44 @@ def shrink_shading(shading: Shading, corrected: Tensor) -> float:
 
     `corrected` are the frames (N, h, w) without the pattern.
     """
-    terms = shading.scales * shading.white
+    terms = shading.prior_sigma * shading.whitened
     area = corrected.shape[-2] * corrected.shape[-1]
-    between = (shading.sums(corrected.to(terms)) / area).var(0) * MEAN_SHARE
-    degree, kept = shading.of_y + shading.of_x, torch.zeros_like(terms)
+    between = (shading.analyse(corrected.to(terms)) / area).var(0) * MEAN_SHARE
+    degree, kept = shading.order_y + shading.order_x, torch.zeros_like(terms)
     for each in degree.unique():
         some = degree == each
         whole, scenes = terms[some].square().mean(), between[some].mean()
         kept[some] = ((whole - scenes) / whole.clamp(min=1e-300)).clamp(min=0)
-    shading.assign(shading.spread(kept * terms)[None, None])
+    shading.assign(shading.synthesise(kept * terms)[None, None])
     return float((kept * terms).norm() / terms.norm().clamp(min=1e-300))
 
 
 class _Unknowns:
     """All parts in white coordinates, and polynomials as free as the frames vary: the scenes', or a shading."""
 
-    def __init__(self, edges: Edges, gain: Sequence[Part], offset: Sequence[Part]) -> None:
+    def __init__(self, edges: Edges, gain: Sequence[GaussianMap], offset: Sequence[GaussianMap]) -> None:
         self.level, (height, width) = edges.level, edges.frames.shape[1:]
         typical = edges.typical
         self.parts = []
         for along in (PIXEL, COLUMN, ROW):
-            pair = [next((part for part in parts if part.along == along and not isinstance(part, Shading)), None)
-                for parts in (gain, offset)]  # fmt: skip
+            pair = [
+                next((p for p in parts if p.constant_axes == along and not isinstance(p, Shading)), None)
+                for parts in (gain, offset)
+            ]
             for part, start in zip(pair, (GAIN, typical), strict=True):
-                if part and not part.given:
+                if part and not part.sigma_is_fixed:
                     part.sigma.fill_(start)
             if any(pair):
                 kind = WhiteParts if along else ColouredPixels
                 self.parts.append(kind(along, pair, edges.level, (height, width)))
         self.shading = next((part for part in offset if isinstance(part, Shading)), None)
-        given = self.shading is not None and self.shading.given
+        given = self.shading is not None and self.shading.sigma_is_fixed
         free = Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
         self.slow = self.shading if self.shading is not None and given else free
         deviation = float(edges.frames.flatten(1).std(1).median())
         self.unit = math.hypot(edges.level, deviation)  # counts that a gain of one is about
         free_by = edges.scales.new_tensor([[1.0 if gain else 0.0], [deviation]])  # of gain and level
-        self.steep = free_by / (self.slow.of_y + self.slow.of_x).square()
+        self.steep = free_by / (self.slow.order_y + self.slow.order_x).square()
         self.sizes = [math.prod(parts.shape) for parts in self.parts]
         self.white = edges.scales.new_zeros(sum(self.sizes) + self.steep.numel())
 
@@ -196,11 +198,11 @@ class _Unknowns:
     def pattern(self, white: Tensor) -> Tensor:
         """All that the frames share, of gain and level, (2, h, w)."""
         values, terms = self.split(white)
-        return sum(values, self.slow.spread(terms))
+        return sum(values, self.slow.synthesise(terms))
 
     def adjoint(self, pattern: Tensor) -> Tensor:
         """The adjoint of `pattern`."""
-        slow = (self.steep * self.slow.sums(pattern)).flatten()
+        slow = (self.steep * self.slow.analyse(pattern)).flatten()
         return torch.cat([*(parts.adjoint(pattern) for parts in self.parts), slow])
 
     def solve(self, edges: Edges) -> None:
@@ -211,18 +213,18 @@ class _Unknowns:
         def near(x: Tensor) -> Tensor:
             return torch.cat((scale * x[: len(scale)], smooth @ x[len(scale) :]))
 
-        self.white = conjugate_gradients(
+        self.white = conjugate_gradient(
             lambda white: white + self.adjoint(edges.normal(self.pattern(white))),
             self.adjoint(edges.score()),
             self.white,
-            near=near,
-            precise=PRECISE,
-            steps=STEPS,
+            precondition=near,
+            tolerance=PRECISE,
+            max_iterations=STEPS,
         )
 
     def _smooth(self, edges: Edges) -> Tensor:
         """The inverse of the polynomials' block of the normal matrix, if all edges along an axis weighed the same."""
-        y, x, order_y, order_x = self.slow.in_y, self.slow.in_x, self.slow.of_y, self.slow.of_x
+        y, x, order_y, order_x = self.slow.basis_y, self.slow.basis_x, self.slow.order_y, self.slow.order_x
         steep = self.steep.flatten()
         block = torch.zeros(len(steep), len(steep)).to(steep)
         for sums, down, across in zip(edges.sums, (y, y.diff()), (x.diff(), x), strict=True):
@@ -249,8 +251,8 @@ class _Unknowns:
         for parts, mine in zip(self.parts, values, strict=True):
             for part, value in zip(parts.pair, parts.split(mine), strict=True):
                 if part:
-                    part.assign(value.reshape(part.white.shape))
-        if not self.slow.given:
+                    part.assign(value.reshape(part.whitened.shape))
+        if not self.slow.sigma_is_fixed:
             self.slow.sigma.copy_(terms[1].square().mean().sqrt())
-        self.slow.assign(self.slow.spread(terms[1])[None, None])
+        self.slow.assign(self.slow.synthesise(terms[1])[None, None])
         return self.pattern(self.white)

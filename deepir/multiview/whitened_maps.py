@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import robust_std
-from deepir.estimation.variance_components import MAX_SIGMA_RATIO, high_pass, likeliest
-from deepir.fields.sensor_maps import Part
+from deepir.arrays.statistics import robust_std
+from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.multiview.gradients import Edges
 
 LOW = 0.05  # least strength, in the most: what falls to nothing does not come back
@@ -23,7 +23,7 @@ class WhiteParts:
     """
 
     def __init__(
-        self, along: tuple[int, ...], pair: list[Part | None], level: float, size: Sequence[int]
+        self, along: tuple[int, ...], pair: list[GaussianMap | None], level: float, size: Sequence[int]
     ) -> None:
         self.along, self.pair, self.level = along, pair, level
         self.shape = (2, *(1 if axis in along else side for axis, side in zip((-2, -1), size, strict=True)))
@@ -66,22 +66,22 @@ class WhiteParts:
         """
         for part, size in zip(self.pair, (unit, 1.0), strict=True):
             if part:
-                part.most.fill_(MAX_SIGMA_RATIO * robust_std(high_pass(level, part)) / max(size, 1e-30))
+                part.max_sigma.fill_(MAX_SIGMA_RATIO * robust_std(high_pass(level, part)) / max(size, 1e-30))
 
     def update_strengths(self, edges: Edges, pattern: Tensor, values: Tensor) -> None:
         """The likeliest, all other parts held; `pattern` (2, h, w) is that of all of them."""
         aa, ab, bb = edges.information(self.along).flatten(1)
         level = self.level
         information = torch.stack((aa + 2 * level * ab + level**2 * bb, ab + level * bb, bb))
-        free = [i for i, part in enumerate(self.pair) if part and not part.given]
+        free = [i for i, part in enumerate(self.pair) if part and not part.sigma_is_fixed]
         sigma, most = (
             torch.stack(
                 [getattr(part, name).double() if part else values.new_zeros(()) for part in self.pair]
             )
-            for name in ("sigma", "most")
+            for name in ("sigma", "max_sigma")
         )
         means = self.split(values).flatten(1)
-        found = likeliest(information, means, sigma, most, free)
+        found = estimate_sigmas(information, means, sigma, most, free)
         for i in free:
             self.pair[i].sigma.copy_(found[i].clamp(min=LOW * most[i]))  # type: ignore[union-attr]
 

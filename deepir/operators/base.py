@@ -1,4 +1,4 @@
-"""What an operator is, and how operators compose."""
+"""Base class of operators, and their composition."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ Shape = tuple[int, ...]
 
 
 class Operator(nn.Module):
-    """A map `x, **slots -> y` without hidden state; `deepir.testing.check_operator` tests one.
+    """A map `x, **slots -> y` without hidden state; `deepir.testing.check_operator` checks one.
 
-    Slots are named extra tensors (`motion`, `gain`, `psf` ...), so an operator knows nothing of how an
-    unknown is represented.
+    Slots are named extra tensors (`motion`, `gain`, `psf` ...): an operator is independent of the parametrisation of
+    the unknowns.
     """
 
-    #: Whether it is linear in `x`, all slots fixed, and whether it is so up to a constant (an offset).
+    #: Whether it is linear in `x` for fixed slots.
     linear: bool = True
+    #: Whether it is linear in `x` up to a constant (an offset).
     affine: bool = True
-    #: The value of each slot that leaves the data as they are (1 for a gain, 0 for an offset).
+    #: The value of each slot that leaves the data unchanged (1 for a gain, 0 for an offset).
     neutral: ClassVar[Mapping[str, float]] = {}
-    #: How much stronger white noise of the output is when it is carried back to the input (standard deviations).
+    #: Standard deviation of the inverse-filtered white noise of the output, relative to that of the output.
     noise_gain: float = 1.0
-    #: Whether each frame sees the scene at other places, by the slot `motion`.
+    #: Whether the slot `motion` moves the sampling points of each frame.
     moves: ClassVar[bool] = False
     #: Whether each sample of the output depends on the sample of the input at the same place and time only.
     pointwise: ClassVar[bool] = False
@@ -36,15 +37,15 @@ class Operator(nn.Module):
     temporal: ClassVar[bool] = False
     #: Whether the output's pixels lie at the input's; the reach of a blur aside.
     keeps_grid: ClassVar[bool] = False
-    #: The instants at which it wants its input.
-    path: Trajectory = Trajectory()
+    #: The instants at which it needs its input.
+    trajectory: Trajectory = Trajectory()
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""
         return {}
 
     def fits(self, slot: str, wanted: Shape, found: Shape) -> bool:
-        """Whether a value of the shape `found` will do for a slot for which `slots` says `wanted`."""
+        """Whether a slot of shape `wanted` (from `slots`) accepts a value of shape `found`."""
         return found == wanted
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
@@ -60,7 +61,16 @@ class Operator(nn.Module):
         raise NotImplementedError
 
     def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
-        """The adjoint in `x`, `(x_shape)`, of the linear part; of the derivative at zero, if not affine."""
+        """Adjoint of the linear part; of the derivative at zero if the operator is not affine.
+
+        Args:
+            y: (N, C, h, w).
+            x_shape: Shape of the input.
+            slots: Values of the slots.
+
+        Returns:
+            A tensor of `x_shape`.
+        """
         x = torch.zeros(x_shape, dtype=y.dtype, device=y.device, requires_grad=True)
         with torch.enable_grad():
             # The gradient of <A x, y>; handing y to autograd.grad makes torch import sympy, 0.3 s on the first call.
@@ -68,11 +78,11 @@ class Operator(nn.Module):
         return out
 
     def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
-        """Where the output is computed from valid input only; `mask` is 1 or 0 in the shape of `x`."""
+        """Mask (0 or 1) of the outputs that depend on valid inputs only; `mask` has the shape of `x`."""
         return mask
 
-    def image(self, x: Tensor) -> Tensor:
-        """What `x` looks like at its own pixels' centres; not `x` itself where that holds coefficients."""
+    def to_pixels(self, x: Tensor) -> Tensor:
+        """Samples of the input at pixel centres; differs from `x` if this holds spline coefficients."""
         return x
 
     @classmethod
@@ -87,7 +97,7 @@ class Operator(nn.Module):
 
 
 class Chain(Operator):
-    """Stages applied top to bottom; the slots of stage `s` are called `s.slot`, so two blurs never clash."""
+    """Stages applied in order; slots are named `stage.slot`."""
 
     def __init__(self, stages: Mapping[str, Operator]) -> None:
         super().__init__()
@@ -123,7 +133,7 @@ class Chain(Operator):
         return x
 
     def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
-        """Those of the stages, from the last to the first, where they do not depend on their input."""
+        """Adjoints of the stages in reverse order, if all are affine."""
         if not self.affine:
             return super().adjoint(y, x_shape, **slots)
         shapes = [x_shape]
@@ -139,9 +149,9 @@ class Chain(Operator):
             mask = stage.valid(mask, **slots_of(slots, name))
         return mask
 
-    def image(self, x: Tensor) -> Tensor:
-        """That of the first stage, which takes the scene."""
-        return self.named()[0][1].image(x)
+    def to_pixels(self, x: Tensor) -> Tensor:
+        """Samples at pixel centres by the first stage."""
+        return self.named()[0][1].to_pixels(x)
 
     def named(self) -> list[tuple[str, Operator]]:
         """(name, stage), in the order of application."""

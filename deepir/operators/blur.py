@@ -10,7 +10,8 @@ from torch import Tensor
 from deepir.operators.base import Operator, Shape
 from deepir.registry import register
 
-MOST = 100  # px: the radius
+#: Largest radius, px.
+MAX_RADIUS = 100
 
 
 @register("operator", "blur")
@@ -25,8 +26,8 @@ class Blur(Operator):
 
     def __init__(self, *, radius: int = 3) -> None:
         super().__init__()
-        if not 0 <= radius <= MOST:
-            raise ValueError(f"radius must be 0 to {MOST} px, not {radius}")
+        if not 0 <= radius <= MAX_RADIUS:
+            raise ValueError(f"radius must be 0 to {MAX_RADIUS} px, not {radius}")
         self.radius = radius
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:

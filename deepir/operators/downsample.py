@@ -9,7 +9,8 @@ from torch import Tensor
 from deepir.operators.base import Operator, Shape
 from deepir.registry import register
 
-MOST = 8  # finer than this, the box of a pixel leaves nothing to be seen
+#: Largest factor: beyond, the pixel's aperture removes all finer detail.
+MAX_FACTOR = 8
 
 
 @register("operator", "downsample")
@@ -21,8 +22,8 @@ class Downsample(Operator):
 
     def __init__(self, *, factor: int = 2) -> None:
         super().__init__()
-        if not 1 <= factor <= MOST:
-            raise ValueError(f"factor must be 1 to {MOST}, not {factor}")
+        if not 1 <= factor <= MAX_FACTOR:
+            raise ValueError(f"factor must be 1 to {MAX_FACTOR}, not {factor}")
         self.factor = factor
         self.noise_gain = float(factor)  # the information of a sample is shared by factor² unknowns
 

@@ -1,4 +1,4 @@
-"""Where the frames lie in the scene's array."""
+"""Position of the frames in the array of the scene."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from torch import Tensor
 from deepir.kernels.constants import MIN_DEPTH
 from deepir.operators import Chain, Warp
 
-MARGIN = 8  # px that the canvas reaches beyond the registered footprints
+#: Width of the canvas beyond the registered footprints, px.
+CANVAS_MARGIN = 8
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,8 @@ class Geometry:
         return pictures[0] if len(pictures) == 1 else pictures
 
 
-def locate(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geometry:
-    """Frame 0's window has the frame's size times the ratio, and its centre."""
+def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geometry:
+    """Geometry of a chain for frames of `size` (h, w) and a scene (H, W)."""
     stages = [stage for _, stage in chain.named()]
     first, later = stages[0], Chain(dict(chain.named()[1:]))
     rest = later if isinstance(first, Warp) else chain
@@ -47,31 +48,41 @@ def locate(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geome
 def footprint(
     motion: Tensor | None, size: tuple[int, int], ratio: float
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Canvas (H, W) and origin (y, x) that hold all footprints of frames of `size`, and a margin."""
+    """Canvas that contains the footprints of all frames, with a margin.
+
+    Args:
+        motion: (N, 3, 3) homographies, detector px; None for one frame at rest.
+        size: (h, w) of a frame, scene px.
+        ratio: Scene px per detector px.
+
+    Returns:
+        Size (H, W) and origin (y, x) of frame 0, scene px.
+    """
     if motion is None:
         motion = torch.eye(3, dtype=torch.float64)[None]
     y, x = ((side - 1) / 2 for side in size)
     corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64)
-    moved = scaled(motion, ratio).double() @ corners
+    moved = rescale_motion(motion, ratio).double() @ corners
     points = moved[:, :2] / moved[:, 2:].clamp(min=MIN_DEPTH) + corners.new_tensor([[x], [y]])
     low, high = points.amin((0, 2)), points.amax((0, 2))  # straight lines stay straight
-    x0, y0 = (MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
+    x0, y0 = (CANVAS_MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
     x1, y1 = (
-        MARGIN + math.ceil(max(float(v), side - 1)) for v, side in zip(high, reversed(size), strict=True)
+        CANVAS_MARGIN + math.ceil(max(float(v), side - 1))
+        for v, side in zip(high, reversed(size), strict=True)
     )
-    return (_quick(y0 + y1 + 1), _quick(x0 + x1 + 1)), (y0, x0)
+    return (_fast_fft_length(y0 + y1 + 1), _fast_fft_length(x0 + x1 + 1)), (y0, x0)
 
 
-def _quick(side: int) -> int:
+def _fast_fft_length(side: int) -> int:
     """An even length, a little more than `side`, whose Fourier transform is two or three times as fast."""
     return 2 * int(next_fast_len(-(-side // 2)))
 
 
-def scaled(motion: Tensor, ratio: float) -> Tensor:
-    """A motion in px of a grid that is `ratio` times finer; the centres coincide."""
+def rescale_motion(motion: Tensor, ratio: float) -> Tensor:
+    """Homographies in px of a grid that is `ratio` times finer, with the same centre."""
     s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
     return motion * (s[:, None] / s)
 
 
-#: Range of the motion along an axis, in px, below which its lines are hard to tell from the scene.
+#: Range of the motion along an axis below which lines and scene cannot be separated well, px.
 MIN_MOTION_SPAN = 3.0

@@ -1,15 +1,15 @@
-"""What a motion does, given as homographies (N, 3, 3) or as the points (N, h, w, 2) at which pixels look."""
+"""Displacements of motions, given as homographies (N, 3, 3) or as sampling points (N, h, w, 2)."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from deepir.operators.warp import coords
+from deepir.operators.warp import project_pixels
 
 
-def displaced(motion: Tensor, at: Tensor) -> Tensor:
-    """By how much (x, y) each frame's motion moves the point `at` (2,), (N, 2); given as points, its nearest pixel."""
+def displacement_at(motion: Tensor, at: Tensor) -> Tensor:
+    """Displacement (x, y) of the point `at` (2,) in each frame, (N, 2) px; of the nearest pixel for sampling points."""
     if motion.ndim == 3:
         moved = motion @ torch.cat((at, at.new_ones(1)))
         return moved[:, :2] / moved[:, 2:] - at
@@ -18,17 +18,17 @@ def displaced(motion: Tensor, at: Tensor) -> Tensor:
 
 
 def displacements(points: Tensor) -> Tensor:
-    """How far from itself each pixel looks, x and y: (N, h, w, 2) -> (N, 2, h, w)."""
-    still = coords(torch.eye(3).to(points)[None], (points.shape[1], points.shape[2]))
+    """Displacements (x, y) of all pixels, px: (N, h, w, 2) -> (N, 2, h, w)."""
+    still = project_pixels(torch.eye(3).to(points)[None], (points.shape[1], points.shape[2]))
     return (points - still).permute(0, 3, 1, 2)
 
 
 def homographies(motion: Tensor) -> Tensor:
-    """The motion itself, or those nearest to the points, (N, 3, 3): by least squares, weighted by depth."""
+    """Homographies (N, 3, 3): the motion itself, or a depth-weighted least-squares fit to sampling points."""
     if motion.ndim == 3:
         return motion
     size = (motion.shape[1], motion.shape[2])
-    x, y = coords(torch.eye(3).to(motion).double()[None], size)[0].flatten(0, 1).T
+    x, y = project_pixels(torch.eye(3).to(motion).double()[None], size)[0].flatten(0, 1).T
     zero, one = torch.zeros_like(x), torch.ones_like(x)
     found = []
     for u, v in motion.double().flatten(1, 2).mT:

@@ -1,4 +1,4 @@
-"""Thermal lag: a pixel takes its time to follow the flux."""
+"""Thermal lag of the detector."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from deepir.operators.base import Operator, Shape
 from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
-SHORTEST = 1e-6  # time constant, in steps, below which a pixel follows at once
+#: Smallest time constant, in time steps; below, a pixel follows at once.
+MIN_TIME_CONSTANT = 1e-6
 
 
 @register("operator", "lag")
 class Lag(Operator):
-    """What pixels of time constant `tau` show of a flux, `tau dy/dt = x - y`; (M, C, h, w) -> (N, C, h, w).
+    """First-order response of pixels, `tau dy/dt = x - y`; (M, C, h, w) -> (N, C, h, w).
 
-    The flux is given at M instants, `substeps` for each of the N frames, the last of them as it is read, and one more
-    to begin with. Between two of them it is the parabola through these and the one before, for which the solution is
-    exact. (A flux that is held, or linear, wants many more sub-steps: what it leaves out of a wave looks like a longer
-    time constant.) The slot `tau`, in ms, is (1, C, h, w).
+    The flux is given at M instants, `substeps` per frame, the last at its readout, and one initial instant. It is
+    interpolated by parabolas, for which the solution is exact; piecewise constant or linear flux needs many more
+    sub-steps, as its error resembles a longer time constant.
 
-    What the camera did before the first frame says the slot `moving`, (1, 1, 1, 1): zero, it was at rest, so that the
-    pixels had settled; one, it was moving as it goes on to. In between are slower cameras.
+    Slots: `tau`, ms, (1, C, h, w); `moving`, (1, 1, 1, 1), the camera velocity before the first frame relative to that
+    of the extrapolated trajectory: 0 at rest, with settled pixels, 1 in motion.
 
-    Saragadam et al. 2021, the step response in "Sensor modeling".
+    Source: Saragadam et al. 2021, "Sensor modeling", step response.
     """
 
     temporal = keeps_grid = True
@@ -39,13 +39,16 @@ class Lag(Operator):
         substeps: int = 4,
         readout: float = 0.0,
     ) -> None:
-        """`fps`: frames a second.
+        """Discretise the response.
 
-        `readout`: part of the time between frames in which the rows are read, one after the other; the motion of a
-        frame is where the camera is at its last row.
+        Args:
+            fps: Frame rate, Hz.
+            substeps: Instants per frame.
+            readout: Fraction of the frame time during which rows are read in turn; the motion of a frame is that at
+                its last row.
 
         Raises:
-            ValueError: A number out of its range, or no rate.
+            ValueError: An argument is missing or out of range.
         """
         super().__init__()
         if fps is None or not fps > 0:
@@ -54,7 +57,7 @@ class Lag(Operator):
             raise ValueError(f"substeps must be 1 to 100, not {substeps}")
         if not 0 <= readout <= 1:
             raise ValueError(f"readout must be 0 to 1, not {readout}")
-        self.path = Trajectory(substeps, lead=substeps)
+        self.trajectory = Trajectory(substeps, n_before=substeps)
         self.duration, self.readout = 1000 / (fps * substeps), readout
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
@@ -63,22 +66,23 @@ class Lag(Operator):
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """(N, C, h, w)."""
-        return (self.path.frames(x_shape[0]), *x_shape[1:])
+        return (self.trajectory.frames(x_shape[0]), *x_shape[1:])
 
     def forward(self, x: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
-        """Follow the flux from instant to instant; before the first, it was what it is then.
+        """Integrate the response over the instants.
 
-        Up to the first frame, what is shown is the share `moving` of that, and else what a camera at rest shows.
+        Before the first frame the flux is interpolated between that of a camera at rest and of one in motion by
+        `moving`.
 
         Raises:
             ValueError: The instants are not those of whole frames.
         """
-        if self.path.count(self.path.frames(len(x))) != len(x):
+        if self.trajectory.count(self.trajectory.frames(len(x))) != len(x):
             raise ValueError(
-                f"lag: {len(x)} instants are not {self.path.steps} for each frame and one to begin with"
+                f"lag: {len(x)} instants are not {self.trajectory.steps} for each frame and one to begin with"
             )
         kept, *weights = (weight.to(x.dtype) for weight in self._weights(tau[0].double()))
-        lead, share = self.path.lead, moving[0].to(x.dtype)
+        lead, share = self.trajectory.n_before, moving[0].to(x.dtype)
         rest = x[lead]
         seen = [*(torch.lerp(rest, each, share) for each in x[:lead]), *x[lead:]]
         shown, earlier, before = [seen[0]], seen[0], seen[0]
@@ -89,12 +93,12 @@ class Lag(Operator):
         return self._read(torch.stack(shown))
 
     def valid(self, mask: Tensor, *, tau: Tensor, moving: Tensor) -> Tensor:  # type: ignore[override]
-        """Samples whose pixel has seen nothing but valid flux so far."""
-        return mask.cummin(0).values[self.path.lead :: self.path.steps]
+        """Samples of pixels with valid flux at all instants so far."""
+        return mask.cummin(0).values[self.trajectory.n_before :: self.trajectory.steps]
 
     def _weights(self, tau: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Of what was shown an instant ago, and of the flux two and one instants ago and now; their sum is one."""
-        step = self.duration / tau.clamp(min=SHORTEST * self.duration)
+        """Weights of the last response and of the flux two and one instants ago and now; their sum is one."""
+        step = self.duration / tau.clamp(min=MIN_TIME_CONSTANT * self.duration)
         kept = torch.exp(-step)
         # What a pixel makes of a flux that rises as t, and as t², from 0 to 1 during the step.
         linear = 1 - (1 - kept) / step
@@ -105,11 +109,11 @@ class Lag(Operator):
     def _read(self, shown: Tensor) -> Tensor:
         """The frames, of what is shown at all instants; rows are read between two of them."""
         if not self.readout:
-            return shown[self.path.lead :: self.path.steps]
+            return shown[self.trajectory.n_before :: self.trajectory.steps]
         height, latest = shown.shape[-2], max(len(shown) - 2, 0)
         rows = torch.arange(height, device=shown.device)
-        ends = torch.arange(self.path.lead, len(shown), self.path.steps, device=shown.device)
-        at = ends[:, None] - self.readout * self.path.steps * (1 - (rows + 1) / height)
+        ends = torch.arange(self.trajectory.n_before, len(shown), self.trajectory.steps, device=shown.device)
+        at = ends[:, None] - self.readout * self.trajectory.steps * (1 - (rows + 1) / height)
         first = at.clamp(min=0).long().clamp(max=latest)  # (N, h)
         part = (at.clamp(min=0) - first).to(shown.dtype)[..., None, None]
         by_row = shown.movedim(2, 1)

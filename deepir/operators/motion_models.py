@@ -5,12 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+#: Number of parameters of a frame, by model.
 PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
-AUTO = "auto"  # rigid, or a homography where the frames bend
+#: Model name: rigid, or homographies if the frames are distorted.
+AUTO = "auto"
 
 
 def identity(n: int) -> Tensor:
-    """`n` motions that are none."""
+    """`n` identity motions, (n, 3, 3) float64."""
     return torch.eye(3, dtype=torch.float64).repeat(n, 1, 1)
 
 
@@ -24,7 +26,7 @@ def normalised(motion: Tensor) -> Tensor:
     return motion / motion[..., 2:, 2:]
 
 
-def carried(motion: Tensor, points: Tensor) -> Tensor:
+def transform_points(motion: Tensor, points: Tensor) -> Tensor:
     """Points `(x, y, 1)`, `(3, M)`, moved by homographies `(N, 3, 3)`: x and y `(N, 2, M)`."""
     at = motion @ points
     return at[:, :2] / at[:, 2:]

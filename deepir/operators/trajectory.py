@@ -1,4 +1,4 @@
-"""The way of the camera between the frames."""
+"""Trajectory of the camera between the frames."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Instants at which an operator wants its input: `steps` for each frame after the first, and `lead` before it.
+    """Instants at which an operator needs its input; by default those of the frames.
 
-    One for each frame unless said otherwise.
+    Attributes:
+        steps: Instants per frame after the first.
+        n_before: Instants before the first frame.
     """
 
     steps: int = 1
-    lead: int = 0
+    n_before: int = 0
 
     def count(self, n_frames: int) -> int:
-        """How many instants there are."""
-        return self.lead + (n_frames - 1) * self.steps + 1
+        """Number of instants for a number of frames."""
+        return self.n_before + (n_frames - 1) * self.steps + 1
 
     def frames(self, count: int) -> int:
-        """The inverse of `count`."""
-        return (count - 1 - self.lead) // self.steps + 1
+        """Number of frames for a number of instants."""
+        return (count - 1 - self.n_before) // self.steps + 1
 
-    def through(self, motion: Tensor) -> Tensor:
-        """Motions (N, ...) -> (instants, ...): on the cubic spline through them, which goes on before the first."""
+    def interpolate(self, motion: Tensor) -> Tensor:
+        """Motions at the instants, (instants, ...), on the cubic spline through those of the frames, (N, ...)."""
         if self == Trajectory():
             return motion
         weights = _weights(self, len(motion)).to(motion)
@@ -38,10 +40,10 @@ class Trajectory:
 
 @functools.lru_cache(maxsize=16)
 def _weights(path: Trajectory, n_frames: int) -> Tensor:
-    """Of each frame at each instant, (instants, N)."""
+    """Interpolation weights, (instants, N)."""
     if n_frames == 1:
         return torch.ones(path.count(1), 1, dtype=torch.float64)
     from scipy.interpolate import CubicSpline  # most runs need none
 
-    at = (np.arange(path.count(n_frames)) - path.lead) / path.steps
+    at = (np.arange(path.count(n_frames)) - path.n_before) / path.steps
     return torch.from_numpy(CubicSpline(np.arange(n_frames), np.eye(n_frames))(at))

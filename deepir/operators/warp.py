@@ -7,12 +7,12 @@ from torch import Tensor
 
 from deepir.kernels.constants import MAX_ENTRY, MIN_DEPTH
 from deepir.operators.base import Operator, Shape
-from deepir.operators.bspline import LEAST, NOISE_GAIN, Pull, image, pushed, sample
+from deepir.operators.bspline import MIN_CANVAS_SIDE, NOISE_GAIN, SplineWarp, sample, to_pixels, warp_adjoint
 from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
 EVERY_FRAME = Trajectory()
-ALL = slice(None)
+ALL_PIXELS = slice(None)
 
 
 @register("operator", "warp")
@@ -29,7 +29,7 @@ class Warp(Operator):
     scene is flat; `valid` is zero there.
     """
 
-    place: Tensor
+    canvas_from_frame: Tensor
     noise_gain = NOISE_GAIN
     moves = True
 
@@ -48,13 +48,13 @@ class Warp(Operator):
             ValueError: A side of the canvas is less than 4.
         """
         super().__init__()
-        if min(canvas) < LEAST:
-            raise ValueError(f"warp: the canvas {canvas} has a side of less than {LEAST} px")
+        if min(canvas) < MIN_CANVAS_SIDE:
+            raise ValueError(f"warp: the canvas {canvas} has a side of less than {MIN_CANVAS_SIDE} px")
         self.size, self.canvas, self.origin, self.instants = size, canvas, origin, instants
         # From the frame's centre to the canvas' centre.
         y, x = (o + (s - c) / 2 for o, s, c in zip(origin, size, canvas, strict=True))
-        place = torch.tensor([[1, 0, x], [0, 1, y], [0, 0, 1]], dtype=torch.float64)
-        self.register_buffer("place", place, persistent=False)
+        canvas_from_frame = torch.tensor([[1, 0, x], [0, 1, y], [0, 0, 1]], dtype=torch.float64)
+        self.register_buffer("canvas_from_frame", canvas_from_frame, persistent=False)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """`motion`: (N, 3, 3), or points (N, h, w, 2)."""
@@ -80,31 +80,31 @@ class Warp(Operator):
         """
         if x.shape[-2:] != self.canvas:
             raise ValueError(f"warp: the canvas is {self.canvas}, but the scene {tuple(x.shape[-2:])}")
-        return self._sampled(x, self.instants.through(motion))
+        return self._sample(x, self.instants.interpolate(motion))
 
     @torch.no_grad()
     def adjoint(self, y: Tensor, x_shape: Shape, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """On the CPU by a loop of its own."""
         if y.device.type != "cpu":
             return super().adjoint(y, x_shape, motion=motion)
-        return pushed(y, self._looks(self.instants.through(motion), y.dtype), x_shape)
+        return warp_adjoint(y, self._kernel_motion(self.instants.interpolate(motion), y.dtype), x_shape)
 
-    def _sampled(self, x: Tensor, motion: Tensor) -> Tensor:
+    def _sample(self, x: Tensor, motion: Tensor) -> Tensor:
         if x.device.type != "cpu":
-            return sample(x, self.points(motion).to(x.dtype))
-        return Pull.apply(x, self._looks(motion, x.dtype), self.size)
+            return sample(x, self.sampling_points(motion).to(x.dtype))
+        return SplineWarp.apply(x, self._kernel_motion(motion, x.dtype), self.size)
 
-    def _looks(self, motion: Tensor, dtype: torch.dtype) -> Tensor:
+    def _kernel_motion(self, motion: Tensor, dtype: torch.dtype) -> Tensor:
         """Where the frames look, as the loops take it."""
         if motion.ndim == 4:
-            return self.points(motion).to(dtype).permute(0, 3, 1, 2)
-        return self.place @ _finite(motion).double()
+            return self.sampling_points(motion).to(dtype).permute(0, 3, 1, 2)
+        return self.canvas_from_frame @ _without_nan(motion).double()
 
     def valid(self, mask: Tensor, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """Samples whose 16 coefficients are valid and in the canvas, to 1e-4 px."""
         reach = torch.tensor([(side - 3) / 2 + 1e-4 for side in reversed(self.canvas)], device=mask.device)
-        motion = self.instants.through(motion)
-        if motion.ndim == 3 and self._within(motion, reach) and bool((mask == 1).all()):
+        motion = self.instants.interpolate(motion)
+        if motion.ndim == 3 and self._corners_within(motion, reach) and bool((mask == 1).all()):
             return mask.new_ones(len(motion), mask.shape[1], *self.size)
         masks = mask.expand(len(motion), -1, -1, -1)
         # A frame at a time: the points take four times a frame's room.
@@ -112,28 +112,30 @@ class Warp(Operator):
             [self._valid(masks[k : k + 1], motion[k : k + 1], reach) for k in range(len(motion))]
         )
 
-    def _within(self, motion: Tensor, reach: Tensor) -> bool:
+    def _corners_within(self, motion: Tensor, reach: Tensor) -> bool:
         """Whether all points are in the canvas: straight lines stay straight, so that the frames' corners tell."""
         x, y = ((side - 1) / 2 for side in reversed(self.size))
         corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64).to(motion)
-        moved = self.place.to(motion) @ _finite(motion) @ corners
+        moved = self.canvas_from_frame.to(motion) @ _without_nan(motion) @ corners
         points = moved[:, :2] / moved[:, 2:]
         return bool((moved[:, 2] > MIN_DEPTH).all() and (points.abs() <= reach[:, None]).all())
 
     def _valid(self, mask: Tensor, motion: Tensor, reach: Tensor) -> Tensor:
-        inside = (self.points(motion).abs() <= reach).all(-1)[:, None]
-        return (inside & (self._sampled(mask, motion) > 1 - 1e-4)).to(mask.dtype)
+        inside = (self.sampling_points(motion).abs() <= reach).all(-1)[:, None]
+        return (inside & (self._sample(mask, motion) > 1 - 1e-4)).to(mask.dtype)
 
-    def image(self, x: Tensor) -> Tensor:
+    def to_pixels(self, x: Tensor) -> Tensor:
         """The scene at the canvas' pixel centres."""
-        return image(x)
+        return to_pixels(x)
 
-    def points(self, motion: Tensor, rows: slice = ALL, columns: slice = ALL) -> Tensor:
+    def sampling_points(
+        self, motion: Tensor, rows: slice = ALL_PIXELS, columns: slice = ALL_PIXELS
+    ) -> Tensor:
         """Where each pixel looks, (N, h, w, 2), in px from the canvas' centre; or some `rows` and `columns` of them."""
-        motion = _finite(motion)
+        motion = _without_nan(motion)
         if motion.ndim == 4:
-            return motion[:, rows, columns] + self.place[:2, 2].to(motion)
-        return coords(self.place @ motion.double(), self.size, rows, columns)
+            return motion[:, rows, columns] + self.canvas_from_frame[:2, 2].to(motion)
+        return project_pixels(self.canvas_from_frame @ motion.double(), self.size, rows, columns)
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
@@ -147,7 +149,7 @@ class Warp(Operator):
         return cls((6, 7), (11, 12), (2, 3)), x, {"motion": torch.eye(3, dtype=torch.float64) + jitter}
 
 
-def _finite(motion: Tensor) -> Tensor:
+def _without_nan(motion: Tensor) -> Tensor:
     """The motion without a NaN, which crashes grid_sample's backward pass on the CPU (torch 2.13).
 
     A line search can produce one, and must see a bad loss instead.
@@ -155,7 +157,9 @@ def _finite(motion: Tensor) -> Tensor:
     return motion.nan_to_num(nan=MAX_ENTRY).clamp(-MAX_ENTRY, MAX_ENTRY)
 
 
-def coords(motion: Tensor, size: tuple[int, int], rows: slice = ALL, columns: slice = ALL) -> Tensor:
+def project_pixels(
+    motion: Tensor, size: tuple[int, int], rows: slice = ALL_PIXELS, columns: slice = ALL_PIXELS
+) -> Tensor:
     """The points `T_k p` of all pixel centres `p`, origin at the frame's centre; (N, 3, 3) -> (N, h, w, 2).
 
     In memory the planes of x and y follow each other: three times as fast as pairs, forth and back.

@@ -1,4 +1,4 @@
-"""How a group of unknowns is moved, a step at a time."""
+"""Optimisers, and the solve that runs them."""
 
 from deepir.optim.adam import Adam
 from deepir.optim.base import Optimiser, free_parameters

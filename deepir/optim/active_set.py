@@ -1,4 +1,4 @@
-"""Samples at an end of the range as bounds: the active set of a least-squares problem."""
+"""Saturated samples as bounds: active set of a bounded least-squares problem."""
 
 from __future__ import annotations
 
@@ -8,22 +8,20 @@ from deepir.arrays.noise_level import median_sigma
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import Problem
 
-BOUND_VIOLATION = 2.0  # standard deviations of the noise by which a prediction is short of a bound
+#: Violation of a bound by the prediction from which the sample counts, standard deviations of the noise.
+BOUND_VIOLATION = 2.0
 
 
 @torch.no_grad()
 def deactivate_bounds(problem: Problem) -> None:
-    """Let no sample count that is cut off: as long as strengths are estimated, which want to know."""
+    """Give saturated samples zero weight, as estimates of hyperparameters need."""
     if problem.ends is not None:
         problem.precision.masked_fill_(problem.ends != 0, 0)
 
 
 @torch.no_grad()
 def activate_bounds(problem: Problem) -> None:
-    """Let samples count that are cut off where the prediction is short of the bound, and so pull it there.
-
-    The others leave the scene as free as the range does. (The active set of a least-squares problem with bounds.)
-    """
+    """Give weight to saturated samples whose prediction violates the bound by `BOUND_VIOLATION`, and to no others."""
     if problem.ends is None:
         return
     deactivate_bounds(problem)

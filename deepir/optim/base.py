@@ -1,4 +1,4 @@
-"""What an optimiser is: it moves the parameters of a group of fields."""
+"""Base class of optimisers of the parameters of a group of fields."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from deepir.optim.preconditioner import Preconditioner
 from deepir.problem import Problem, Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
-#: How far a step goes, of those whose steps have a length: one number, or one for each unknown.
+#: Learning rate: one number, or one for each unknown.
 Rate = float | Mapping[str, float]
 
 
 def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter]:
-    """The parameters of the group's fields that can move, and those that their penalties have."""
+    """Trainable parameters of the fields of a group and of their penalties; not those of fields with zero sigma."""
     penalties = problem.penalties
     fields = [module for name in group for module in problem.fields[name].modules()]
-    asleep = {
+    inactive = {
         id(p) for f in fields if isinstance(f, GaussianField) and not f.sigma > 0 for p in f.parameters()
     }
-    mine = [p for name in group for p in problem.fields[name].parameters() if id(p) not in asleep]
+    mine = [p for name in group for p in problem.fields[name].parameters() if id(p) not in inactive]
     mine += [p for name in group if name in penalties for p in penalties[name].parameters()]  # type: ignore[attr-defined]
     return [p for p in mine if p.requires_grad and p.numel()]
 
@@ -38,18 +38,18 @@ class Optimiser:
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
         self.parameters = free_parameters(problem, group)
         self.value, self.done, self._count = float("nan"), False, 0
-        #: What is known of the objective's second derivatives, for those that can use it.
-        self.curvature: Preconditioner | None = None
+        #: Approximate inverse Hessian, for optimisers that use one.
+        self.preconditioner: Preconditioner | None = None
 
     def step(self, *, fresh: bool) -> None:
-        """One iteration, sets `value`, and `done` at rest. `fresh`: others have changed since the last."""
+        """One iteration; sets `value`, and `done` on convergence. `fresh`: other unknowns changed since the last."""
         raise NotImplementedError
 
     def finish(self) -> None:
-        """Leave the parameters at what the stage found."""
+        """Set the parameters to the result of the stage."""
 
     def state(self) -> dict[str, Tensor]:
-        """All that a resumed run needs, beside the fields' parameters, to take the same steps."""
+        """State, besides the parameters, that a resumed run needs to take the same steps."""
         raise NotImplementedError
 
     def load(self, state: dict[str, Tensor]) -> None:
@@ -57,7 +57,7 @@ class Optimiser:
         raise NotImplementedError
 
     def gradient(self) -> tuple[float, list[Tensor]]:
-        """Objective and gradient at the parameters as they are."""
+        """Objective, nats, and its gradient at the present parameters."""
         self._count += 1
         with torch.enable_grad():
             loss, _ = self.evaluate(self.group)

@@ -1,4 +1,4 @@
-"""How the objective curves along the waves of a scene: the model of `deepir.optim.preconditioner`, wave by wave."""
+"""Hessian of the objective in the Fourier domain of the scene; see `deepir.optim.preconditioner` for the model."""
 
 from __future__ import annotations
 
@@ -12,81 +12,102 @@ from deepir.arrays.noise_level import median_sigma
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.pixels import Pixels
 from deepir.operators import Sensor, Warp
-from deepir.operators.homography import displaced
-from deepir.optim.low_order_model import Variances, variances
+from deepir.operators.homography import displacement_at
+from deepir.optim.low_order_model import Variances, pattern_variances
 from deepir.problem import Problem
 
-LINES = 0.15  # standard deviation of lines' gains up to which they are taken for additive
-PLACES = 5  # along each axis, at which the motion is taken
-RIDGE = 1e-8  # least curvature that is known, as a share of the mean
+#: Largest prior standard deviation of the gain of lines that is treated as an additive pattern.
+MAX_ADDITIVE_LINE_GAIN = 0.15
+#: Positions along each axis of the frame at which the motion is evaluated.
+N_MOTION_POSITIONS = 5
+#: Smallest curvature, relative to the mean.
+MIN_CURVATURE_RATIO = 1e-8
 
 
 def has_fourier_model(problem: Problem) -> bool:
-    """Whether the model holds: for pixels that a moving sensor sees, through stages that act on single pixels."""
+    """Whether the model applies: a scene of pixels, several frames, a warp first, then only stages on single pixels."""
     first, *others = (stage for _, stage in problem.operator.named())
     local = all(stage.pointwise or stage.temporal for stage in others)
     seen = first.moves and local and bool(others) and isinstance(others[-1], Sensor)
     return seen and len(problem.data) > 1 and isinstance(problem.fields["scene"], Pixels)
 
 
-def variance_spectrum(problem: Problem, eliminated: Collection[str], weak: float = 1.0) -> Tensor | None:
-    """Variance along each wave of a real Fourier transform, in units of the scene; None as for `curvature`.
+def variance_spectrum(
+    problem: Problem, eliminated: Collection[str], penalty_factor: float = 1.0
+) -> Tensor | None:
+    """Posterior variance of each wave of the scene, averaged over positions in the frame.
 
-    The mean over the frame: where the camera turns, other waves are open at other places. With `weak` times the
-    scene's penalties. Strong lines are left out: where the scene is bright and dark, their gains are told from it.
+    Strong line gains are left out: bright and dark parts of the scene separate them from it.
+
+    Args:
+        problem: Its current values are the point of expansion.
+        eliminated: Unknowns of the sensor that are free; with none the pattern is known.
+        penalty_factor: Factor on the scene's penalties.
+
+    Returns:
+        (H, W / 2 + 1), in squared units of the scene; None without a Fourier model.
     """
     if not has_fourier_model(problem):
         return None
     precision = median_sigma(problem.precision) ** -2
-    commons = pattern_coupling(problem) if eliminated else (None,)
+    couplings = pattern_coupling(problem) if eliminated else (None,)
     found = [
-        here.clamp_(min=RIDGE * float(here.mean())).reciprocal_()
-        for here in along_waves(problem, precision, additive(problem, eliminated), commons, weak)
+        here.clamp_(min=MIN_CURVATURE_RATIO * float(here.mean())).reciprocal_()
+        for here in fourier_curvature(
+            problem, precision, additive_variances(problem, eliminated), couplings, penalty_factor
+        )
     ]
     return sum(found[1:], found[0]) / len(found)
 
 
 def spline_response(problem: Problem) -> Tensor:
-    """Squared response, along each wave, of the spline at the pixels to its coefficients."""
-    return _response(*frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
+    """Squared frequency response of the spline at pixel centres to its coefficients, (H, W / 2 + 1)."""
+    return _squared_spline_response(*frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
 
 
-def additive(problem: Problem, eliminated: Collection[str]) -> Variances:
-    """Variances of the pattern's parts, without those of lines too strong to be taken for additive."""
-    return variances(problem, eliminated, LINES)
+def additive_variances(problem: Problem, eliminated: Collection[str]) -> Variances:
+    """Variances of the pattern, without line gains above `MAX_ADDITIVE_LINE_GAIN`."""
+    return pattern_variances(problem, eliminated, MAX_ADDITIVE_LINE_GAIN)
 
 
-def along_waves(
+def fourier_curvature(
     problem: Problem,
     precision: float,
     pattern: Variances,
-    commons: Iterable[Tensor | None],
-    weak: float = 1.0,
+    couplings: Iterable[Tensor | None],
+    penalty_factor: float = 1.0,
 ) -> Iterator[Tensor]:
-    """Curvature along each wave of a real Fourier transform, (H, W / 2 + 1), in units of the scene.
+    """Curvature along each wave of the scene, for each position in the frame.
 
-    For samples of this `precision`, and each of what the frames may share, see `pattern_coupling`; None without a free
-    pattern.
+    Args:
+        problem: Its current values are the point of expansion.
+        precision: Of a typical sample.
+        pattern: Variances of the free pattern.
+        couplings: Of `pattern_coupling`, one for each position; None for a known pattern.
+        penalty_factor: Factor on the scene's penalties.
+
+    Yields:
+        (H, W / 2 + 1), in inverse squared units of the scene.
     """
     scene, count = problem.fields["scene"](), len(problem.data)
     y, x = frequencies(scene.shape[-2:], scene.device)
     penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    stiffness = [penalty.stiffness(scene) for penalty in penalties]
-    of_value, of_gradient = (weak * sum(each) for each in zip((0.0, 0.0), *stiffness, strict=True))
-    share = _shared(pattern, precision, count, scene.shape[-2:], y, x).reciprocal_()
+    curvatures = [penalty.mean_curvature(scene) for penalty in penalties]
+    of_value, of_gradient = (penalty_factor * sum(each) for each in zip((0.0, 0.0), *curvatures, strict=True))
+    share = _coupling_denominator(pattern, precision, count, scene.shape[-2:], y, x).reciprocal_()
     y, x = y.float(), x.float()
-    told = precision * _response(y, x)
-    whole = count * told + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
-    share *= told
-    for pattern_coupling in commons:
-        yield whole if pattern_coupling is None else torch.addcmul(whole, pattern_coupling, share, value=-1)
+    information = precision * _squared_spline_response(y, x)
+    whole = count * information + of_value + of_gradient * (4 - 2 * x.cos() - 2 * y.cos())
+    share *= information
+    for coupling in couplings:
+        yield whole if coupling is None else torch.addcmul(whole, coupling, share, value=-1)
 
 
-def _response(y: Tensor, x: Tensor) -> Tensor:
+def _squared_spline_response(y: Tensor, x: Tensor) -> Tensor:
     return ((2 + y.cos()) / 3 * (2 + x.cos()) / 3).square()
 
 
-def _shared(
+def _coupling_denominator(
     variance: Variances,
     precision: float,
     count: int,
@@ -94,7 +115,7 @@ def _shared(
     y: Tensor,
     x: Tensor,
 ) -> Tensor:
-    """`n + 1 / (w V)` for each wave: a pattern constant along columns is all in the waves that are so, too."""
+    """`n + 1 / (w V)` for each wave; the variance of columns is concentrated on waves that are constant along them."""
     height, width = size
     # In part also in their neighbours: the camera moves over them.
     columns = height * variance[COLUMN] / (math.pi * (1 + (y * height / (2 * math.pi)).square()))
@@ -104,13 +125,13 @@ def _shared(
 
 
 def pattern_coupling(problem: Problem) -> Iterator[Tensor]:
-    """`|Σ_j exp(i k d_j)|²` of each wave at places of the frame: where the camera turns, d differs among them."""
+    """`|Σ_j exp(i k d_j)|²` of each wave, for each position in the frame: a rotation makes d depend on it."""
     y, x = frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
     motion = problem.field_of(problem.slot(Warp, "motion"))().double()
     height, width = problem.data.shape[-2:]
-    parts = torch.linspace(-0.4, 0.4, PLACES, dtype=y.dtype, device=y.device)
+    parts = torch.linspace(-0.4, 0.4, N_MOTION_POSITIONS, dtype=y.dtype, device=y.device)
     places = torch.cartesian_prod(parts * width, parts * height)
-    shifts = torch.stack([displaced(motion, at) for at in places])
+    shifts = torch.stack([displacement_at(motion, at) for at in places])
     along_y, along_x = y * shifts[:, None, :, 1], shifts[:, :, :1] * x  # (places, ny, N) and (places, N, nx)
     cos, sin = along_y.cos(), along_y.sin()
     in_y = torch.cat((torch.cat((cos, -sin), 2), torch.cat((sin, cos), 2)), 1).float()
@@ -121,7 +142,7 @@ def pattern_coupling(problem: Problem) -> Iterator[Tensor]:
 
 
 def frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
-    """Of the waves of a real Fourier transform, radians a px: (H, 1) and (W / 2 + 1,)."""
+    """Frequencies of a real Fourier transform, radians per px: (H, 1) along y and (W / 2 + 1,) along x."""
     height, width = size
     y = 2 * math.pi * torch.fft.fftfreq(height, dtype=torch.float64, device=device)[:, None]
     return y, 2 * math.pi * torch.fft.rfftfreq(width, dtype=torch.float64, device=device)

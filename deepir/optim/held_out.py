@@ -1,4 +1,4 @@
-"""The error at samples that no fit sees."""
+"""Held-out samples."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from deepir.arrays.subsample import masked_values
+from deepir.arrays.statistics import masked_values
 from deepir.problem import Problem
 
 
@@ -20,11 +20,12 @@ def held_out_error(problem: Problem) -> float:
     return float(residual.square().mean().sqrt())
 
 
-HELD_OUT = 0.02  # share of the samples that no fit sees
+#: Fraction of the samples that is held out.
+HELD_OUT_FRACTION = 0.02
 
 
-def hold_out(problem: Problem, seed: int, share: float = HELD_OUT) -> None:
-    """Choose the samples that are held out, about so many of all."""
+def hold_out(problem: Problem, seed: int, fraction: float = HELD_OUT_FRACTION) -> None:
+    """Hold out a random fraction of the samples."""
     generator = torch.Generator().manual_seed(seed)
-    chosen = torch.rand(problem.data.shape, generator=generator) < share
+    chosen = torch.rand(problem.data.shape, generator=generator) < fraction
     problem.held_out.copy_(chosen.to(problem.held_out.device))

@@ -1,4 +1,4 @@
-"""Limited-memory BFGS that gets on with kinks, and can be saved and resumed."""
+"""Limited-memory BFGS for nonsmooth objectives, with a state that can be saved."""
 
 from __future__ import annotations
 
@@ -11,11 +11,20 @@ from torch import Tensor
 from deepir.optim.base import Evaluate, Optimiser, Rate
 from deepir.problem import Problem
 
+#: Pairs of steps and gradient changes that are kept.
 MEMORY = 10
-SCALED = 4  # pairs until which a known curvature is scaled to the last of them
-#: From then on steps that go too far, as the slope at their ends says, in its share at their starts, shorten the next.
-TOO_FAR, SHORTER = 0.5, 0.7
-ARMIJO, CURVATURE, MAX_TRIALS = 1e-4, 0.9, 20
+#: Pairs up to which the preconditioner is rescaled to the newest pair.
+N_RESCALED_PAIRS = 4
+#: Slope at the end of a step, relative to minus that at its start, from which the step was too long.
+OVERSHOOT_RATIO = 0.5
+#: Factor on the preconditioner after a step that was too long.
+OVERSHOOT_SHRINKAGE = 0.7
+#: Constant c1 of the weak Wolfe conditions (Nocedal and Wright, section 3.1).
+WOLFE_DECREASE = 1e-4
+#: Constant c2 of the weak Wolfe conditions.
+WOLFE_CURVATURE = 0.9
+#: Most trials of a line search.
+MAX_TRIALS = 20
 
 
 class LBFGS(Optimiser):
@@ -30,24 +39,24 @@ class LBFGS(Optimiser):
     ) -> None:
         super().__init__(problem, group, evaluate, lr=lr, average=average)
         self.x = self._flat(self.parameters)
-        self.slope: Tensor | None = None
+        self.gradient_at_x: Tensor | None = None
         self.scale = torch.ones(())  # of a known curvature
         #: Steps, changes of the gradient, and one over their product; the newest last.
         self.pairs: list[tuple[Tensor, Tensor, Tensor]] = []
 
     def step(self, *, fresh: bool) -> None:
         """One quasi-Newton step. Without descent the memory is dropped; `done` if the gradient has none."""
-        if fresh or self.slope is None:  # of what a search finds, value and slope are finite
-            self.value, self.slope = self._at(self.x)
-            if not (math.isfinite(self.value) and self.slope.isfinite().all()):
-                self.value, self.slope = math.nan, None
+        if fresh or self.gradient_at_x is None:  # of what a search finds, value and slope are finite
+            self.value, self.gradient_at_x = self._at(self.x)
+            if not (math.isfinite(self.value) and self.gradient_at_x.isfinite().all()):
+                self.value, self.gradient_at_x = math.nan, None
                 return
-        direction = self._direction(self.slope)
-        descent = float(torch.dot(self.slope, direction))
+        direction = self._direction(self.gradient_at_x)
+        descent = float(torch.dot(self.gradient_at_x, direction))
         if not descent < 0:
             self.pairs.clear()
-            direction = -self.slope
-            descent = float(torch.dot(self.slope, direction))
+            direction = -self.gradient_at_x
+            descent = float(torch.dot(self.gradient_at_x, direction))
         found = self._search(direction, descent) if descent < 0 else None
         if found is None:
             self.done = not self.pairs
@@ -55,47 +64,51 @@ class LBFGS(Optimiser):
             self._at(self.x)  # the eliminated unknowns follow
             return
         x, self.value, slope = found
-        s, y = x - self.x, slope - self.slope
+        s, y = x - self.x, slope - self.gradient_at_x
         if float(torch.dot(s, y)) > 1e-10 * float(y.norm() * s.norm()):
             self.pairs = [*self.pairs, _pair(s, y)][-MEMORY:]
-        self.x, self.slope = x, slope
+        self.x, self.gradient_at_x = x, slope
 
     def state(self) -> dict[str, Tensor]:
         """Point, value, gradient and memory."""
         named = {"x": self.x, "value": torch.tensor(self.value, dtype=torch.float64)}
-        if self.slope is not None:
-            named["slope"] = self.slope
+        if self.gradient_at_x is not None:
+            named["gradient"] = self.gradient_at_x
         for i, (s, y, _) in enumerate(self.pairs):
             named |= {f"s{i}": s, f"y{i}": y}
-        if self.curvature is not None:
+        if self.preconditioner is not None:
             named |= {"scale": self.scale}
-            named |= {f"curvature.{name}": tensor for name, tensor in self.curvature.tensors.items()}
+            named |= {
+                f"preconditioner.{name}": tensor for name, tensor in self.preconditioner.tensors.items()
+            }
         return named
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Take all of it over."""
-        self.x, self.value, self.slope = state["x"], float(state["value"]), state.get("slope")
-        if self.curvature is not None:
+        self.x, self.value, self.gradient_at_x = state["x"], float(state["value"]), state.get("gradient")
+        if self.preconditioner is not None:
             self.scale = state["scale"]
-            self.curvature.tensors = {name: state[f"curvature.{name}"] for name in self.curvature.tensors}
+            self.preconditioner.tensors = {
+                name: state[f"preconditioner.{name}"] for name in self.preconditioner.tensors
+            }
         self.pairs = [_pair(state[f"s{i}"], state[f"y{i}"]) for i in range(MEMORY) if f"s{i}" in state]
 
     def _direction(self, slope: Tensor) -> Tensor:
         q = -slope
         if not self.pairs:
-            return q if self.curvature is None else self.curvature.solve(q)
+            return q if self.preconditioner is None else self.preconditioner.solve(q)
         factors = []
         for s, y, rho in reversed(self.pairs):
             alpha = rho * torch.dot(s, q)
             q.addcmul_(alpha, y, value=-1)
             factors.append(alpha)
         s, y, rho = self.pairs[-1]
-        if self.curvature is None:
+        if self.preconditioner is None:
             q.div_(rho * torch.dot(y, y))
         else:
-            if len(self.pairs) <= SCALED:
-                self.scale = 1 / (rho * torch.dot(y, self.curvature.solve(y)))
-            q = self.curvature.solve(q).mul_(self.scale)
+            if len(self.pairs) <= N_RESCALED_PAIRS:
+                self.scale = 1 / (rho * torch.dot(y, self.preconditioner.solve(y)))
+            q = self.preconditioner.solve(q).mul_(self.scale)
         for (s, y, rho), alpha in zip(self.pairs, reversed(factors), strict=True):
             q.addcmul_(alpha - rho * torch.dot(y, q), s)
         return q
@@ -103,7 +116,7 @@ class LBFGS(Optimiser):
     def _search(self, direction: Tensor, descent: float) -> tuple[Tensor, float, Tensor] | None:
         step = (
             1.0
-            if self.pairs or self.curvature is not None
+            if self.pairs or self.preconditioner is not None
             else min(1.0, 1.0 / max(float(direction.abs().max()), 1e-30))
         )
         low, high, best = 0.0, float("inf"), None
@@ -111,17 +124,17 @@ class LBFGS(Optimiser):
             x = torch.add(self.x, direction, alpha=step)
             value, slope = self._at(x)
             along = float(torch.dot(slope, direction))
-            if not (value <= self.value + ARMIJO * step * descent and math.isfinite(along)):
+            if not (value <= self.value + WOLFE_DECREASE * step * descent and math.isfinite(along)):
                 high = step
                 if best is None:
-                    step = _shorter(step, value - self.value, descent)
+                    step = _interpolate_step(step, value - self.value, descent)
                     continue
             else:
                 best = (x, value, slope)
-                if along >= CURVATURE * descent:
-                    far = high < float("inf") or along > -TOO_FAR * descent
-                    if far and len(self.pairs) >= SCALED:
-                        self.scale = SHORTER * self.scale
+                if along >= WOLFE_CURVATURE * descent:
+                    far = high < float("inf") or along > -OVERSHOOT_RATIO * descent
+                    if far and len(self.pairs) >= N_RESCALED_PAIRS:
+                        self.scale = OVERSHOOT_SHRINKAGE * self.scale
                     return best
                 low = step
             step = (low + high) / 2 if high < float("inf") else 2 * low
@@ -148,7 +161,7 @@ def _pair(s: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return s, y, 1 / torch.dot(s, y)
 
 
-def _shorter(step: float, rise: float, descent: float) -> float:
+def _interpolate_step(step: float, rise: float, descent: float) -> float:
     """Where the parabola through a start, with its slope, and a `rise` at `step` is least; a tenth to a half of it."""
     bent = rise - step * descent
     return step * min(0.5, max(0.1, -step * descent / (2 * bent))) if math.isfinite(bent) else step / 2

@@ -1,12 +1,12 @@
-"""What is slow over the frame: polynomials of the scene and of the pattern, and the levels of whole frames.
+"""Low-order model of a burst: polynomials of scene and pattern, and the levels of the frames.
 
-A camera that moves by `d` over a slope of the sensor sees its level change by a multiple of `d`, as if it drifted; over
-a quadratic offset it sees frames that slope against each other. Which of them there is, and how strong, is asked of
-the evidence: how likely the frames' slow parts are, whatever the scene's are.
+A camera that moves by d over a slope of the sensor sees its level change in proportion to d, as in a drift; over a
+quadratic offset it sees slopes that vary between frames. The marginal likelihood of the low-order parts of the frames
+separates these causes.
 
-In each frame the slow part is `c_j = T_j θ + φ + l_j`: coefficients of polynomials of the scene θ, which the motion
-carries into the frame, and of the pattern φ, the same in all frames, and the level l_j in the first of them, which is
-constant. All that the data say of them is a matrix `M_j` and a vector `q_j` for each frame: `½ c' M c - q' c` nats.
+The low-order part of frame j is `c_j = T_j θ + φ + l_j`: coefficients θ of polynomials of the scene, transported by the
+motion, φ of the pattern, the same in all frames, and the level l_j in the constant term. Its negative log-likelihood is
+`½ c' M_j c - q_j' c`, nats.
 """
 
 from __future__ import annotations
@@ -20,26 +20,29 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.arrays.subsample import ENOUGH, subsample
+from deepir.arrays.statistics import MAX_SAMPLES_PER_FRAME, subsample
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.basis_expansion import BasisExpansion
-from deepir.fields.drift import steps
+from deepir.fields.drift import level_basis
 from deepir.fields.shading import Shading
 from deepir.operators import Lag, Warp
 from deepir.problem import Problem
 
-POINTS = 40  # along each axis, where the polynomials are sampled
-RIDGE = 1e-12  # of the information of frames, some of which may have none, as a share of the mean
-SMOOTH = (-1, 1)  # no axes: the polynomials of a shading
+#: Points along each axis at which the polynomials are sampled.
+N_SAMPLING_POINTS = 40
+#: Regularisation of the information of frames, relative to the mean of its diagonal: some frames have none.
+INFORMATION_RIDGE = 1e-12
+#: Key of the variance of the shading; no axes.
+SHADING_KEY = (-1, 1)
 
-#: Of the pattern's parts, by the axes along which they are constant.
+#: Variances of the pattern, by the axes along which it is constant.
 Variances = dict[tuple[int, ...], float]
 
 
 class LowOrderModel:
     """The slow parts of a burst, whose scene is seen through a warp.
 
-    `scene`: a shading whose polynomials are over the canvas, `frame`: over a frame; `carried` (N, terms + 1, terms):
+    `scene`: a shading whose polynomials are over the canvas, `frame`: over a frame; `transport` (N, terms + 1, terms):
     T_j; `information` (N, terms + 1, terms + 1): M_j.
     """
 
@@ -49,78 +52,82 @@ class LowOrderModel:
         height, width = problem.data.shape[-2:]  # what the warp shows may be larger, by a blur's reach
         self.problem = problem
         self.scene, self.frame = (polynomials(*size, device) for size in (canvas[-2:], (height, width)))
-        step_y, step_x = max(height // POINTS, 1), max(width // POINTS, 1)
+        step_y, step_x = max(height // N_SAMPLING_POINTS, 1), max(width // N_SAMPLING_POINTS, 1)
         motion = problem.field_of(problem.slot(Warp, "motion"))().double()
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
         some = slice(y0, y0 + height, step_y), slice(x0, x0 + width, step_x)
-        points = warp.points(warp.instants.through(motion), *some).flatten(1, 2)
-        terms = self.frame.sampled(slice(None, None, step_y), slice(None, None, step_x)).T
+        points = warp.sampling_points(warp.instants.interpolate(motion), *some).flatten(1, 2)
+        terms = self.frame.sample_basis(slice(None, None, step_y), slice(None, None, step_x)).T
         terms = torch.cat((torch.ones_like(terms[:, :1]), terms), 1)
-        self.step, self.terms = (step_y, step_x), terms
-        seen = apply_lag(problem, self.scene.at(points[..., 1], points[..., 0]))
-        self.carried = torch.linalg.solve(terms.T @ terms, terms.T @ seen)  # next to orthogonal
+        self.stride, self.terms = (step_y, step_x), terms
+        seen = apply_lag(problem, self.scene.evaluate(points[..., 1], points[..., 0]))
+        self.transport = torch.linalg.solve(terms.T @ terms, terms.T @ seen)  # next to orthogonal
         few = slice(None), 0, slice(None, None, step_y), slice(None, None, step_x)
         weights = problem.precision[few].masked_fill(problem.held_out[few], 0).double().flatten(1)
         area = height * width / weights.shape[1]
         self.information = area * terms.T @ (weights[..., None] * terms)
-        self.kept = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(self.information)
+        self.shrinkage = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(
+            self.information
+        )
 
-    def doubted(self, variance: Tensor) -> LowOrderModel:
-        """The same with less information: the slow parts of each frame vary by chance, (terms + 1,), independently."""
+    def with_frame_variance(self, variance: Tensor) -> LowOrderModel:
+        """Copy with an added independent variance of the low-order coefficients of each frame, (terms + 1,)."""
         found = copy.copy(self)
-        found.kept = torch.linalg.inv(self.kept + self.information * variance)
-        found.information = found.kept @ self.information
+        found.shrinkage = torch.linalg.inv(self.shrinkage + self.information * variance)
+        found.information = found.shrinkage @ self.information
         return found
 
-    def normal(self, *more: Tensor) -> Tensor:
-        """Normal matrix of (θ, level of the pattern, φ, and `more`, such as the levels of the frames)."""
-        maps = self._maps(more)
+    def normal_matrix(self, *more: Tensor) -> Tensor:
+        """Normal matrix of (θ, level of the pattern, φ, `more`), with columns such as those of the frame levels."""
+        maps = self._design(more)
         return (maps.mT @ self.information @ maps).sum(0)
 
-    def seen(self, residual: Tensor) -> Tensor:
-        """q_j, (N, terms + 1), of what the frames (N, h, w) are above their prediction without slow parts."""
+    def frame_scores(self, residual: Tensor) -> Tensor:
+        """q_j, (N, terms + 1), from residuals of the frames (N, h, w)."""
         weighted = (self.problem.fitted()[:, 0] * residual).double()
-        return torch.cat((weighted.sum((1, 2))[:, None], self.frame.sums(weighted)), 1)
+        return torch.cat((weighted.sum((1, 2))[:, None], self.frame.analyse(weighted)), 1)
 
-    def score(self, seen: Tensor, *more: Tensor) -> Tensor:
-        """The right-hand side to the normal matrix, of q_j."""
-        return (self._maps(more).mT @ self.kept @ seen[..., None]).sum(0)[:, 0]
+    def right_hand_side(self, seen: Tensor, *more: Tensor) -> Tensor:
+        """Right-hand side of the normal equations from all q_j."""
+        return (self._design(more).mT @ self.shrinkage @ seen[..., None]).sum(0)[:, 0]
 
-    def unexplained(self, seen: Tensor) -> Tensor:
-        """Nats, up to a constant, of q_j where no slow part explains them: they vary by chance as they are doubted."""
-        told = (self.kept @ seen[..., None])[..., 0]
+    def null_nats(self, seen: Tensor) -> Tensor:
+        """Negative log-likelihood of the frame scores without low-order parts, nats up to a constant."""
+        scores = (self.shrinkage @ seen[..., None])[..., 0]
         system = self.information.clone()
-        system.diagonal(dim1=1, dim2=2).add_(RIDGE * self.information.diagonal(dim1=1, dim2=2).mean())
-        values = torch.linalg.solve(system, told)
-        return ((values * told).sum() - torch.linalg.slogdet(self.kept).logabsdet.sum()) / 2
+        system.diagonal(dim1=1, dim2=2).add_(
+            INFORMATION_RIDGE * self.information.diagonal(dim1=1, dim2=2).mean()
+        )
+        values = torch.linalg.solve(system, scores)
+        return ((values * scores).sum() - torch.linalg.slogdet(self.shrinkage).logabsdet.sum()) / 2
 
-    def levels(self) -> Tensor:
-        """What the unknowns of a drift make of each frame's slow part, (N, terms + 1, N)."""
-        count, size, _ = self.carried.shape
-        made = steps(count, self.carried.device)
+    def level_columns(self) -> Tensor:
+        """Columns of the unknowns of a drift, (N, terms + 1, N)."""
+        count, size, _ = self.transport.shape
+        made = level_basis(count, self.transport.device)
         return torch.cat((made[:, None], made.new_zeros(count, size - 1, count)), 1)
 
-    def of_terms(self, field: BasisExpansion) -> tuple[Tensor, Tensor]:
-        """The slow part of each of the K terms of a map, (terms + 1, K), and what is not, (K, points y, points x)."""
-        maps = field.sampled(*self.step).double()
+    def basis_columns(self, field: BasisExpansion) -> tuple[Tensor, Tensor]:
+        """Low-order projection of the K terms of a map, (terms + 1, K), and the rest, (K, points y, points x)."""
+        maps = field.sample_basis(*self.stride).double()
         slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T, driver="gels").solution
         return slow, maps - (self.terms @ slow).T.reshape(maps.shape)
 
-    def _maps(self, more: Sequence[Tensor]) -> Tensor:
-        """Of all unknowns, (N, terms + 1, unknowns): what they make of each frame's slow part."""
-        count, size, _ = self.carried.shape
-        one = torch.eye(size, dtype=self.carried.dtype, device=self.carried.device)
-        return torch.cat([each.expand(count, size, -1) for each in (self.carried, one, *more)], 2)
+    def _design(self, more: Sequence[Tensor]) -> Tensor:
+        """Design matrix of each frame, (N, terms + 1, unknowns)."""
+        count, size, _ = self.transport.shape
+        one = torch.eye(size, dtype=self.transport.dtype, device=self.transport.device)
+        return torch.cat([each.expand(count, size, -1) for each in (self.transport, one, *more)], 2)
 
 
 @functools.lru_cache(maxsize=8)  # a solve asks for the same ones each time that its strengths are estimated
 def polynomials(height: int, width: int, device: torch.device) -> Shading:
-    """The polynomials over a map."""
+    """Polynomials over a map of this size."""
     return Shading((1, 1, height, width)).to(device)
 
 
 def apply_lag(problem: Problem, seen: Tensor) -> Tensor:
-    """What a lag makes of (instants, ...) values for each frame, (N, ...); the same if there is none."""
+    """Apply the lag operator along time to (instants, ...), (N, ...); identity without one."""
     for name, stage in problem.operator.named():
         if isinstance(stage, Lag):
             slots = {
@@ -132,27 +139,35 @@ def apply_lag(problem: Problem, seen: Tensor) -> Tensor:
     return seen
 
 
-def variances(problem: Problem, eliminated: Collection[str], faint: float = math.inf) -> Variances:
-    """Variance of the free pattern in the data's units, by the axes along which it is constant.
+def pattern_variances(
+    problem: Problem, eliminated: Collection[str], max_line_gain: float = math.inf
+) -> Variances:
+    """Variance of the free pattern, squared data units, by the axes along which it is constant.
 
-    Gains of lines are left out if their standard deviation is above `faint`.
+    Line gains with a standard deviation above `max_line_gain` are left out.
     """
-    data, precision = subsample(problem.data, problem.precision, enough=ENOUGH // len(problem.data))
+    data, precision = subsample(
+        problem.data, problem.precision, max_samples=MAX_SAMPLES_PER_FRAME // len(problem.data)
+    )
     counts = precision > 0
     level = float(((data.square() * counts).sum() / counts.sum()).sqrt())
-    found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SMOOTH: 0.0}
+    found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SHADING_KEY: 0.0}
     for kind, unit in (("gain", level), ("offset", 1.0)):
         name = problem.slots.get(f"{problem.operator.named()[-1][0]}.{kind}", "")
         for part in problem.fields[name].parts() if name in eliminated else ():
-            if kind == "gain" and part.along in (COLUMN, ROW) and part.sigma > faint:
+            if kind == "gain" and part.constant_axes in (COLUMN, ROW) and part.sigma > max_line_gain:
                 continue
-            found[SMOOTH if isinstance(part, Shading) else part.along] += (float(part.sigma) * unit) ** 2
+            found[SHADING_KEY if isinstance(part, Shading) else part.constant_axes] += (
+                float(part.sigma) * unit
+            ) ** 2
     return found
 
 
-def expected(variance: Variances, frame: Shading) -> Tensor:
-    """Variance of each of the frame's polynomials in a pattern of these variances, shading left out."""
+def expected_variances(variance: Variances, frame: Shading) -> Tensor:
+    """Prior variance of each polynomial of a frame in a pattern of these variances, without shading."""
     height, width = frame.shape[-2:]
-    each = torch.full((len(frame.white),), variance[PIXEL] / (height * width), dtype=torch.float64)
-    each = each.to(frame.of_y.device)
-    return each + (frame.of_y == 0) * variance[COLUMN] / width + (frame.of_x == 0) * variance[ROW] / height
+    each = torch.full((len(frame.whitened),), variance[PIXEL] / (height * width), dtype=torch.float64)
+    each = each.to(frame.order_y.device)
+    return (
+        each + (frame.order_y == 0) * variance[COLUMN] / width + (frame.order_x == 0) * variance[ROW] / height
+    )

@@ -1,4 +1,4 @@
-"""What a stage minimises, and the optimisers that do it."""
+"""Objective of a stage, and its optimisers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from torch import Tensor
 
 from deepir.operators import Warp
 from deepir.optim import OPTIMISERS, Optimiser, free_parameters
-from deepir.optim.degrees_of_freedom import degrees_of_freedom, moves_with_scene
-from deepir.optim.preconditioner import curvature
+from deepir.optim.degrees_of_freedom import degrees_of_freedom, is_joint_with_motion
+from deepir.optim.preconditioner import make_preconditioner
 from deepir.problem import Problem, Values
 from deepir.schedule import Stage, Step
 
@@ -19,18 +19,18 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     group = {name for step in stage.steps for name in step.group}
-    moving, size = moves_with_scene(problem, group), (problem.data.shape[-2], problem.data.shape[-1])
+    moving, size = is_joint_with_motion(problem, group), (problem.data.shape[-2], problem.data.shape[-1])
     precision = problem.precision if stage.use_held_out else problem.fitted()
 
-    awake = {name for name in group if name in eliminated or free_parameters(problem, [name])}
+    active = {name for name in group if name in eliminated or free_parameters(problem, [name])}
     with torch.no_grad():  # once: gain and offset of several parts are not free
-        fixed = problem.values(without=awake)
-        still = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
+        fixed = problem.values(without=active)
+        constant_prior = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
 
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
         values = fixed | problem.values(free, without=[*eliminated, *fixed])
-        terms = [still, problem.misfit(values, eliminated, precision)]
-        terms += problem.priors({name: values[name] for name in awake}, eliminated).values()
+        terms = [constant_prior, problem.misfit(values, eliminated, precision)]
+        terms += problem.priors({name: values[name] for name in active}, eliminated).values()
         if moving:
             terms.append(degrees_of_freedom(values[problem.slots[problem.slot(Warp, "motion")]], size))
         return torch.stack([term.double() for term in terms]).sum(), values
@@ -39,7 +39,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
 
 
 def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]]:
-    """Those of the steps that have something to move, each with its step."""
+    """Optimisers of the steps of a stage that have free parameters, each with its step."""
     evaluate = objective(problem, stage)
     steps = [s for s in stage.steps if s.method != "eliminate" and free_parameters(problem, s.group)]
     found = []
@@ -50,5 +50,7 @@ def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, step in found:
         if step.method == "lbfgs":
-            optimiser.curvature = curvature(problem, optimiser.parameters, eliminated, fine=stage.fine)
+            optimiser.preconditioner = make_preconditioner(
+                problem, optimiser.parameters, eliminated, high_frequencies_only=stage.fine
+            )
     return found

@@ -1,4 +1,4 @@
-"""Where a solve is, and how its state is kept."""
+"""Position of a solve in its plan, and its saved state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Checkpoint(Protocol):
 
 @dataclass
 class Position:
-    """How far a plan has come, and one row an iteration of what it did."""
+    """Progress in a plan, and a history with one row per iteration."""
 
     stage: int = 0
     iteration: int = 0
@@ -39,17 +39,17 @@ class Position:
     history: list[dict[str, Any]] = field(default_factory=list)
 
 
-def keep(
-    problem: Problem, optimisers: list[tuple[Optimiser, Step]], at: Position, checkpoint: Checkpoint
+def save_state(
+    problem: Problem, optimisers: list[tuple[Optimiser, Step]], position: Position, checkpoint: Checkpoint
 ) -> None:
-    """Write it with the values of all unknowns and the state of the optimisers, so that the solve can go on."""
+    """Save position, unknowns and optimisers to a checkpoint."""
     tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
     for i, (optimiser, _) in enumerate(optimisers):
         tensors |= {f"optimiser{i}.{name}": value for name, value in optimiser.state().items()}
-    checkpoint.save(tensors, asdict(at))
+    checkpoint.save(tensors, asdict(position))
 
 
-def restore(
+def restore_state(
     problem: Problem, plan: Sequence[Stage], checkpoint: Checkpoint
 ) -> tuple[Position, list[tuple[Optimiser, Step]] | None]:
     """Put the problem where it was kept: the position and, within a stage, its optimisers.
@@ -57,18 +57,18 @@ def restore(
     Raises:
         DataError: The file is no checkpoint, or of another problem.
     """
-    tensors, position = checkpoint.load()
+    tensors, fields = checkpoint.load()
     try:
-        at = Position(**position)
-        for stage in plan[: at.stage + 1]:
+        position = Position(**fields)
+        for stage in plan[: position.stage + 1]:
             if stage.change is not None:
                 stage.change(problem)
         for name, value in problem.state_dict().items():
             if name != "data" or f"problem.{name}" in tensors:
                 value.copy_(tensors[f"problem.{name}"])
-        if at.stage >= len(plan):
-            return at, None
-        optimisers = optimisers_of(problem, plan[at.stage])
+        if position.stage >= len(plan):
+            return position, None
+        optimisers = optimisers_of(problem, plan[position.stage])
         for i, (optimiser, _) in enumerate(optimisers):
             prefix = f"optimiser{i}."
             optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
@@ -76,7 +76,7 @@ def restore(
         raise DataError(
             f"{checkpoint}: the state of another problem ({error}); delete it to start again"
         ) from error
-    return at, optimisers
+    return position, optimisers
 
 
 def _state(problem: Problem) -> Mapping[str, Tensor]:

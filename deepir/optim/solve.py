@@ -16,18 +16,19 @@ from deepir.optim import Optimiser
 from deepir.optim.active_set import activate_bounds, deactivate_bounds
 from deepir.optim.held_out import held_out_error
 from deepir.optim.objective import objective, optimisers_of
-from deepir.optim.position import Checkpoint, Position, keep, restore
+from deepir.optim.position import Checkpoint, Position, restore_state, save_state
 from deepir.problem import Problem, Values
 from deepir.schedule import Stage, Step
 
-#: A solve has diverged whose objective is so many times what its stage began with (or a nat a sample).
-RISE = 1e3
-WATCHED = 25  # iterations from one look at the held-out samples to the next
+#: Objective relative to the start of the stage (at least one nat per sample) from which a solve has diverged.
+MAX_OBJECTIVE_RATIO = 1e3
+#: Iterations between two evaluations of the held-out error.
+HELD_OUT_REPORT_INTERVAL = 25
 
 
 @dataclass
 class Progress:
-    """Where a solve is: handed to callbacks after every iteration."""
+    """Progress of a solve, passed to callbacks after every iteration."""
 
     stage: str
     iteration: int  # in this stage
@@ -40,7 +41,7 @@ class Progress:
 
 @dataclass
 class Solution:
-    """What a solve found, and why it ended; `history` has one row an iteration."""
+    """Result of a solve; `history` has one row per iteration."""
 
     values: Values
     reason: str
@@ -76,21 +77,21 @@ def solve(
         SolverError: The objective is not a number, or far above where the stage began. The last good state is
             in the problem, and saved.
     """
-    at, optimisers, saved, reason = Position(), None, time.monotonic(), "converged"
+    position, optimisers, saved, reason = Position(), None, time.monotonic(), "converged"
 
     def save(*, now: bool = False) -> None:
         nonlocal saved
         if checkpoint is not None and (now or time.monotonic() - saved > every):
-            keep(problem, optimisers or [], at, checkpoint)
+            save_state(problem, optimisers or [], position, checkpoint)
             saved = time.monotonic()
 
     if checkpoint is not None and checkpoint.exists():
-        at, optimisers = restore(problem, plan, checkpoint)
-    while at.stage < len(plan):
-        stage = plan[at.stage]
+        position, optimisers = restore_state(problem, plan, checkpoint)
+    while position.stage < len(plan):
+        stage = plan[position.stage]
         if optimisers is None:
             if stage.needed is not None and not stage.needed(problem):
-                at.stage += 1
+                position.stage += 1
                 continue
             if stage.change is not None:
                 stage.change(problem)
@@ -98,41 +99,41 @@ def solve(
                 stage.prepare(problem)
             activate_bounds(problem)
             optimisers = optimisers_of(problem, stage)
-        reason = _run(problem, plan, optimisers, at, callbacks, save)
+        reason = _run(problem, plan, optimisers, position, callbacks, save)
         for optimiser, _ in optimisers:
             optimiser.finish()
         if any(step.method == "eliminate" for step in stage.steps):
             with torch.no_grad():
                 objective(problem, stage)(())  # they follow the others' last step
-        if at.iteration and not stage.use_held_out and problem.held_out.any():
-            at.history[-1]["held_out"] = held_out_error(problem)
+        if position.iteration and not stage.use_held_out and problem.held_out.any():
+            position.history[-1]["held_out"] = held_out_error(problem)
         deactivate_bounds(problem)
-        at.stage, at.iteration, optimisers = at.stage + 1, 0, None
+        position.stage, position.iteration, optimisers = position.stage + 1, 0, None
     with torch.no_grad():
         values = problem.values()
-    return Solution(values, reason, at.total, at.evaluations, at.history)
+    return Solution(values, reason, position.total, position.evaluations, position.history)
 
 
 def _run(
     problem: Problem,
     plan: Sequence[Stage],
     optimisers: list[tuple[Optimiser, Step]],
-    at: Position,
+    position: Position,
     callbacks: Sequence[Callable[[Progress], None]],
     save: Callable[..., None],
 ) -> str:
-    """Iterate to the end of the stage; why it ended."""
-    stage = plan[at.stage]
+    """Iterate to the end of the stage; returns why it ended."""
+    stage = plan[position.stage]
     start = [parameter.detach().clone() for parameter in problem.parameters()]
-    while at.iteration < stage.iterations:
+    while position.iteration < stage.iterations:
         # Asked here and not below, so that a resumed solve asks it too.
-        if not optimisers or _rests(at, stage, problem):
+        if not optimisers or _has_converged(position, stage, problem):
             return "converged"
-        _iterate(problem, stage, optimisers, at)
+        _iterate(problem, stage, optimisers, position)
         try:
-            _check(problem, start, stage, at)
+            _raise_if_diverged(problem, start, stage, position)
             for callback in callbacks:
-                callback(_report(problem, plan, stage, at))
+                callback(_report(problem, plan, stage, position))
         except BaseException:
             save(now=True)
             raise
@@ -142,56 +143,62 @@ def _run(
     return "stopped as planned"
 
 
-def _iterate(problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], at: Position) -> None:
+def _iterate(
+    problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], position: Position
+) -> None:
     """One step of each group, and its row of the history."""
     alternate = len(optimisers) > 1
-    loss = at.history[-1]["loss"] if at.iteration else math.nan
+    loss = position.history[-1]["loss"] if position.iteration else math.nan
     for optimiser, step in optimisers:
-        if at.iteration % step.every == 0:
+        if position.iteration % step.every == 0:
             optimiser.step(fresh=alternate)
             loss = optimiser.value
-    at.iteration, at.total = at.iteration + 1, at.total + 1
-    at.evaluations += sum(o.take_count() for o, _ in optimisers)
-    row = {"stage": stage.name, "iteration": at.iteration, "loss": loss}
-    if at.iteration % WATCHED == 0 and not stage.use_held_out and problem.held_out.any():
+    position.iteration, position.total = position.iteration + 1, position.total + 1
+    position.evaluations += sum(o.take_count() for o, _ in optimisers)
+    row = {"stage": stage.name, "iteration": position.iteration, "loss": loss}
+    if (
+        position.iteration % HELD_OUT_REPORT_INTERVAL == 0
+        and not stage.use_held_out
+        and problem.held_out.any()
+    ):
         row["held_out"] = held_out_error(problem)
-    at.history.append(row)
+    position.history.append(row)
 
 
-def _rests(at: Position, stage: Stage, problem: Problem) -> bool:
-    """Whether the last ten iterations gained next to nothing; Adam, whose steps go up and down, takes them all."""
-    if at.iteration <= 10 or any(step.method == "adam" for step in stage.steps):
+def _has_converged(position: Position, stage: Stage, problem: Problem) -> bool:
+    """Whether the last ten iterations gained less than the tolerance; never for Adam, which is not monotone."""
+    if position.iteration <= 10 or any(step.method == "adam" for step in stage.steps):
         return False
-    losses = [row["loss"] for row in at.history[-at.iteration :]]
+    losses = [row["loss"] for row in position.history[-position.iteration :]]
     return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()
 
 
-def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, at: Position) -> Progress:
-    loss = at.history[-1]["loss"]
-    before = sum(each.iterations for each in plan[: at.stage])
-    done = (before + at.iteration) / max(sum(each.iterations for each in plan), 1)
+def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, position: Position) -> Progress:
+    loss = position.history[-1]["loss"]
+    before = sum(each.iterations for each in plan[: position.stage])
+    done = (before + position.iteration) / max(sum(each.iterations for each in plan), 1)
     return Progress(
         stage.name,
-        at.iteration,
+        position.iteration,
         stage.iterations,
         done,
         loss,
-        at.evaluations,
+        position.evaluations,
         lambda: math.nan if stage.use_held_out else held_out_error(problem),
     )
 
 
 @torch.no_grad()
-def _check(problem: Problem, start: Sequence[Tensor], stage: Stage, at: Position) -> None:
-    """Raise `SolverError` if the solve is lost; one that only rose goes back to where it began."""
-    first, last = at.history[-at.iteration]["loss"], at.history[-1]["loss"]
-    if math.isfinite(last) and last <= RISE * max(abs(first), problem.data.numel()):
+def _raise_if_diverged(problem: Problem, start: Sequence[Tensor], stage: Stage, position: Position) -> None:
+    """Raise `SolverError` on divergence; an objective that only rose is reset to the start of the stage."""
+    first, last = position.history[-position.iteration]["loss"], position.history[-1]["loss"]
+    if math.isfinite(last) and last <= MAX_OBJECTIVE_RATIO * max(abs(first), problem.data.numel()):
         return
     if math.isfinite(last):
         for parameter, value in zip(problem.parameters(), start, strict=True):
             parameter.copy_(value)
     what = "is not a number" if not math.isfinite(last) else f"rose from {first:.3g} to {last:.3g}"
     raise SolverError(
-        f"the objective {what} at iteration {at.iteration} of stage '{stage.name}': the solve diverged. "
+        f"the objective {what} at iteration {position.iteration} of stage '{stage.name}': the solve diverged. "
         "The last good state is kept. Check the data's range, the penalties' weights, or lower the step (lr)."
     )

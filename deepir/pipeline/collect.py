@@ -13,7 +13,7 @@ from deepir.effects.saturation import bounded, clipping_message
 from deepir.effects.shading import added_flux
 from deepir.estimation.uncertainty import uncertainty
 from deepir.fields.line_noise import LineNoise
-from deepir.fields.sensor_maps import Part
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.operators.geometry import Geometry
 from deepir.operators.homography import displacements, homographies
 from deepir.optim.solve import Solution
@@ -36,7 +36,7 @@ def make_result(
 ) -> Result:
     """The result of frames that are `taken` into the problem, though perhaps not `used` in the fit."""
     values = {name: value.cpu().numpy() for name, value in solution.values.items()}
-    scene, clipped = bounded(problem, problem.operator.image(solution.values["scene"]))
+    scene, clipped = bounded(problem, problem.operator.to_pixels(solution.values["scene"]))
     result = neutral(geometry.crop(scene.cpu().numpy()), len(used), burst.size, burst.bad_pixels)
     for slot, name in problem.slots.items():
         value, kind = values[name], slot.rpartition(".")[2]
@@ -97,10 +97,10 @@ def strengths(problem: Problem) -> dict[str, float]:
     found = {}
     for name, field in problem.fields.items():
         for path, part in field.named_modules():
-            if isinstance(part, Part | LineNoise):
+            if isinstance(part, GaussianMap | LineNoise):
                 own = path.rpartition(".")[2] or type(part).__name__.lower()
                 found[f"{name}.{own}.sigma"] = float(part.sigma)
     for name, each in problem.penalties.items():
         for kind, penalty in each.items():
-            found[f"{name}.{kind}.weight"] = penalty.typical()
+            found[f"{name}.{kind}.weight"] = penalty.typical_weight()
     return found

@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.build.problem import build_scene
 from deepir.config import Config
 from deepir.config.components import validate
@@ -112,7 +112,7 @@ def registered_average(problem: Problem) -> Tensor:
     weight = back(shown(torch.ones_like(scene)) - dark)
     least = 0.3 * float(weight.max())
     weight, known = weight.clamp(min=least), weight > least
-    scene = nearest_filled(back(problem.data - dark) / weight, known)
+    scene = fill_nearest(back(problem.data - dark) / weight, known)
     for _ in range(LANDWEBER_ITERATIONS):
         scene = scene + back(problem.data - shown(scene)) / weight
     return scene

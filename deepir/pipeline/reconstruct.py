@@ -16,7 +16,7 @@ from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.uncertainty import nuc_penalty_db
-from deepir.fields.sensor_maps import Part
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.optim.held_out import hold_out
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress, solve
@@ -99,7 +99,7 @@ def _demand_strengths(problem: Problem) -> None:
         if slot.rpartition(".")[2] in ("gain", "offset"):
             continue
         for part in problem.fields[name].modules():
-            if isinstance(part, Part) and not part.given and not part.sigma > 0:
+            if isinstance(part, GaussianMap) and not part.sigma_is_fixed and not part.sigma > 0:
                 where = slot if slot == "scene" else f"physics.{slot}"
                 raise ConfigError(
                     f"{where}: its part '{type(part).__name__.lower()}' needs a sigma, in the unknown's units; "

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.diagnostics.interlacing import are_interlaced
-from deepir.diagnostics.shutter import one_pattern, shutter_message
+from deepir.diagnostics.shutter import longest_shutter_segment, shutter_message
 from deepir.errors import DataError
 from deepir.operators.geometry import MIN_MOTION_SPAN
 from deepir.problems.recipe import Recipe
@@ -35,7 +35,7 @@ def register_frames(
         return None, everything, []
     ignore, valid = torch.from_numpy(burst.bad_pixels), torch.from_numpy(burst.valid | burst.bad_pixels)
     frames = _whole(burst)
-    part = one_pattern(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
+    part = longest_shutter_segment(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
     found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
     drawn = (frames == frames[0]).all(0)
     if (
@@ -70,7 +70,7 @@ def register_frames(
 def _whole(burst: Burst) -> Tensor:
     """The frames (N, h, w), samples that are not valid like their nearest neighbour that is: zeros would stand out."""
     frames, valid = torch.from_numpy(burst.frames), torch.from_numpy(burst.valid)
-    return frames if valid.all() else nearest_filled(frames[:, None], valid[:, None])[:, 0]
+    return frames if valid.all() else fill_nearest(frames[:, None], valid[:, None])[:, 0]
 
 
 def _motion_model(config: Config) -> str | None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.burst import Burst
 from deepir.errors import DataError
 from deepir.multiview.held_out_pattern import Judge, Left
@@ -213,7 +213,7 @@ def _replaced(result: Result, burst: Burst, correction: Correction, message: str
     corrected = torch.from_numpy((burst.frames - correction.offset) / correction.gain)[:, None]
     own = result.scene.ndim == 3
     frames = corrected if own else corrected[:1]
-    scene = torch.cat([nearest_filled(each[None], ok[None]) for each, ok in zip(frames, good, strict=False)])[
+    scene = torch.cat([fill_nearest(each[None], ok[None]) for each, ok in zip(frames, good, strict=False)])[
         :, 0
     ]
     new = neutral((scene if own else scene[0]).numpy(), len(burst.frames), burst.size, burst.bad_pixels)

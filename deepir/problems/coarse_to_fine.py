@@ -19,7 +19,7 @@ from deepir.estimation.residuals import temporal_mean
 from deepir.fields.base import Field
 from deepir.fields.constant import Constant
 from deepir.fields.motion import Auto, Motion
-from deepir.fields.sensor_maps import Sum
+from deepir.fields.sensor_maps import SumField
 from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
@@ -85,7 +85,7 @@ def _sensor(problem: Problem) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for slot, unknown in problem.sensor_unknowns().items():
         field = problem.fields[unknown]
-        members = list(field.members.values()) if isinstance(field, Sum) else [field]
+        members = list(field.members.values()) if isinstance(field, SumField) else [field]
         names = [kinds[type(member)] for member in members]
         found[slot] = {"type": "+".join(names) if unknown in problem.free() else "constant"}
     return found
@@ -144,9 +144,9 @@ def select_homography(half: Problem, last: Stage) -> Problem | None:
     """
     bends = copy.deepcopy(half)
     field = motion_of(bends)
-    if not isinstance(field, Auto) or field.bends or len(half.data) < MIN_FRAMES:
+    if not isinstance(field, Auto) or field.uses_homography or len(half.data) < MIN_FRAMES:
         return None
-    field.bend()
+    field.switch_to_homography()
     going_on = replace(last, prepare=None)
     rigid, free = (solve(each, [going_on]).history[-1]["loss"] for each in (half, bends))
     if rigid - free < HOMOGRAPHY_MARGIN:

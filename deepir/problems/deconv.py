@@ -67,9 +67,9 @@ class Deconv(Recipe):
             initial_estimate(problem, self.effects)
         else:
             start_scene(problem)
-        hold_out(problem, seed, max(held_out.HELD_OUT, HELD_OUT_SHARE / len(problem.data)))
+        hold_out(problem, seed, max(held_out.HELD_OUT_FRACTION, HELD_OUT_SHARE / len(problem.data)))
         weigh_scene(problem, self.sensor_weight)
-        start_trials(problem, afresh=True)
+        start_trials(problem, restart=True)
 
     def plan(self, problem: Problem) -> Schedule:
         """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
@@ -138,7 +138,7 @@ def start_psf(problem: Problem) -> list[str]:
         if isinstance(field, PSF):
             fit_psf(field, frames, usable)
             if cut_off(field):
-                field.load_state_dict(next(field.starts()))
+                field.load_state_dict(next(field.search_starts()))
                 messages.append(
                     f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
                     f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius"

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from deepir.arrays.fill import nearest_filled
-from deepir.arrays.median import robust_std
+from deepir.arrays.fill import fill_nearest
 from deepir.arrays.noise_level import median_sigma
+from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import static_pixels
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
@@ -99,7 +99,7 @@ def subtract_fixed_pattern(
         pattern = temporal_mean(rest, weight)
         if not strong:
             slow = polynomials(*pattern.shape[-2:], pattern.device)
-            pattern -= slow.nearest(pattern.double()).to(pattern)
+            pattern -= slow.project(pattern.double()).to(pattern)
         change = robust_std(pattern - taken)
         taken.copy_(pattern)
         start_scene(problem, average, pattern)
@@ -121,4 +121,4 @@ def start_scene(
     mean = average((problem.data - average.at_zero).sub_(pattern))
     frames = len(problem.data) / len(mean)  # that show a scene
     known = average.weight > MIN_FRAMES_SEEN * average.weight.max() / frames
-    problem.fields["scene"].init_from(nearest_filled(mean, known))
+    problem.fields["scene"].init_from(fill_nearest(mean, known))

@@ -8,12 +8,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.arrays.noise_level import flat_noise
+from deepir.arrays.noise_level import noise_in_flat_windows
 from deepir.closed_form.variable_projection import PIXEL
 from deepir.effects.bad_pixels import isolated_pixels
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.penalty_weights import weigh_scene
-from deepir.fields.sensor_maps import Part
+from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.frame_gains import frame_gains
@@ -70,7 +70,7 @@ class MultiviewNUC(Recipe):
         if problem.noise is not None:
             problem.precision.mul_(usable[:, None])
         else:
-            noise = flat_noise(_corrected(problem), usable)
+            noise = noise_in_flat_windows(_corrected(problem), usable)
             problem.precision.copy_(usable[:, None] / max(noise, 1e-4 * float(frames[usable].std())) ** 2)
         start_scene(problem)
         weigh_scene(problem)
@@ -118,7 +118,7 @@ def _demand_different(frames: Tensor, usable: Tensor) -> list[str]:
     return messages
 
 
-def _parts(problem: Problem, slot: str) -> Sequence[Part]:
+def _parts(problem: Problem, slot: str) -> Sequence[GaussianMap]:
     """The parts of the sensor's gain or offset; none if it is known."""
     unknown = problem.sensor_unknowns()[slot]
     if unknown not in problem.free():
@@ -132,13 +132,15 @@ def _parts(problem: Problem, slot: str) -> Sequence[Part]:
 
 
 @torch.no_grad()
-def _divide_slow_part(problem: Problem, slow: Shading, offset: Sequence[Part], usable: Tensor) -> list[str]:
+def _divide_slow_part(
+    problem: Problem, slow: Shading, offset: Sequence[GaussianMap], usable: Tensor
+) -> list[str]:
     """Divide what is slow of all frames between the offset's shading and the scenes; a message where that is a guess.
 
     Where neighbouring frames show the same things displaced, these tell; else how much the scenes differ.
     """
     shading = next((part for part in offset if isinstance(part, Shading)), None)
-    if shading is None or shading.given:
+    if shading is None or shading.sigma_is_fixed:
         return []
     scenes = _corrected(problem)
     rest = slow.values[0, 0]
@@ -163,7 +165,7 @@ def _divide_slow_part(problem: Problem, slow: Shading, offset: Sequence[Part], u
             "is left to the scenes. Take frames of different scenes, and of a camera that turns"
         ]
     shading.sigma.copy_(rest.std())
-    for part in (shading, *(part for part in offset if part.along == PIXEL and part is not shading)):
+    for part in (shading, *(part for part in offset if part.constant_axes == PIXEL and part is not shading)):
         before = part.values[0, 0]
         part.assign(part.values + rest)
         rest = rest - (part.values[0, 0] - before)

@@ -17,7 +17,7 @@ from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.constant import Constant
 from deepir.operators import Add, Warp
-from deepir.operators.geometry import MARGIN
+from deepir.operators.geometry import CANVAS_MARGIN
 from deepir.operators.motion_models import PARAMETERS
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
@@ -130,7 +130,7 @@ def _register(problem: Problem) -> None:
         found = register_frames(frames.cpu(), model=model, ignore=~usable.any(0).cpu())
         before = field().double().cpu()
         apart = (found.motion - before)[:, :2, 2].abs().amax()
-        if found.used.all() and first.size == frames.shape[1:] and apart < MARGIN:
+        if found.used.all() and first.size == frames.shape[1:] and apart < CANVAS_MARGIN:
             field.init_from(found.motion.to(problem.data.device))
 
 
@@ -153,7 +153,7 @@ def _start_alone(problem: Problem) -> None:
     """Stray flux as the one frame has it."""
     for field in strays(problem):
         frame, usable = problem.data[0, 0], problem.precision[0, 0] > 0
-        field.step.copy_(frame[usable].std() / frame.numel() ** 0.5)
-        if not field.given:
+        field.preconditioning_scale.copy_(frame[usable].std() / frame.numel() ** 0.5)
+        if not field.sigma_is_fixed:
             field.sigma.copy_(frame[usable].std())
         field.init_from(tv_minimising_fit(frame, usable, field).to(frame))

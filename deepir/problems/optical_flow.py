@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.fields.constant import Constant
 from deepir.fields.dense_motion import Flow
 from deepir.likelihoods import Huber
@@ -91,7 +91,7 @@ def _fitted(pictures: Pictures, k: int, flow: Flow, guesses: Tensor) -> Tensor:
 
     def weigh(problem: Problem) -> None:
         residual = _residual(problem, seen)
-        spread = max(MAD * float(residual.abs().median()) if len(residual) else 0.0, least)
+        spread = max(MAD_TO_SIGMA * float(residual.abs().median()) if len(residual) else 0.0, least)
         counts = problem.valid(problem.values()) & seen[:, None]
         problem.precision.copy_(counts * (factor / spread) ** 2)  # a mean stands for factor² px
 

@@ -70,7 +70,7 @@ class Recipe:
         for name in problem.closed_form():
             for part in problem.fields[name].parts():
                 part.assign(torch.zeros_like(part.values))
-                if not part.given:
+                if not part.sigma_is_fixed:
                     part.sigma.zero_()
         self.start(problem)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.operators.motion_models import PARAMETERS, generators, increment, relative
 from deepir.registration.pyramid import Level, sample
 
@@ -177,7 +177,7 @@ def update_pattern(level: Level, scene: Tensor, motion: Tensor) -> tuple[Tensor,
     count, mean, residual = (torch.empty_like(level.weight) for _ in range(3))
     power = torch.empty(len(mean), dtype=torch.float64)
     shared = level.frames, level.weight, level.fully_known, scene, level.index_motion(motion)
-    parallel_for(loops.differ, len(mean), *shared, count, mean, residual, power)
+    parallel_for(loops.residual_moments, len(mean), *shared, count, mean, residual, power)
     lines = mean.mean(0, keepdim=True) + mean.mean(1, keepdim=True) - mean.mean()
     misfit = float(residual.double().sum() / power.sum().clamp_min(1e-12))
     if len(motion) < 3:
@@ -222,7 +222,9 @@ def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
     n, (p, rows, _) = len(sparse.frames), ax.shape
     equations = torch.empty(rows, n, p + 2, p + 3)
     images = warped.frames, warped.known, warped.total, warped.count
-    parallel_for(loops.step, rows, *images, ax, ay, stride, float(level.factor), centre, cutoff, equations)
+    parallel_for(
+        loops.gauss_newton_sums, rows, *images, ax, ay, stride, float(level.factor), centre, cutoff, equations
+    )
     return equations
 
 
@@ -245,4 +247,4 @@ def centre_and_cutoff(residual: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Mean `(N,)` of the masked residuals `(N, M)`, and the deviation from it `(N,)` at which weights are zero."""
     centre = (mask * residual).sum(1) / mask.sum(1).clamp_min(1)
     deviation = torch.where(mask > 0, (residual - centre[:, None]).abs(), torch.nan).nanmedian(1).values
-    return centre, TUKEY_CUTOFF * (MAD * deviation).nan_to_num(1.0).clamp_min(1e-9)
+    return centre, TUKEY_CUTOFF * (MAD_TO_SIGMA * deviation).nan_to_num(1.0).clamp_min(1e-9)

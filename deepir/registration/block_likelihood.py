@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import carried, identity, nearest_angle, relative, rotation
+from deepir.operators.motion_models import identity, nearest_angle, relative, rotation, transform_points
 from deepir.registration.preprocess import variance_stabilise
 from deepir.registration.pyramid import block_mean
 from deepir.registration.shift_likelihood import (
@@ -83,7 +83,9 @@ def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) 
     ratios = []
     for likelihood, centre in blocks(frames, grid):
         point, ratio = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
-        old, new = ((carried(motion[1:], point) - point[:2])[:, :, 0].numpy() for motion in (before, after))
+        old, new = (
+            (transform_points(motion[1:], point) - point[:2])[:, :, 0].numpy() for motion in (before, after)
+        )
         for shifts in (new, old):
             likelihood.update_powers(shifts)
             nats = [likelihood.negative_log_likelihood(each.ravel())[0] for each in (old, new)]
@@ -247,4 +249,4 @@ def corner_distance(before: Tensor, after: Tensor, frames: Tensor) -> float:
     """Largest distance, px, between two sets of motions `(N, 3, 3)` at the corners of frames `(N, h, w)`."""
     h, w = frames.shape[1:]
     corners = torch.tensor([[-w, w, w, -w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
-    return float((carried(after, corners) - carried(before, corners)).norm(dim=1).max())
+    return float((transform_points(after, corners) - transform_points(before, corners)).norm(dim=1).max())

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import carried, increment, nearest_rigid, relative
+from deepir.operators.motion_models import increment, nearest_rigid, relative, transform_points
 from deepir.registration.alignment import (
     Alignment,
     accept_by_misfit,
@@ -284,4 +284,4 @@ def nonrigid_displacement(level: Level, motion: Tensor) -> Tensor:
     h, w = (side / 2 for side in level.shape)
     coordinates = [(x * w, y * h, 1.0) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
     points = torch.tensor(coordinates, dtype=motion.dtype).T
-    return carried(motion[1:], points) - carried(nearest_rigid(motion[1:]), points)
+    return transform_points(motion[1:], points) - transform_points(nearest_rigid(motion[1:]), points)

@@ -9,7 +9,7 @@ import torch
 from scipy.ndimage import binary_dilation, binary_opening, label, uniform_filter
 from torch import Tensor
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.registration.block_likelihood import LIKELIHOOD_SIDE
 from deepir.registration.pyramid import Level, block_mean, sample
 
@@ -49,7 +49,7 @@ def detect_moving_objects(preprocessed: Tensor) -> Tensor:
     reduced = reduced - reduced.flatten(1).median(1).values[:, None, None]
     deviation = (reduced - reduced.median(0).values).numpy()
     change = np.abs(uniform_filter(deviation, (0, DETECTION.window, DETECTION.window)))
-    sigma = MAD * float(np.median(change))
+    sigma = MAD_TO_SIGMA * float(np.median(change))
     element = np.ones((1, DETECTION.min_thickness, DETECTION.min_thickness))
     candidates = binary_opening(change > DETECTION.low_threshold * sigma, element)
     neighbours = np.arange(27).reshape(3, 3, 3) // 9 == 1  # the eight of a sample, in its own frame

@@ -14,8 +14,7 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD
-from deepir.arrays.subsample import subsample
+from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
 from deepir.arrays.windows import median_filter
 
 MIN_RELATIVE_FLUX = 0.05  # of the median; smaller values are raised to it before the logarithm
@@ -114,7 +113,7 @@ def line_pattern(image: Tensor, axis: int) -> Tensor:
 def stuck_pixels(image: Tensor) -> Tensor:
     """Pixels `(H, W)` bool that differ from their 3 x 3 median by `STUCK_THRESHOLD` robust standard deviations."""
     deviation = (image - median_filter(image[None, None])[0, 0]).abs()
-    scale = MAD * float(subsample(deviation[None])[0].median())
+    scale = MAD_TO_SIGMA * float(subsample(deviation[None])[0].median())
     return deviation > (STUCK_THRESHOLD * scale or torch.inf)
 
 

@@ -142,6 +142,13 @@ def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor
     values, known = (torch.empty(len(motion), *level.weight.shape) for _ in range(2))
     index_motion = level.index_motion(motion)
     parallel_for(
-        loops.pull, len(values[0]), images, level.weight, level.fully_known, index_motion, values, known
+        loops.sample_images,
+        len(values[0]),
+        images,
+        level.weight,
+        level.fully_known,
+        index_motion,
+        values,
+        known,
     )
     return values, known

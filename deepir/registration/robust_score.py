@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.registration.block_likelihood import DISTINCT_DISTANCE, corner_distance
 from deepir.registration.cross_correlation import match_to_reference
 from deepir.registration.pyramid import Level, sample
@@ -95,7 +95,7 @@ def robust_nll(level: Level, motion: Tensor) -> float:
 def robust_sigma(residual: Tensor) -> float:
     """Robust standard deviation of residuals from their magnitudes `(...)`; infinite ones do not count."""
     finite = residual[residual.isfinite()]
-    return max(MAD * float(finite.median()), 1e-12) if len(finite) else torch.inf
+    return max(MAD_TO_SIGMA * float(finite.median()), 1e-12) if len(finite) else torch.inf
 
 
 def sample_nll(residual: Tensor, sigma: float) -> Tensor:

@@ -141,21 +141,21 @@ class ShiftLikelihood:
 
     def negative_log_likelihood(self, shifts: np.ndarray) -> tuple[float, np.ndarray]:
         """Value in nats, up to a constant, and gradient at shifts `(2 (N - 1),)` in px."""
-        from deepir.kernels.shift_likelihood import nats
+        from deepir.kernels.shift_likelihood import negative_log_likelihood
 
         rows = len(self.y)
         values, gradient = np.empty(rows), np.empty((rows, len(self.real), 2))
-        nats(0, rows, *self._kernel_arguments(shifts.reshape(-1, 2)), values, gradient)
+        negative_log_likelihood(0, rows, *self._kernel_arguments(shifts.reshape(-1, 2)), values, gradient)
         return float(values.sum()), gradient.sum(0)[1:].ravel()
 
     def update_powers(self, shifts: np.ndarray) -> None:
         """Estimate the powers at shifts `(N - 1, 2)` in px by a few steps of expectation-maximisation."""
-        from deepir.kernels.shift_likelihood import powers
+        from deepir.kernels.shift_likelihood import expected_powers
 
         n, rows = len(self.real), len(self.y)
         expected, pattern_powers = np.empty((rows, WAVES.n_rings + 1, 2)), np.empty(rows)
         for _ in range(ASCENT.em_iterations):
-            powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
+            expected_powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
             scene, noise = (expected.sum(0) / np.maximum(self.ring_sizes, 1)[:, None]).T
             self.scene, self.noise = scene[self.ring], np.maximum(noise / n, self.noise_floor)[self.ring]
             self.pattern = float(pattern_powers.sum()) / self.ring.size

@@ -11,7 +11,7 @@ import torch
 
 from deepir.io import atomic_file
 from deepir.operators.homography import displacements
-from deepir.operators.warp import coords
+from deepir.operators.warp import project_pixels
 
 Array = np.ndarray[Any, Any]
 
@@ -36,7 +36,7 @@ def write_flow(path: Path, flow: Array, motion: Array) -> None:
         else []
     )
     height, width = flow.shape[2:]
-    points = coords(torch.from_numpy(motion[shown]).double(), (height, width))
+    points = project_pixels(torch.from_numpy(motion[shown]).double(), (height, width))
     beside = flow[shown] - displacements(points).numpy()
     reach = max(float(np.percentile(np.hypot(*beside.swapaxes(0, 1)), 99)), 1e-3) if shown else 1.0
     figure = Figure(

@@ -15,14 +15,14 @@ from torch import Tensor, nn
 
 from deepir.arrays.differences import squared_gradient
 from deepir.estimation.spatial_weights import smoothness_exponent, weight_from_gradients
-from deepir.operators.bspline import image
-from deepir.priors.penalties.foe import Experts, counted
+from deepir.operators.bspline import to_pixels
+from deepir.priors.penalties.foe import Experts, foe_energy
 from deepir.registry import register
 from deepir.simulate.scenes.procedural import procedural, sky
 from deepir.training.pictures import FIRST_SCENE_SEED
 from deepir.training.training import Training
 
-#: Pictures of scikit-image on which constants are tuned; none of them is in a benchmark.
+#: Pictures of scikit-to_pixels on which constants are tuned; none of them is in a benchmark.
 FOE_PHOTOGRAPHS = ("camera", "astronaut", "gravel")
 DRAWN_COUNTS = {procedural: 12, sky: 4}  # drawn scenes by kind
 SCENE_SHAPE = (432, 540)  # height and width of a drawn scene, px
@@ -87,11 +87,13 @@ class FieldsOfExperts(Training):
             filters, costs, tails = network()
 
             def objective(scene: Tensor) -> Tensor:
-                return bursts.misfit(scene) + counted(scene, share, filters, costs, tails, PENALTY_SMOOTHING)
+                return bursts.misfit(scene) + foe_energy(
+                    scene, share, filters, costs, tails, PENALTY_SMOOTHING
+                )
 
             scene = _minimum(objective, scene, LBFGS_ITERATIONS).requires_grad_()
             inside = slice(SCENE_MARGIN, -SCENE_MARGIN)
-            shown = image(scene[:, None])[:, 0, inside, inside]
+            shown = to_pixels(scene[:, None])[:, 0, inside, inside]
             error = (shown - bursts.truth).square().mean((1, 2)).log10().mean()
             (wanted,) = torch.autograd.grad(error, scene)
             (slope,) = torch.autograd.grad(objective(scene), scene, create_graph=True)
@@ -146,7 +148,7 @@ class FieldsOfExperts(Training):
 
         scene = _minimum(weak, start, START_ITERATIONS)
         # In standard deviations of a pixel's mean.
-        gradient = math.sqrt(12) * squared_gradient(image(scene[:, None])[:, 0]).sqrt()
+        gradient = math.sqrt(12) * squared_gradient(to_pixels(scene[:, None])[:, 0]).sqrt()
         return scene, torch.cat(
             [weight_from_gradients(each[None], smoothness_exponent(float(each.mean()))) for each in gradient]
         )

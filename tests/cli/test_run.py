@@ -22,7 +22,7 @@ ENDED = {
     "metrics.json",
 }
 PLUGIN = '''
-from deepir.priors.pixels import Pixels
+from deepir.fields.pixels import Pixels
 from deepir.registry import register
 
 @register("field", "my_pixels")

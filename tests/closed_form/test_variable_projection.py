@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW, eliminate
-from deepir.fields.sensor_maps import Column, Part, Pixel, Row
+from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
 
 SHAPE = (1, 1, 5, 6)
@@ -32,9 +32,9 @@ def burst(pedestal=50.0, n_frames=3, dead=0.0, seed=0):
 
 def spread(part):
     """Matrix from a part's values to the map."""
-    units = torch.eye(part.white.numel(), dtype=torch.float64).reshape(-1, *part.white.shape)
+    units = torch.eye(part.whitened.numel(), dtype=torch.float64).reshape(-1, *part.whitened.shape)
     if isinstance(part, Shading):
-        return part.spread(units).flatten(1).T.numpy()
+        return part.synthesise(units).flatten(1).T.numpy()
     return torch.stack([unit.expand(SHAPE).reshape(-1) for unit in units], 1).numpy()
 
 
@@ -42,7 +42,7 @@ def dense(z, y, w, gain, offset):
     """Whitened design matrix and right-hand side of the whole least-squares problem."""
     weights, flux = w.sqrt().numpy().ravel()[:, None], z.numpy().ravel()[:, None]
     columns = [
-        weights * flux**power * np.tile(spread(part), (len(z), 1)) * part.scales.numpy()
+        weights * flux**power * np.tile(spread(part), (len(z), 1)) * part.prior_sigma.numpy()
         for power, parts in ((1, gain), (0, offset))
         for part in parts
     ]
@@ -65,7 +65,7 @@ def test_the_optimum_is_that_of_dense_least_squares(gain, offset, zero, pedestal
     if parts:
         a, b = dense(z, y, w, gains, offsets)
         wanted = np.linalg.lstsq(a, b, rcond=None)[0]
-        found = np.concatenate([part.white.detach().numpy().ravel() for part in parts])
+        found = np.concatenate([part.whitened.detach().numpy().ravel() for part in parts])
         assert found == pytest.approx(wanted, abs=2e-7)
         # What counts for the line search: the objective itself.
         costs = [((a @ x - b) ** 2).sum() / 2 for x in (found, wanted)]
@@ -92,7 +92,7 @@ def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
             for unit in (1.0, pedestal)
         )
         eliminate(z.to(dtype), y.to(dtype), precision.to(dtype), gains, offsets, neutral=(1.0, 0.0))
-        found.append(torch.cat([part.white.detach().flatten() for part in (*gains, *offsets)]))
+        found.append(torch.cat([part.whitened.detach().flatten() for part in (*gains, *offsets)]))
     assert found[0].numpy() == pytest.approx(found[1].numpy(), abs=3e-5)
 
 
@@ -101,18 +101,18 @@ def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
 def test_the_variances_of_pixels_alone_are_those_of_the_dense_inverse(pedestal, dead):
     gains, offsets = make_parts(["pixel"], 1.0), make_parts(["pixel"], 50.0)
     z, y, w = burst(pedestal, dead=dead)
-    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, *SHAPE)
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
-        assert variance.shape == part.white.shape
+        assert variance.shape == part.whitened.shape
         assert variance.numpy() == pytest.approx(wanted * float(part.sigma) ** 2, rel=1e-6)
 
 
 def test_the_variances_of_columns_alone_are_those_of_the_dense_inverse():
     gains, offsets = make_parts(["column"], 1.0), make_parts(["column"], 50.0)
     z, y, w = burst()
-    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, 6)
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
@@ -123,21 +123,21 @@ def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_den
     names = ["pixel", "column", "shading"]
     gains, offsets = make_parts(names, 1.0), make_parts(names, 50.0)
     z, y, w = burst()
-    found = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     a, _ = dense(z, y, w, gains, offsets)
     white = np.split(
-        np.diag(np.linalg.inv(a.T @ a)), np.cumsum([p.white.numel() for p in [*gains, *offsets]])[:-1]
+        np.diag(np.linalg.inv(a.T @ a)), np.cumsum([p.whitened.numel() for p in [*gains, *offsets]])[:-1]
     )
     for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
         if isinstance(part, Shading):
-            assert variance.numpy() == pytest.approx(wanted * part.scales.numpy() ** 2, rel=1e-6)
+            assert variance.numpy() == pytest.approx(wanted * part.prior_sigma.numpy() ** 2, rel=1e-6)
 
 
 def test_variances_come_in_the_order_of_the_parts_and_lie_between_nothing_and_the_prior():
     gains, offsets = make_parts(["pixel", "column"], 1.0), make_parts(["row", "column", "pixel"], 50.0)
-    found = [v for each in eliminate(*burst(), gains, offsets).variances() for v in each]
+    found = [v for each in eliminate(*burst(), gains, offsets).posterior_variances() for v in each]
     for variance, part in zip(found, (*gains, *offsets), strict=True):
-        assert variance.shape == part.white.shape
+        assert variance.shape == part.whitened.shape
         assert (variance > 0).all()
         assert (variance <= part.sigma**2 * (1 + 1e-12)).all()
 
@@ -146,9 +146,9 @@ def test_a_pixel_without_data_is_left_at_its_prior():
     gains, offsets = make_parts(["pixel"], 1.0), make_parts(["pixel"], 50.0)
     z, y, w = burst()
     w[:, 0, 2, 3] = 0
-    variances = [v for each in eliminate(z, y, w, gains, offsets).variances() for v in each]
+    variances = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
     for part, variance in zip((*gains, *offsets), variances, strict=True):
-        assert part.white[0, 0, 2, 3] == 0
+        assert part.whitened[0, 0, 2, 3] == 0
         assert variance[0, 0, 2, 3] == pytest.approx(float(part.sigma) ** 2)
 
 
@@ -174,14 +174,14 @@ def test_flux_that_is_not_a_number_leaves_the_parts_as_they_were(names):
 
 
 def test_parts_without_a_closed_form_are_refused():
-    class Whole(Part):
-        along = (-2, -1)
+    class Whole(GaussianMap):
+        constant_axes = (-2, -1)
 
     z, y, w = burst()
     for parts in ([Whole(SHAPE, sigma=1.0)], [Column(SHAPE, sigma=1.0), Column(SHAPE, sigma=2.0)]):
         with pytest.raises(ValueError, match="no closed form"):
             eliminate(z, y, w, parts, [])
-    assert [kind.along for kind in (Pixel, Column, Row)] == [PIXEL, COLUMN, ROW]
+    assert [kind.constant_axes for kind in (Pixel, Column, Row)] == [PIXEL, COLUMN, ROW]
 
 
 def test_the_gradient_is_that_of_the_objective_optimised_anew(small_nuc):

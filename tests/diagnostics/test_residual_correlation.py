@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.diagnostics.residual_correlation import correlation, trailing
+from deepir.diagnostics.residual_correlation import lag_correlation, residual_correlation
 from deepir.simulate import Settings, simulate
 
 CAMERA = {"n_frames": 6, "shape": (96, 128), "counts": True, "shading": 0.0, "dead_pixels": 0.0}
@@ -47,9 +47,9 @@ def test_white_noise_is_not_alike_and_a_wave_is():
     noise = torch.randn(4, 1, 90, 120, generator=generator)
     precision = torch.ones_like(noise)
     precision[:, :, ::7] = 0
-    assert abs(correlation(noise * precision, precision)) < 0.01
+    assert abs(residual_correlation(noise * precision, precision)) < 0.01
     wave = (torch.arange(120) * (2 * torch.pi / 60)).sin().expand_as(noise)
-    assert correlation(wave * precision, precision) > 0.8
+    assert residual_correlation(wave * precision, precision) > 0.8
 
 
 def test_a_tail_is_the_frame_before():
@@ -57,6 +57,6 @@ def test_a_tail_is_the_frame_before():
     flux = torch.randn(4, 1, 90, 120, generator=generator)
     noise = torch.randn(4, 1, 90, 120, generator=generator)
     late = torch.cat([torch.zeros(1, 1, 90, 120), 0.5 * (flux[:-1] - flux[1:])])
-    assert abs(trailing(noise, flux, torch.ones_like(flux))) < 0.03
+    assert abs(lag_correlation(noise, flux, torch.ones_like(flux))) < 0.03
     # A tail of half the difference has the power of half the noise's: a correlation of 1 / sqrt(3).
-    assert trailing(noise + late, flux, torch.ones_like(flux)) == pytest.approx(3**-0.5, abs=0.02)
+    assert lag_correlation(noise + late, flux, torch.ones_like(flux)) == pytest.approx(3**-0.5, abs=0.02)

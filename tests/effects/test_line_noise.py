@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.closed_form.weighted_least_squares import of_sensor
+from deepir.closed_form.weighted_least_squares import sensor_least_squares
 from deepir.errors import ConfigError
 from deepir.fields.line_noise import ColumnNoise, RowNoise
 from deepir.simulate import Settings, simulate
@@ -129,7 +129,7 @@ def test_the_gradient_in_levels_of_lines_is_that_of_autograd(lines):
     gain, offset = (torch.rand((1, 1, 4, 5), generator=generator, dtype=torch.float64) for _ in range(2))
     level = torch.rand((3, 1, *lines), generator=generator, dtype=torch.float64, requires_grad=True)
     wanted = (precision * (gain * flux + offset + level - data).square()).sum() / 2
-    found = of_sensor(flux, data, precision, (gain, offset, level))
+    found = sensor_least_squares(flux, data, precision, (gain, offset, level))
     torch.testing.assert_close(found.detach(), wanted.detach())
     slopes = [torch.autograd.grad(each, level)[0] for each in (found, wanted)]
     torch.testing.assert_close(*slopes)

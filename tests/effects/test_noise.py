@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepir.arrays.median import MAD
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.effects.noise import HUBER_CONSISTENCY, HUBER_K, huber_scale, measured
 
 
@@ -27,7 +27,7 @@ def test_a_mixture_is_read_more_rightly_than_by_the_median():
     # As where the samples of a bin have other variances, and other leverages.
     each = torch.cat([gaussian(50_000, 0.6), gaussian(50_000, 1.4, seed=1)])
     right = float(each.square().mean().sqrt())
-    assert abs(huber_scale(each.abs()) - right) < 0.5 * abs(MAD * float(each.abs().median()) - right)
+    assert abs(huber_scale(each.abs()) - right) < 0.5 * abs(MAD_TO_SIGMA * float(each.abs().median()) - right)
 
 
 def test_a_few_wild_ones_hardly_count():

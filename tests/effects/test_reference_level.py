@@ -7,7 +7,7 @@ from pedestal import NOISE, PEDESTAL, camera
 
 import deepir
 from deepir.errors import ConfigError
-from deepir.estimation.variance_components import marginal
+from deepir.estimation.variance_components import reference_level_nats
 
 
 @pytest.mark.parametrize("level", [0.0, 0.5 * PEDESTAL, PEDESTAL], ids=["raw", "between", "after a shutter"])
@@ -66,6 +66,6 @@ def test_the_likelihood_of_the_level_is_largest_at_the_true_one():
         score.T[..., None],
     )[..., 0].T
     given = torch.from_numpy(np.stack((aa, ab, bb))), torch.from_numpy(means), torch.from_numpy(sigma)
-    nats = {each: marginal(*given, each) for each in (0.0, 200.0, 300.0, 400.0)}
+    nats = {each: reference_level_nats(*given, each) for each in (0.0, 200.0, 300.0, 400.0)}
     assert min(nats, key=nats.get) == 300.0
     assert nats[0.0] > nats[300.0] + 20

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import deepir
-from deepir.arrays.fill import pull_push_filled
+from deepir.arrays.fill import fill_pull_push
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
@@ -20,7 +20,7 @@ def test_what_is_known_stays_and_what_is_not_lies_between(height, width, seed):
     image = torch.rand(1, 1, height, width, generator=generator)
     known = torch.rand(image.shape, generator=generator) < 0.3
     known[..., 0, 0] = True
-    filled = pull_push_filled(image.where(known, torch.inf), known)
+    filled = fill_pull_push(image.where(known, torch.inf), known)
     assert torch.equal(filled[known], image[known])
     assert image[known].min() - 1e-6 <= filled.min()
     assert filled.max() <= image[known].max() + 1e-6
@@ -30,7 +30,7 @@ def test_stripes_that_end_at_the_edge_do_not_go_on():
     image = torch.tensor([0.0, 1.0]).repeat(32).expand(1, 1, 64, 64)
     known = torch.zeros(image.shape, dtype=torch.bool)
     known[..., 16:-16, :] = True
-    filled = pull_push_filled(image, known)
+    filled = fill_pull_push(image, known)
     assert filled[..., :12, :].diff(dim=-1).abs().max() < 0.1
 
 

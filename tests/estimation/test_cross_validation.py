@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepir.estimation.cross_validation import (
-    MOST,
-    TRIALS,
-    best_power,
+    MAX_LOG2_WEIGHT,
+    N_TRIALS,
+    best_log2_weight,
     cross_validation_stages,
-    next_power,
+    next_log2_weight,
     start_trials,
     weight_from_cross_validation,
 )
@@ -22,25 +22,25 @@ from deepir.storage.checkpoint import FileCheckpoint
 
 def search(misfit):
     tried = {}
-    for _ in range(TRIALS):
-        power = next_power(tried)
+    for _ in range(N_TRIALS):
+        power = next_log2_weight(tried)
         tried[power] = misfit(power)
-    return best_power(tried)
+    return best_log2_weight(tried)
 
 
-@given(st.floats(-6, MOST - 0.6), st.floats(0.1, 100))
+@given(st.floats(-6, MAX_LOG2_WEIGHT - 0.6), st.floats(0.1, 100))
 def test_the_least_of_a_parabola_is_found(least, bend):
     assert search(lambda power: bend * (power - least) ** 2) == pytest.approx(least, abs=1e-6)
 
 
 def test_the_scene_is_never_made_too_smooth():
-    assert search(lambda power: -power) == MOST
+    assert search(lambda power: -power) == MAX_LOG2_WEIGHT
 
 
 def test_the_search_stays_where_all_neighbours_are_worse():
     tried = {-1.0: 2.0, 0.0: 1.0, 1.0: 3.0, 2.0: 4.0, -2.0: 5.0}
-    assert next_power(tried) == 0
-    assert -0.5 < best_power(tried) < 0
+    assert next_log2_weight(tried) == 0
+    assert -0.5 < best_log2_weight(tried) < 0
 
 
 def test_a_weight_that_is_given_is_not_searched_for(small_nuc):
@@ -75,6 +75,6 @@ def test_a_search_that_was_interrupted_goes_on_as_if_it_had_not_been(small_nuc, 
 
 def test_the_search_for_a_weight_ends_at_the_least_that_is_allowed():
     tried = {0.0: 5.0, -2.0: 4.0, -4.0: 3.0, -6.0: 2.0}
-    assert next_power(tried) == -8
-    assert next_power(tried, least=-6.0) == -5
-    assert next_power({0.0: 5.0, -2.0: 4.0}, least=-3.0) == -3
+    assert next_log2_weight(tried) == -8
+    assert next_log2_weight(tried, least=-6.0) == -5
+    assert next_log2_weight({0.0: 5.0, -2.0: 4.0}, least=-3.0) == -3

@@ -6,7 +6,12 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 import deepir
-from deepir.estimation.oversmoothing import LOOSER, is_oversmoothed, reduce_weight, store_reference_misfit
+from deepir.estimation.oversmoothing import (
+    WEIGHT_REDUCTION,
+    is_oversmoothed,
+    reduce_weight,
+    store_reference_misfit,
+)
 from deepir.estimation.penalty_weights import weigh_scene
 from deepir.priors.penalties.foe import FoE
 from deepir.priors.penalties.tv import TV
@@ -52,7 +57,7 @@ def test_what_is_let_go_of_has_less_weight():
     (penalty,) = problem.penalties["scene"].values()
     before = float(penalty.weight)
     reduce_weight(problem)
-    assert float(penalty.weight) == pytest.approx(LOOSER * before)
+    assert float(penalty.weight) == pytest.approx(WEIGHT_REDUCTION * before)
 
 
 def test_misfit_is_in_variances_of_the_noise():

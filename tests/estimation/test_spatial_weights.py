@@ -38,7 +38,7 @@ def weights(scene, *settings, dark=None):
         problem.precision[..., dark] *= 0.5
     adapt_weight_map(problem)
     (penalty,) = problem.penalties["scene"].values()
-    return (penalty.weight * penalty.share[inside]).numpy()
+    return (penalty.weight * penalty.weight_map[inside]).numpy()
 
 
 @pytest.mark.parametrize("prior", ["tv", "huber_tv"])

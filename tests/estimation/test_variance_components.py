@@ -5,9 +5,9 @@ import torch
 from torch.autograd.functional import hessian, jacobian
 
 from deepir.effects.sensor_pattern import high_order
-from deepir.estimation.variance_components import likeliest
+from deepir.estimation.variance_components import estimate_sigmas
 from deepir.kernels.compile import parallel_for
-from deepir.kernels.marginal_likelihood import nats
+from deepir.kernels.marginal_likelihood import negative_log_likelihood
 
 COUNT = 4000
 
@@ -31,32 +31,34 @@ ONE, MUCH = torch.ones(2, dtype=torch.float64), torch.full((2,), 9.0, dtype=torc
 
 @pytest.mark.parametrize("sigma", [(0.3, 2.0), (3.0, 0.5)])
 def test_strengths_are_found(sigma):
-    found = likeliest(*burst(sigma, noise=0.3), ONE, MUCH, [0, 1])
+    found = estimate_sigmas(*burst(sigma, noise=0.3), ONE, MUCH, [0, 1])
     assert found.tolist() == pytest.approx(sigma, rel=0.15)  # a weak prior of gains is in it
 
 
 def test_a_strength_of_nothing_is_next_to_nothing():
-    found = likeliest(*burst((1.0, 0.0), noise=0.3), ONE, MUCH, [0, 1])
+    found = estimate_sigmas(*burst((1.0, 0.0), noise=0.3), ONE, MUCH, [0, 1])
     assert found[1] < 0.05
 
 
 def test_what_is_given_and_what_is_not_there_stay():
     information, means = burst((0.3, 2.0), noise=0.3)
-    assert likeliest(information, means, ONE, MUCH, [1])[0] == 1
+    assert estimate_sigmas(information, means, ONE, MUCH, [1])[0] == 1
     none = torch.tensor([0.0, 1.0], dtype=torch.float64)
-    assert likeliest(information, torch.stack((0 * means[0], means[1])), none, MUCH, [0, 1])[0] == 0
+    assert estimate_sigmas(information, torch.stack((0 * means[0], means[1])), none, MUCH, [0, 1])[0] == 0
 
 
 def test_a_few_outliers_change_little():
     information, means = burst((0.3, 2.0), noise=0.3)
     spoilt = means.clone()
     spoilt[:, ::100] *= 300
-    sound, found = (likeliest(information, each, ONE, MUCH, [0, 1]) for each in (means, spoilt))
+    sound, found = (estimate_sigmas(information, each, ONE, MUCH, [0, 1]) for each in (means, spoilt))
     assert found.tolist() == pytest.approx(sound.tolist(), rel=0.1)
 
 
 def test_it_stays_below_its_bound():
-    assert likeliest(*burst((0.3, 2.0)), ONE, torch.tensor([9.0, 1.5]).double(), [0, 1])[1] <= 1.5 + 1e-9
+    assert (
+        estimate_sigmas(*burst((0.3, 2.0)), ONE, torch.tensor([9.0, 1.5]).double(), [0, 1])[1] <= 1.5 + 1e-9
+    )
 
 
 def test_slope_and_curvature_are_those_of_the_likelihood():
@@ -72,7 +74,7 @@ def test_slope_and_curvature_are_those_of_the_likelihood():
         return (width - (score * variance * shown).sum(1))[counts].sum()
 
     at, sums = torch.tensor([0.2, 3.0], dtype=torch.float64), torch.empty(6, dtype=torch.float64)
-    parallel_for(nats, 1, torch.stack((aa, ab, bb, *score.T)), counts, *at.tolist(), sums)
+    parallel_for(negative_log_likelihood, 1, torch.stack((aa, ab, bb, *score.T)), counts, *at.tolist(), sums)
     (uu, uv), (_, vv) = hessian(exact, at)
     wanted = torch.stack((exact(at), *jacobian(exact, at), uu, uv, vv))
     assert sums.tolist() == pytest.approx(wanted.tolist(), rel=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepir.fields.drift import WOBBLE, Drift, steps
+from deepir.fields.drift import WALK_SIGMA_RATIO, Drift, level_basis
 
 
 def drift(levels, sigma=1.0):
@@ -29,11 +29,11 @@ def test_levels_that_jump_cost_more_than_a_steady_change_as_large():
 
 
 def test_the_prior_is_that_of_a_steady_change_and_a_random_walk():
-    made = steps(5, torch.device("cpu"))
+    made = level_basis(5, torch.device("cpu"))
     after = np.arange(5)
     walk = np.minimum.outer(after, after)  # of independent steps, between frames
     centre = np.eye(5) - 1 / 5
-    expected = centre @ (np.outer(after, after) + WOBBLE**2 * walk) @ centre
+    expected = centre @ (np.outer(after, after) + WALK_SIGMA_RATIO**2 * walk) @ centre
     np.testing.assert_allclose((made @ made.T).numpy(), expected, atol=1e-12)
 
 

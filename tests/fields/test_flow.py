@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from deepir.fields.dense_motion import Flow
-from deepir.operators.homography import displaced, displacements, homographies
-from deepir.operators.warp import coords
+from deepir.operators.homography import displacement_at, displacements, homographies
+from deepir.operators.warp import project_pixels
 
 SIZE = (40, 50)
 
@@ -27,14 +27,14 @@ def tilted(n_frames=3):
 def test_it_starts_at_homographies_without_displacements():
     field, motion = make(), tilted()
     field.init_from(motion)
-    assert torch.allclose(field(), coords(motion, SIZE))
+    assert torch.allclose(field(), project_pixels(motion, SIZE))
     assert field.penalty() == 0
 
 
 def test_the_first_frame_never_moves():
     field = make()
     field.values.data.normal_()
-    assert torch.equal(field()[0], coords(torch.eye(3, dtype=torch.float64)[None], SIZE)[0])
+    assert torch.equal(field()[0], project_pixels(torch.eye(3, dtype=torch.float64)[None], SIZE)[0])
 
 
 def test_a_single_frame_has_nothing_to_move():
@@ -61,7 +61,7 @@ def test_a_step_costs_its_height_times_its_length_whatever_the_spacing():
     for spacing in (4.0, 2.0):
         field = make(2, spacing=spacing, weight=2.0)
         columns = field.values.shape[-1]
-        field.values.data[:, 0, :, columns // 2 :] = 5 / field.step
+        field.values.data[:, 0, :, columns // 2 :] = 5 / field.preconditioning_scale
         costs.append(float(field.penalty().detach()) / (2.0 * 5 * spacing * field.values.shape[-2]))
     assert costs == pytest.approx([1, 1], rel=0.02)
 
@@ -75,12 +75,15 @@ def test_spacings_and_weights_that_make_no_sense_are_refused():
 
 def test_the_homographies_nearest_to_points_are_those_that_made_them():
     motion = tilted()
-    assert torch.allclose(homographies(coords(motion, SIZE)), motion, atol=1e-9)
+    assert torch.allclose(homographies(project_pixels(motion, SIZE)), motion, atol=1e-9)
     assert homographies(motion) is motion
 
 
 def test_points_and_homographies_displace_alike():
     motion = tilted()
-    points, at = coords(motion, SIZE), torch.tensor([10.5, -7.5], dtype=torch.float64)  # a pixel's centre
-    assert torch.allclose(displaced(points, at), displaced(motion, at))
-    assert torch.allclose(displacements(points)[:, :, 12, 35], displaced(motion, at))
+    points, at = (
+        project_pixels(motion, SIZE),
+        torch.tensor([10.5, -7.5], dtype=torch.float64),
+    )  # a pixel's centre
+    assert torch.allclose(displacement_at(points, at), displacement_at(motion, at))
+    assert torch.allclose(displacements(points)[:, :, 12, 35], displacement_at(motion, at))

@@ -22,7 +22,7 @@ def make(model, n_frames=3):
 @given(data=st.data())
 def test_parameters_and_matrices_are_inverse(model, data):
     field = make(model)
-    numbers = st.lists(st.floats(-10, 10), min_size=model.count, max_size=model.count)
+    numbers = st.lists(st.floats(-10, 10), min_size=model.n_parameters, max_size=model.n_parameters)
     p = torch.tensor([data.draw(numbers)], dtype=torch.float64)
     t = field.matrices(p)
     assert (t[:, 2, 2] == 1).all()
@@ -33,8 +33,8 @@ def test_parameters_and_matrices_are_inverse(model, data):
 def test_a_parameter_of_one_moves_the_frames_edge_by_about_a_pixel(model):
     field = make(model)
     corner = torch.tensor([39.5, 29.5, 1.0], dtype=torch.float64)
-    for i in range(model.count):
-        p = torch.zeros(1, model.count, dtype=torch.float64)
+    for i in range(model.n_parameters):
+        p = torch.zeros(1, model.n_parameters, dtype=torch.float64)
         p[0, i] = 1
         x, y, z = field.matrices(p)[0] @ corner
         moved = torch.hypot(x / z - corner[0], y / z - corner[1])
@@ -64,7 +64,7 @@ def test_a_single_frame_does_not_move(model):
 
 def test_a_model_must_say_how_it_moves():
     class Nothing(Motion):
-        count = 1
+        n_parameters = 1
 
     with pytest.raises(NotImplementedError):
         Nothing((2, 3, 3), size=(6, 7))()

@@ -4,14 +4,14 @@ import pytest
 import torch
 
 from deepir.fields.constant import Constant
-from deepir.fields.sensor_maps import Column, Pixel, Row, Sum
+from deepir.fields.sensor_maps import Column, Pixel, Row, SumField
 
 SHAPE = (1, 1, 6, 7)
 
 
 def total(**sigma):
     kinds = {"column": Column, "row": Row, "pixel": Pixel}
-    return Sum(SHAPE, 1.0, {name: kinds[name](SHAPE, 0.0, sigma=s) for name, s in sigma.items()})
+    return SumField(SHAPE, 1.0, {name: kinds[name](SHAPE, 0.0, sigma=s) for name, s in sigma.items()})
 
 
 def test_a_column_is_constant_along_columns_and_a_row_along_rows():
@@ -24,8 +24,8 @@ def test_a_column_is_constant_along_columns_and_a_row_along_rows():
 def test_parameters_are_white_and_float64():
     part = Pixel(SHAPE, 1.0, sigma=0.02)
     part.init_from(1 + 0.02 * torch.ones(SHAPE))
-    assert part.white.dtype == torch.float64
-    assert torch.allclose(part.white, torch.ones_like(part.white), atol=1e-5)
+    assert part.whitened.dtype == torch.float64
+    assert torch.allclose(part.whitened, torch.ones_like(part.whitened), atol=1e-5)
     assert float(part.penalty().detach()) == pytest.approx(42 / 2, rel=1e-5)
 
 
@@ -41,7 +41,7 @@ def test_the_prior_is_the_negative_logarithm_of_the_gaussian():
 
 def test_a_part_without_sigma_is_zero_until_it_has_one():
     part = Column(SHAPE, 1.0)
-    assert not part.given
+    assert not part.sigma_is_fixed
     part.init_from(torch.rand(SHAPE))
     assert torch.equal(part(), torch.ones(SHAPE))
     part.sigma.fill_(0.5)
@@ -77,6 +77,6 @@ def test_a_sum_is_float64_in_float64():
 
 
 def test_a_sum_with_another_field_has_no_closed_form():
-    field = Sum(SHAPE, 1.0, {"column": Column(SHAPE, sigma=0.1), "constant": Constant(SHAPE, value=0.5)})
+    field = SumField(SHAPE, 1.0, {"column": Column(SHAPE, sigma=0.1), "constant": Constant(SHAPE, value=0.5)})
     assert field.parts() == ()
     assert torch.allclose(field(), torch.full(SHAPE, 1.5))

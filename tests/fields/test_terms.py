@@ -18,7 +18,7 @@ FIELDS = [
 
 @pytest.mark.parametrize("field", FIELDS, ids=["dct", "radial"])
 def test_each_term_has_mean_zero(field):
-    assert torch.allclose(field.sampled().mean((1, 2)), torch.zeros(len(field.values)), atol=1e-6)
+    assert torch.allclose(field.sample_basis().mean((1, 2)), torch.zeros(len(field.values)), atol=1e-6)
 
 
 @pytest.mark.parametrize("field", FIELDS, ids=["dct", "radial"])
@@ -33,9 +33,9 @@ def test_a_map_is_the_inverse_cosine_transform_of_its_coefficients():
     with torch.no_grad():
         field.values.copy_(torch.randn(len(field.values)))
     table = fft.dctn(field()[0, 0].detach().double().numpy(), norm="ortho") / np.sqrt(SIZE[0] * SIZE[1])
-    found = table[field.of_y, field.of_x] * field.frequency.square().numpy()
+    found = table[field.order_y, field.order_x] * field.frequency.square().numpy()
     np.testing.assert_allclose(found, field.values.detach(), atol=1e-5)
-    table[field.of_y, field.of_x] = 0
+    table[field.order_y, field.order_x] = 0
     assert np.abs(table).max() < 1e-6
 
 
@@ -46,11 +46,13 @@ def test_the_prior_is_the_energy_of_a_bent_plate(height, width, order):
     field = DCT((1, 1, height, width), order=order, sigma=1.0)
     per_side = torch.pi / max(height, width)
     assert torch.allclose(
-        (field.in_y[field.of_y].square().mean(1) * field.in_x[field.of_x].square().mean(1)).sqrt(),
+        (
+            field.basis_y[field.order_y].square().mean(1) * field.basis_x[field.order_x].square().mean(1)
+        ).sqrt(),
         torch.ones(len(field.values)),
         atol=1e-5,
     )
-    ky, kx = torch.pi * field.of_y / height, torch.pi * field.of_x / width
+    ky, kx = torch.pi * field.order_y / height, torch.pi * field.order_x / width
     bent = (ky.square() + kx.square()) / field.frequency.square()  # |Δ| of each term
     assert torch.allclose(bent, torch.full_like(bent, per_side**2), rtol=1e-5)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from deepir.arrays.differences import squared_gradient
 from deepir.closed_form import weighted_least_squares
-from deepir.closed_form.normal_equations import Pixels, PixelsOnCPU
+from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCPU
 from deepir.kernels.compile import parallel_for
 from deepir.priors.penalties.tv import TV
 
@@ -46,9 +46,9 @@ def pixels(kind, dtype, size, pedestal, one=False):
 @pytest.mark.parametrize("pedestal", [0.0, 8000.0])
 @pytest.mark.parametrize("one", [False, True])
 def test_the_normal_equations_are_exact_in_float32_too(threads, size, pedestal, one):
-    wanted = pixels(Pixels, torch.float64, size, pedestal, one)
+    wanted = pixels(PixelEquations, torch.float64, size, pedestal, one)
     for dtype in (torch.float32, torch.float64):
-        found = pixels(PixelsOnCPU, dtype, size, pedestal, one)
+        found = pixels(PixelEquationsCPU, dtype, size, pedestal, one)
         for name in ("maps", "down", "across"):
             for each, right in zip(getattr(found, name), getattr(wanted, name), strict=True):
                 assert error(each, right) < 1e-12
@@ -66,11 +66,11 @@ def test_rows_and_columns_are_solved_and_the_pixels_found(threads, size, terms):
     root, to_columns, to_rows = random(2, 2, width) / 1e3, random(terms, 2 * width), random(terms, 2 * height)
     rhs, columns, neutral = random(2 * width + terms), random(2, width), random(2)
     weights, smooth = random(3, height) / 1e6, (random(2, height, terms), random(terms, width))
-    for kind in (Pixels, PixelsOnCPU):
+    for kind in (PixelEquations, PixelEquationsCPU):
         mine, white = pixels(kind, torch.float64, size, 50.0), (torch.empty(size), torch.empty(size))
         white = tuple(each.double() for each in white)
         solution = mine.solve(root, to_columns, to_rows, weights, rhs)
-        errors, values = mine.finish(columns, smooth, weights, neutral, white)
+        errors, values = mine.back_substitute(columns, smooth, weights, neutral, white)
         results.append((solution, errors, values, *white))
     for found, right in zip(*results, strict=True):
         assert error(found, right) < 1e-10
@@ -100,11 +100,15 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
     data, precision = (50 + torch.randn(shape)).double(), torch.rand(shape).double()
     gain, offset = 1 + 0.1 * torch.randn(1, *shape[1:]).double(), torch.randn(1, *shape[1:]).double()
     level = torch.randn(3, 1, 1, 1, dtype=torch.float64, requires_grad=True)
-    wanted = factor * weighted_least_squares.half_squares(gain * flux + offset + level, data, precision)
+    wanted = factor * weighted_least_squares.weighted_least_squares(
+        gain * flux + offset + level, data, precision
+    )
     given = [each.detach().to(dtype) for each in (flux, data, precision, gain, offset, level)]
     given[0].requires_grad_()
     given[-1].requires_grad_()
-    found = factor * weighted_least_squares.of_sensor(given[0].expand(shape), *given[1:3], tuple(given[3:]))
+    found = factor * weighted_least_squares.sensor_least_squares(
+        given[0].expand(shape), *given[1:3], tuple(given[3:])
+    )
     tolerance = 1e-4 if dtype == torch.float32 else 1e-12
     assert float(found.detach()) == pytest.approx(float(wanted.detach()), rel=tolerance)
     slopes = torch.autograd.grad(found, (given[0], given[-1]))
@@ -130,8 +134,8 @@ def test_what_the_pixels_own_parts_add_to_the_slope(size, u, v):
 
 
 def reference(penalty, squared):
-    edge = penalty.edge.double()
-    return (penalty.share * squared / ((squared + edge.square()).sqrt() + edge)).sum()
+    edge = penalty.epsilon.double()
+    return (penalty.weight_map * squared / ((squared + edge.square()).sqrt() + edge)).sum()
 
 
 @settings(deadline=None)
@@ -143,7 +147,7 @@ def reference(penalty, squared):
 )
 def test_total_variation_and_its_gradient(size, dtype, pictures, weight):
     penalty, value = TV((1, 1, *size), weight=weight), torch.randn(*pictures, *size, dtype=dtype)
-    penalty.share.uniform_(0.5, 2.0)
+    penalty.weight_map.uniform_(0.5, 2.0)
     value.requires_grad_()
     tolerance = 1e-5 if dtype == torch.float32 else 1e-12
     exact = value.detach().double().requires_grad_()
@@ -176,7 +180,7 @@ def test_what_goes_wrong_in_a_part_is_raised(threads):
 
 
 def test_a_first_use_says_why_it_takes_long(tmp_path):
-    code = "import torch; from deepir.arrays.median import median; print(median(torch.arange(9001.0)))"
+    code = "import torch; from deepir.arrays.statistics import median; print(median(torch.arange(9001.0)))"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     first, second = (
         subprocess.run(

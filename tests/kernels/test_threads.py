@@ -10,7 +10,10 @@ from deepir.kernels import memory, threads
 def test_loops_and_torch_share_the_threads_of_a_large_burst_and_a_small_one_has_one(most):
     before = torch.get_num_threads()
     assert threads.count() == before
-    for samples, expected in ((threads.LARGE - 1, 1), (threads.LARGE, most or before)):
+    for samples, expected in (
+        (threads.MIN_PARALLEL_SAMPLES - 1, 1),
+        (threads.MIN_PARALLEL_SAMPLES, most or before),
+    ):
         with threads.for_burst(samples, most):
             assert threads.count() == torch.get_num_threads() == expected
         assert torch.get_num_threads() == threads.count() == before
@@ -18,6 +21,6 @@ def test_loops_and_torch_share_the_threads_of_a_large_burst_and_a_small_one_has_
 
 def test_they_come_back_after_an_error_and_so_does_the_memory():
     before = torch.get_num_threads()
-    with pytest.raises(KeyError), threads.for_burst(threads.LARGE, 2), memory.kept():
+    with pytest.raises(KeyError), threads.for_burst(threads.MIN_PARALLEL_SAMPLES, 2), memory.kept():
         raise KeyError
     assert torch.get_num_threads() == threads.count() == before

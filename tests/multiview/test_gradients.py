@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepir.closed_form.conjugate_gradient import conjugate_gradients
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, Pixel, Row
 from deepir.multiview.gradients import SHARE, Edges, likeliest_tail
@@ -94,8 +94,13 @@ def test_conjugate_gradients_solve_a_system():
     a = torch.randn(30, 30, dtype=torch.float64)
     a, rhs = a @ a.T / 30 + torch.eye(30), torch.randn(30, dtype=torch.float64)
     for near in (lambda x: x, lambda x: x / a.diagonal()):
-        found = conjugate_gradients(
-            lambda x: a @ x, rhs, torch.zeros_like(rhs), near=near, precise=1e-10, steps=100
+        found = conjugate_gradient(
+            lambda x: a @ x,
+            rhs,
+            torch.zeros_like(rhs),
+            precondition=near,
+            tolerance=1e-10,
+            max_iterations=100,
         )
         assert torch.allclose(a @ found, rhs, atol=1e-6)
 

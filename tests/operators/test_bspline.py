@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from deepir.kernels.bspline import pull, push, turn
+from deepir.kernels.bspline import grad_homography, warp, warp_adjoint
 from deepir.operators import Warp
 from deepir.operators.bspline import sample
 
@@ -30,7 +30,7 @@ def motions(n, angle=0.1, shift=2.0, tilt=0.01, seed=0):
 
 def by_torch(operator, x, motion):
     """As on other devices."""
-    return sample(x, operator.points(motion).to(x.dtype))
+    return sample(x, operator.sampling_points(motion).to(x.dtype))
 
 
 def gradients(warped, *of):
@@ -97,10 +97,10 @@ def test_no_motion_whatsoever_reads_or_writes_outside_the_canvas(bad):
             np.full((3, 1, *CANVAS), 7.0),
             np.zeros((2, SIZE[0], 3, 2)),
         )
-        pull(0, SIZE[0], scene, motion, out)
+        warp(0, SIZE[0], scene, motion, out)
         guarded[1] = 0
-        push(0, CANVAS[0], gradient, motion, guarded[1:2])
-        turn(0, SIZE[0], gradient, scene, motion, sums)
+        warp_adjoint(0, CANVAS[0], gradient, motion, guarded[1:2])
+        grad_homography(0, SIZE[0], gradient, scene, motion, sums)
         assert out[0] == pytest.approx(1)
         assert (guarded[[0, 2]] == 7).all()
 
@@ -128,7 +128,9 @@ def test_frames_are_those_of_scipys_spline_interpolation_of_the_image(seed, angl
     y, x_ = np.meshgrid(np.arange(8) - 3.5, np.arange(9) - 4.0, indexing="ij")
     at = np.einsum("nij,jhw->nihw", motion.numpy(), np.stack([x_, y, np.ones_like(y)]))
     rows, columns = at[:, 1] / at[:, 2] + 13.5, at[:, 0] / at[:, 2] + 14.0
-    wanted = ndimage.map_coordinates(operator.image(x)[0, 0].numpy(), [rows, columns], order=3, mode="mirror")
+    wanted = ndimage.map_coordinates(
+        operator.to_pixels(x)[0, 0].numpy(), [rows, columns], order=3, mode="mirror"
+    )
     assert operator(x, motion=motion)[:, 0].numpy() == pytest.approx(wanted, abs=1e-10)
 
 

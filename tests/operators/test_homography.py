@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from deepir.operators import Warp
 from deepir.operators.bspline import sample
-from deepir.operators.warp import coords
+from deepir.operators.warp import project_pixels
 from deepir.testing import check_operator
 
 seeds = st.integers(0, 999)
@@ -18,7 +18,7 @@ seeds = st.integers(0, 999)
 def bent(size, n_frames=3, shift=2.0, seed=0):
     """Points that no homography gives, (N, h, w, 2) float64."""
     generator = torch.Generator().manual_seed(seed)
-    still = coords(torch.eye(3, dtype=torch.float64)[None], size)
+    still = project_pixels(torch.eye(3, dtype=torch.float64)[None], size)
     away = torch.rand(n_frames, *size, 2, generator=generator, dtype=torch.float64) - 0.5
     return still + 2 * shift * away
 
@@ -56,7 +56,7 @@ def test_frames_adjoint_and_gradient_are_those_of_other_devices(size, canvas, ch
     operator = Warp(size, canvas, (1, -1))
     x = torch.rand(scenes, channels, *canvas, dtype=torch.float64, requires_grad=True)
     motion = bent(size, 3, shift, seed).requires_grad_()
-    wanted, found = sample(x, operator.points(motion)), operator(x, motion=motion)
+    wanted, found = sample(x, operator.sampling_points(motion)), operator(x, motion=motion)
     assert torch.allclose(found, wanted, atol=1e-9)
     weights = torch.rand(found.shape, dtype=found.dtype, generator=torch.Generator().manual_seed(1))
     mine, theirs = (torch.autograd.grad(each, (x, motion), weights) for each in (found, wanted))
@@ -91,6 +91,6 @@ def test_a_point_that_is_not_a_number_gives_numbers_and_gradients(bad):
 
 def test_a_sample_is_valid_where_its_coefficients_lie_in_the_canvas():
     operator, motion = Warp((6, 7), (11, 12), (2, 3)), bent((6, 7), shift=6.0)
-    points = operator.points(motion)
+    points = operator.sampling_points(motion)
     inside = (points[..., 0].abs() <= 4.5) & (points[..., 1].abs() <= 4)
     assert torch.equal(operator.valid(torch.ones(1, 1, 11, 12), motion=motion)[:, 0] > 0, inside)

@@ -27,8 +27,8 @@ def shown(flux, tau, substeps=4, n_frames=9):
 
 def instants(lag, n_frames):
     """Times at which the flux is wanted, in frames."""
-    path = lag.path
-    return (torch.arange(path.count(n_frames), dtype=torch.float64) - path.lead) / path.steps
+    path = lag.trajectory
+    return (torch.arange(path.count(n_frames), dtype=torch.float64) - path.n_before) / path.steps
 
 
 @pytest.mark.parametrize("tau", [4.0, 10.0, 25.0])
@@ -123,7 +123,7 @@ def test_rows_that_are_read_one_after_the_other_see_the_ramp_one_after_the_other
 @pytest.mark.parametrize("options", [{}, {"readout": 0.7}])
 def test_motion_lag_and_sensor_are_a_good_operator(options):
     lag = Lag(FPS, substeps=2, **options)
-    chain = Chain({"warp": Warp((4, 5), (12, 13), (4, 4), lag.path), "lag": lag, "sensor": Sensor()})
+    chain = Chain({"warp": Warp((4, 5), (12, 13), (4, 4), lag.trajectory), "lag": lag, "sensor": Sensor()})
     x = torch.rand(1, 1, 12, 13, dtype=torch.float64)
     slots = {name: 0.5 + torch.rand(s, dtype=torch.float64) for name, s in chain.slots(x.shape, 3).items()}
     slots["lag.tau"] += 10
@@ -159,4 +159,4 @@ def test_what_makes_no_sense_is_refused(rate, options, message):
 
 
 def test_the_instants_are_those_that_the_lag_asks_for():
-    assert Lag(FPS, substeps=6).path == Trajectory(6, lead=6)
+    assert Lag(FPS, substeps=6).trajectory == Trajectory(6, n_before=6)

@@ -186,10 +186,10 @@ def test_warp_takes_one_canvas_or_one_for_each_frame_and_several_channels(n_scen
 
 
 def test_a_motion_given_as_points_is_the_same_as_the_homography():
-    from deepir.operators.warp import coords
+    from deepir.operators.warp import project_pixels
 
     operator, x, slots = Warp.example()
-    points = coords(slots["motion"], operator.size)
+    points = project_pixels(slots["motion"], operator.size)
     assert torch.allclose(operator(x, motion=points), operator(x, **slots))
     mask = torch.ones_like(x)
     assert torch.equal(operator.valid(mask, motion=points), operator.valid(mask, **slots))

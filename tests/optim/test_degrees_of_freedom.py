@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline
 
 import deepir
 import deepir.optim.objective
-from deepir.optim.degrees_of_freedom import HELD, degrees_of_freedom
+from deepir.optim.degrees_of_freedom import GRADIENT_WEIGHT, degrees_of_freedom
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import sky
 
@@ -35,7 +35,7 @@ def explained(by):
     step = np.eye(SIDE) - np.roll(np.eye(SIDE), 1, 0)
     along_x, along_y = np.kron(np.eye(SIDE), step), np.kron(step, np.eye(SIDE))
     normal, gradients = frames.T @ frames, along_x.T @ along_x + along_y.T @ along_y
-    return np.trace(np.linalg.solve(normal + len(by) * HELD * gradients, normal)) / 2
+    return np.trace(np.linalg.solve(normal + len(by) * GRADIENT_WEIGHT * gradients, normal)) / 2
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_a_plain_noisy_sky_is_not_drawn_to_whole_pixels(monkeypatch):
         return np.mean((found - true) * np.sign(np.round(true) - true))
 
     with_it = np.median([drawn(seed) for seed in range(41, 47)])
-    monkeypatch.setattr(deepir.optim.objective, "moves_with_scene", lambda *_: False)
+    monkeypatch.setattr(deepir.optim.objective, "is_joint_with_motion", lambda *_: False)
     without = np.median([drawn(seed) for seed in range(41, 47)])
     assert without > 0.04
     assert abs(with_it) < without / 3

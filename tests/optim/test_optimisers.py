@@ -162,10 +162,10 @@ class Flat:
 
 def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
     steps, reached = [], []
-    for shorter in (lbfgs.SHORTER, 1.0):
-        monkeypatch.setattr(lbfgs, "SHORTER", shorter)
+    for shorter in (lbfgs.OVERSHOOT_SHRINKAGE, 1.0):
+        monkeypatch.setattr(lbfgs, "OVERSHOOT_SHRINKAGE", shorter)
         _, optimiser = make("lbfgs", kinked, start=[0.0] * 300)
-        optimiser.curvature, evaluations, taken = Flat(), 0, 0
+        optimiser.preconditioner, evaluations, taken = Flat(), 0, 0
         while evaluations < 60:
             optimiser.step(fresh=False)
             evaluations, taken = evaluations + optimiser.take_count(), taken + 1
@@ -178,7 +178,7 @@ def test_where_the_curvature_is_too_flat_steps_become_shorter(monkeypatch):
 def test_a_step_that_goes_too_far_is_followed_by_one_to_the_parabola_s_least_point():
     bend = torch.tensor([1.0, 5.0])
     _, optimiser = make("lbfgs", lambda x: (bend * x.square()).sum() / 2, start=[0.0, 1.0])
-    optimiser.curvature = Flat()
+    optimiser.preconditioner = Flat()
     optimiser.step(fresh=False)
     assert optimiser.take_count() == 3  # the start's, one that is five times too long, and the least point
     assert optimiser.value == pytest.approx(0.0, abs=1e-9)

@@ -11,7 +11,7 @@ from deepir.burst import Burst
 from deepir.closed_form.variable_projection import COLUMN
 from deepir.config import load
 from deepir.optim.objective import objective
-from deepir.optim.preconditioner import Preconditioner, slow_waves
+from deepir.optim.preconditioner import Preconditioner, low_frequencies
 from deepir.optim.solve import solve
 from deepir.priors.penalties.ridge import Ridge
 from deepir.problems.initial_estimate import start_scene
@@ -30,7 +30,7 @@ def problem(small_nuc):
     made.penalties["scene"]["prior"].weight.fill_(1e-3)
     for name in ("gain", "offset"):
         for part in made.fields[name].parts():
-            part.sigma.fill_(SIGMA if name == "offset" and part.along == () else 0.0)
+            part.sigma.fill_(SIGMA if name == "offset" and part.constant_axes == () else 0.0)
     return made
 
 
@@ -75,15 +75,15 @@ def test_it_saves_iterations(problem, monkeypatch):
     for known in (True, False):
         problem.load_state_dict(start)
         if not known:
-            monkeypatch.setattr("deepir.optim.objective.curvature", lambda *_, **__: None)
+            monkeypatch.setattr("deepir.optim.objective.make_preconditioner", lambda *_, **__: None)
         reached[known] = solve(problem, [stage]).history[-1]["loss"]
     assert reached[True] < reached[False]
 
 
 def test_it_stands_aside_for_other_scenes_than_pixels_behind_a_warp(problem):
-    from deepir.optim.preconditioner import curvature
+    from deepir.optim.preconditioner import make_preconditioner
 
-    assert curvature(problem, [problem.fields["motion"].values], ["offset"]) is None
+    assert make_preconditioner(problem, [problem.fields["motion"].values], ["offset"]) is None
     assert isinstance(problem.penalties["scene"]["prior"], Ridge)
 
 
@@ -120,7 +120,7 @@ def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
         fields["value"].init_from(torch.zeros(maps))
         fields["scene"].init_from(data[:1].mean().expand(1, 1, *canvas))
         if not known:
-            monkeypatch.setattr("deepir.optim.objective.curvature", lambda *_, **__: None)
+            monkeypatch.setattr("deepir.optim.objective.make_preconditioner", lambda *_, **__: None)
         solve(problem, [Stage("stray", (Step(("scene", "value")),), 15, tolerance=0.0)])
         reached[known] = float((fields["value"]().detach() - stray).std())
     assert reached[True] < 0.2
@@ -140,12 +140,12 @@ def test_strong_columns_leave_open_the_scene_times_a_wave_rather_than_a_wave(see
     free = Step(("scene",)), Step(("gain", "offset"), "eliminate")
     reached = {}
     for strong in (0.05, 9.0):
-        monkeypatch.setattr("deepir.optim.fourier_hessian.LINES", strong)
+        monkeypatch.setattr("deepir.optim.fourier_hessian.MAX_ADDITIVE_LINE_GAIN", strong)
         made, _ = build(load("nuc"), burst, torch.from_numpy(sim.truth.motion))
         made.precision.fill_(1e3)
         for name in ("gain", "offset"):
             for part in made.fields[name].parts():
-                part.sigma.fill_(0.2 if name == "gain" and part.along == COLUMN else 0.0)
+                part.sigma.fill_(0.2 if name == "gain" and part.constant_axes == COLUMN else 0.0)
         start_scene(made)
         made.penalties["scene"]["tv"].weight.fill_(1.0)
         reached[strong] = solve(made, [Stage("sensor", free, 10, tolerance=0.0)]).history[-1]["loss"]
@@ -162,10 +162,10 @@ def fitted(problem, *, fine):
 
 def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatch):
     monkeypatch.setattr(
-        "deepir.optim.preconditioner.SEEN", -1.0
+        "deepir.optim.preconditioner.MIN_FRAMES_SEEN", -1.0
     )  # a rim that stays has slow waves of its own
     shape = problem.fields["scene"].shape
-    slow, start = slow_waves(shape, torch.device("cpu")), copy.deepcopy(problem.state_dict())
+    slow, start = low_frequencies(shape, torch.device("cpu")), copy.deepcopy(problem.state_dict())
     moved = {}
     for fine in (True, False):
         problem.load_state_dict(start)

@@ -70,7 +70,7 @@ def test_the_start_takes_the_lag_out_of_the_registered_motion():
     true[:, 0, 2] = torch.tensor([0.0, 1.0, 3.0, 4.0, 4.5, 3.0])
     problem = along(true)
     lag = problem.operator.stages["lag"]
-    instants = lag.path.through(true)[:, :1, 2:]
+    instants = lag.trajectory.interpolate(true)[:, :1, 2:]
     tau, moving = (torch.full((1, 1, 1, 1), value, dtype=torch.float64) for value in (10.0, 0.0))
     late = lag(instants[:, None], tau=tau, moving=moving)
     seen = true.clone()

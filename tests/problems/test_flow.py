@@ -9,7 +9,7 @@ from deepir.errors import ConfigError
 from deepir.fields.dense_motion import Flow
 from deepir.metrics import scores
 from deepir.operators.homography import displacements
-from deepir.operators.warp import coords
+from deepir.operators.warp import project_pixels
 from deepir.problems.optical_flow import optical_flow
 from deepir.simulate import Settings, simulate
 
@@ -46,7 +46,7 @@ def test_parallax_is_found_to_a_tenth_of_a_pixel_and_the_scene_is_better_for_it(
     still = deepir.run(
         "nuc", frames=sim.frames, physics={"warp": {"motion": {"type": "homography"}}}, threads=1
     )
-    flat = displacements(coords(torch.from_numpy(still.motion), SIZE)).numpy()
+    flat = displacements(project_pixels(torch.from_numpy(still.motion), SIZE)).numpy()
     assert end_point_error(found.extra["flow"], sim) < 0.1
     assert end_point_error(flat, sim) > 0.3
     quality = [scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, still)]

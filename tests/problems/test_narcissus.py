@@ -73,7 +73,7 @@ def test_a_scene_is_as_plain_behind_a_steep_stray_flux_as_without():
         problem.fields["stray"].sigma.fill_(strength)
         problem.fields["stray"].init_from(torch.from_numpy(sim.truth.stray).float())
         adapt_weight_map(problem)
-        found.append(problem.penalties["scene"]["tv"].share.clone())
+        found.append(problem.penalties["scene"]["tv"].weight_map.clone())
     assert torch.equal(*found)
 
 

@@ -29,7 +29,7 @@ def test_a_plain_scene_bears_a_stronger_prior_than_a_rich_one():
     for picture in (ndimage.gaussian_filter(procedural(6, (260, 300)), 5.0), texture / texture.max()):
         sim = simulate(picture, camera, seed=14)
         metrics = deepir.run("nuc", prior="tv", frames=sim.frames, threads=1).metrics
-        by_noise = TV().natural(NOISE_GAIN * metrics["noise_sigma"] / 5**0.5)
+        by_noise = TV().default_weight(NOISE_GAIN * metrics["noise_sigma"] / 5**0.5)
         found.append(metrics["strengths"]["scene.tv.weight"] / by_noise)
     plain, rich = found
     assert 1.15 * rich < plain < 8

@@ -12,7 +12,7 @@ from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.metrics import scores
 from deepir.operators import Downsample, Warp
-from deepir.operators.geometry import scaled
+from deepir.operators.geometry import rescale_motion
 from deepir.problems.sr import few_frames
 from deepir.simulate import Settings, simulate
 
@@ -40,7 +40,7 @@ def at_motion(motion, size, factor):
     return (
         Downsample(factor=factor) @ Warp(fine, canvas, origin),
         canvas,
-        {"warp.motion": scaled(motion, factor)},
+        {"warp.motion": rescale_motion(motion, factor)},
     )
 
 

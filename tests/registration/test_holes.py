@@ -5,7 +5,7 @@ import pytest
 import torch
 from registered import apart, camera_of_tones
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.registration import register
 from deepir.simulate import simulate
 from deepir.simulate.scenes.procedural import procedural
@@ -15,7 +15,7 @@ COUNTS = {"counts": True, "read_noise": 0.004, "photons": 0.0}
 
 def registered(sim, valid):
     frames, valid = (torch.from_numpy(np.asarray(each)) for each in (sim.frames.astype(np.float32), valid))
-    return register(nearest_filled(frames[:, None] * valid[:, None], valid[:, None])[:, 0], valid=valid)
+    return register(fill_nearest(frames[:, None] * valid[:, None], valid[:, None])[:, 0], valid=valid)
 
 
 def lost_bands(shape, seed):

@@ -6,7 +6,7 @@ import torch
 from registered import camera_of_tones
 from scipy.optimize import check_grad
 
-from deepir.operators.motion_models import carried
+from deepir.operators.motion_models import transform_points
 from deepir.registration import motion_search, register
 from deepir.registration.block_likelihood import (
     RotationLikelihood,
@@ -25,10 +25,10 @@ def turning(number, seed, **settings):
     sim = simulate(sky(number, (430, 500)), camera_of_tones(**settings), seed=seed)
     h, w = sim.frames.shape[1:]
     corners = torch.tensor([[-w, w, -w, w], [-h, -h, h, h], [2, 2, 2, 2]], dtype=torch.float64) / 2
-    true = carried(torch.from_numpy(sim.truth.motion), corners)
+    true = transform_points(torch.from_numpy(sim.truth.motion), corners)
 
     def off(motion):
-        return float((carried(motion, corners) - true).norm(dim=1).max())
+        return float((transform_points(motion, corners) - true).norm(dim=1).max())
 
     return torch.from_numpy(sim.frames.astype(np.float32)), off
 

@@ -89,7 +89,7 @@ def hardie_droege2007(
         z, iterations = model.solve(z)
         found, bias = model.sensor(model.forward(z))
         y0, y1, x0, x1 = geometry.window
-        image = problem.operator.image(z)[0, 0, y0:y1, x0:x1]
+        image = problem.operator.to_pixels(z)[0, 0, y0:y1, x0:x1]
     result = neutral(image.numpy(), len(used), burst.size, burst.bad_pixels)
     result.gain, result.offset = found[0, 0].numpy(), bias[0, 0].numpy()
     if motion is not None:
@@ -165,7 +165,7 @@ class Model:
                 moved = self.usable * (moved - more * flux - higher)
                 return noise * self.adjoint(gain * moved) + smooth * high_pass_normal(step)
 
-            step, iterations = conjugate_gradients(curvature, slope, weight)
+            step, iterations = conjugate_gradient(curvature, slope, weight)
             z, count = z + step, count + iterations
         return z, count
 
@@ -195,7 +195,7 @@ def high_pass_normal(z: Tensor) -> Tensor:
     return F.conv_transpose2d(high_pass(z), HIGH_PASS_KERNEL)
 
 
-def conjugate_gradients(
+def conjugate_gradient(
     curvature: Callable[[Tensor], Tensor], slope: Tensor, weight: Tensor
 ) -> tuple[Tensor, int]:
     """Solve `curvature(step) = slope`, preconditioned by the diagonal `weight`.

@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.arrays.noise_level import flat_noise
+from deepir.arrays.noise_level import noise_in_flat_windows
 from deepir.baselines.average import Array, average_frames, fill_invalid
 from deepir.baselines.single_frame.mire import GAUSSIAN_WIDTHS, midway_equalise
 from deepir.burst import Burst
@@ -63,5 +63,5 @@ def local_variation(frame: Array, deviation: float) -> Array:
 def denoise(frame: Array) -> Array:
     """Remove white noise from a frame (h, w); the noise level is that of its flattest parts."""
     picture = torch.from_numpy(frame.astype(np.float32))[None]
-    noise = flat_noise(picture, torch.ones_like(picture, dtype=torch.bool))
+    noise = noise_in_flat_windows(picture, torch.ones_like(picture, dtype=torch.bool))
     return dct(picture, noise)[0].numpy()

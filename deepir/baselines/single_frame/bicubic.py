@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from deepir.arrays.fill import nearest_filled
+from deepir.arrays.fill import fill_nearest
 from deepir.baselines.average import Array
 from deepir.build.problem import build
 from deepir.burst import Burst
@@ -23,7 +23,7 @@ def bicubic(burst: Burst, config: Config) -> Result:
     first = dataclasses.replace(burst, frames=burst.frames[:1], valid=burst.valid[:1])
     _, geometry = build(config, first)
     frame, good = (torch.from_numpy(each)[None] for each in (first.frames, first.valid & ~burst.bad_pixels))
-    filled_frame = nearest_filled(frame, good)[0, 0].numpy()
+    filled_frame = fill_nearest(frame, good)[0, 0].numpy()
     result = neutral(enlarge(filled_frame, geometry.ratio), len(burst.frames), burst.size, burst.bad_pixels)
     result.frames_used[1:] = False
     result.motion[1:] = float("nan")

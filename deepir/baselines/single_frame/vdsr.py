@@ -15,7 +15,7 @@ from deepir.baselines.average import Array, average_frames, fill_invalid, regist
 from deepir.baselines.single_frame.bicubic import enlarge
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.operators.geometry import scaled
+from deepir.operators.geometry import rescale_motion
 from deepir.registry import register
 from deepir.result import Result
 
@@ -38,7 +38,9 @@ def vdsr(burst: Burst, config: Config) -> Result:
         fine = np.stack([sharpen(enlarge(frame, ratio)) for frame in fill_invalid(burst.frames[used], good)])
         seen = np.stack([enlarge(each.astype(float), ratio) > 0.5 for each in good])
         result.scene = (
-            registered_mean(fine, seen, scaled(motion[used], ratio).numpy()).numpy().astype(np.float32)
+            registered_mean(fine, seen, rescale_motion(motion[used], ratio).numpy())
+            .numpy()
+            .astype(np.float32)
         )
     return result
 

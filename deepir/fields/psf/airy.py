@@ -11,8 +11,10 @@ from deepir.fields.base import Shape
 from deepir.fields.psf.base import PSF
 from deepir.registry import register
 
-FIRST_ZERO = 3.8317059702075125  # of the Bessel function J1
-NODES = 48  # exact to 1e-6 up to ten rings
+#: First positive zero of the Bessel function J1.
+FIRST_ZERO_OF_J1 = 3.8317059702075125
+#: Nodes of the quadrature: exact to 1e-6 up to ten rings.
+N_QUADRATURE_NODES = 48
 
 
 @register("field", "airy")
@@ -28,11 +30,15 @@ class Airy(PSF):
     ) -> None:
         super().__init__(shape, neutral, size, "radius", radius)
 
-    def of_width(self, width: Tensor) -> Tensor:
+    def kernel_of_width(self, width: Tensor) -> Tensor:
         """`(2 J1(v) / v)²`, normalised, by `J1(v) / v = ∫ sqrt(1 - t²) cos(v t) dt / π`, t from -1 to 1."""
         axis = self._axis()
-        v = FIRST_ZERO * torch.hypot(axis, axis[:, None]) / width
-        angle = math.pi * torch.arange(1, NODES + 1, dtype=v.dtype, device=v.device) / (NODES + 1)
+        v = FIRST_ZERO_OF_J1 * torch.hypot(axis, axis[:, None]) / width
+        angle = (
+            math.pi
+            * torch.arange(1, N_QUADRATURE_NODES + 1, dtype=v.dtype, device=v.device)
+            / (N_QUADRATURE_NODES + 1)
+        )
         # Gauss-Chebyshev quadrature of the second kind.
         amplitude = torch.cos(v[..., None] * angle.cos()) @ angle.sin().square()
         energy = amplitude.square()

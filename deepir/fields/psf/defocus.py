@@ -5,10 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from deepir.fields.base import Shape
-from deepir.fields.psf.base import PSF, over_pixels
+from deepir.fields.psf.base import EDGE_WIDTH, PSF, pixel_average
 from deepir.registry import register
-
-EDGE = 0.2  # px, from light to dark
 
 
 @register("field", "defocus")
@@ -23,9 +21,11 @@ class Defocus(PSF):
     ) -> None:
         super().__init__(shape, neutral, size, "radius", radius)
 
-    def of_width(self, width: Tensor) -> Tensor:
+    def kernel_of_width(self, width: Tensor) -> Tensor:
         """The normalised disc of a radius."""
-        found = over_pixels(self._axis(), lambda x, y: ((width - (x**2 + y**2).sqrt()) / EDGE).sigmoid())
+        found = pixel_average(
+            self._axis(), lambda x, y: ((width - (x**2 + y**2).sqrt()) / EDGE_WIDTH).sigmoid()
+        )
         return (found / found.sum()).expand(self.shape)
 
     @classmethod

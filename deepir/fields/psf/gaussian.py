@@ -28,7 +28,7 @@ class Gaussian(PSF):
         """Standard deviation in px, a scalar."""
         return self.width
 
-    def of_width(self, width: Tensor) -> Tensor:
+    def kernel_of_width(self, width: Tensor) -> Tensor:
         """The normalised kernel of a standard deviation."""
         line = torch.softmax(-((self._axis() / width) ** 2) / 2, 0)
         return (line[:, None] * line).expand(self.shape)

@@ -10,10 +10,8 @@ import torch
 from torch import Tensor, nn
 
 from deepir.fields.base import Shape
-from deepir.fields.psf.base import PSF, over_pixels
+from deepir.fields.psf.base import EDGE_WIDTH, PSF, pixel_average
 from deepir.registry import register
-
-EDGE = 0.2  # px, from light to dark
 
 
 @register("field", "motion_blur")
@@ -24,8 +22,8 @@ class MotionBlur(PSF):
     radius should be a px more than half its length.
     """
 
-    ratio: ClassVar[float] = 1.25
-    exact: ClassVar[bool] = False  # its direction, to half a degree
+    search_ratio: ClassVar[float] = 1.25
+    can_represent: ClassVar[bool] = False  # its direction, to half a degree
 
     def __init__(
         self,
@@ -39,26 +37,28 @@ class MotionBlur(PSF):
         super().__init__(shape, neutral, size, "length", length)
         if not math.isfinite(angle):
             raise ValueError(f"angle must be a number of degrees, not {angle}")
-        self.turn = nn.Parameter(torch.tensor(math.radians(angle) / self.step))
+        self.turn = nn.Parameter(torch.tensor(math.radians(angle) / self.preconditioning_scale))
 
-    def of_width(self, width: Tensor) -> Tensor:
+    def kernel_of_width(self, width: Tensor) -> Tensor:
         """The normalised line of a length."""
-        angle = self.step * self.turn
+        angle = self.preconditioning_scale * self.turn
 
         def line(x: Tensor, y: Tensor) -> Tensor:
             along, across = x * angle.cos() + y * angle.sin(), y * angle.cos() - x * angle.sin()
-            ends = ((width / 2 - along) / EDGE).sigmoid() - ((-width / 2 - along) / EDGE).sigmoid()
-            return ends * torch.exp(-((across / EDGE) ** 2) / 2)
+            ends = ((width / 2 - along) / EDGE_WIDTH).sigmoid() - (
+                (-width / 2 - along) / EDGE_WIDTH
+            ).sigmoid()
+            return ends * torch.exp(-((across / EDGE_WIDTH) ** 2) / 2)
 
-        found = over_pixels(self._axis(), line)
+        found = pixel_average(self._axis(), line)
         return (found / found.sum()).expand(self.shape)
 
     @torch.no_grad()
-    def starts(self) -> Iterator[dict[str, Tensor]]:
+    def search_starts(self) -> Iterator[dict[str, Tensor]]:
         """Each width in eight directions."""
-        for state in super().starts():
+        for state in super().search_starts():
             for i in range(8):
-                yield state | {"turn": self.turn.new_tensor(math.pi * i / 8 / self.step)}
+                yield state | {"turn": self.turn.new_tensor(math.pi * i / 8 / self.preconditioning_scale)}
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
@@ -66,7 +66,7 @@ class MotionBlur(PSF):
         axis, kernel = self._axis(), value.to(self.value).expand(self.shape)[0, 0]
         x, y = axis, axis[:, None]
         xx, xy, yy = ((kernel * each).sum() for each in (x * x, x * y, y * y))
-        self.turn.copy_(torch.atan2(2 * xy, xx - yy) / 2 / self.step)
+        self.turn.copy_(torch.atan2(2 * xy, xx - yy) / 2 / self.preconditioning_scale)
         super().init_from(value)
 
     @classmethod

@@ -6,10 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from deepir.fields.base import Field, Shape
-from deepir.fields.motion import STEP
+from deepir.fields.motion import PARAMETER_SCALE
 from deepir.registry import register
 
-LEAST = 1e-4  # of the largest value, at a start: what is exactly zero would stay so
+#: Smallest initial value relative to the largest: exact zeros would remain zero.
+MIN_INITIAL_RATIO = 1e-4
 
 
 @register("field", "simplex")
@@ -21,7 +22,7 @@ class Simplex(Field):
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int]) -> None:
         super().__init__(shape, neutral)
-        self.step = STEP / (size[0] * size[1]) ** 0.5
+        self.preconditioning_scale = PARAMETER_SCALE / (size[0] * size[1]) ** 0.5
         self.values = nn.Parameter(torch.zeros(self.shape))
         y, x = (torch.arange(side) - side // 2 for side in self.shape[-2:])
         self.init_from(torch.exp(-(x**2 + y[:, None] ** 2) / 2.0))
@@ -35,8 +36,8 @@ class Simplex(Field):
     def init_from(self, value: Tensor) -> None:
         """Take over what is not negative, scaled to sum one."""
         value = value.to(self.values).expand(self.shape).clamp(min=0)
-        value = value.clamp(min=LEAST * float(value.max()))
-        self.values.copy_((value / value.sum()).sqrt() / self.step)
+        value = value.clamp(min=MIN_INITIAL_RATIO * float(value.max()))
+        self.values.copy_((value / value.sum()).sqrt() / self.preconditioning_scale)
 
     @classmethod
     def example(cls) -> Simplex:

@@ -1,4 +1,4 @@
-"""What all scenes that a network draws have in common."""
+"""Base class of scenes that are the output of a network."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from deepir.fields.base import Field, Shape
 
 
 class Network(Field):
-    """A picture that a network draws, in units of the spread of what it starts from: `center + scale * draw()`.
+    """A scene `center + scale * draw()`, with the output of a network and mean and deviation of the initial scene.
 
     Args:
         shape: Of the scene, (S, 1, H, W).
-        neutral: The level, until it starts somewhere.
-        residual: Whether the network draws what is added to what the scene starts at.
-        bf16: Whether its layers are computed in bfloat16.
+        neutral: Level before initialisation.
+        residual: Whether the output of the network is added to the initial scene.
+        bf16: Whether the layers are computed in bfloat16.
     """
 
     center: Tensor
     scale: Tensor
     start: Tensor
-    exact = False
+    can_represent = False
 
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, bf16: bool = False
@@ -33,15 +33,15 @@ class Network(Field):
         self.residual, self.bf16 = residual, bf16
         self.register_buffer("center", torch.tensor(float(neutral)))
         self.register_buffer("scale", torch.tensor(1.0))
-        #: What the field starts from, in the network's units.
+        #: Initial scene, in units of the network.
         self.register_buffer("start", torch.zeros(self.shape))
 
     def draw(self) -> Tensor:
-        """The network's picture, of `shape` or one that is expanded to it."""
+        """Output of the network, of `shape` or broadcast to it."""
         raise NotImplementedError
 
     def forward(self) -> Tensor:
-        """`center + scale * draw()`, and what the field starts from with `residual`."""
+        """`center + scale * draw()`, with `residual` plus the initial scene."""
         with self._computing():
             picture = self.draw()
         picture = picture.to(self.center.dtype)
@@ -50,7 +50,7 @@ class Network(Field):
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
-        """Take over level, spread and, where it is made use of, the picture; the network stays as it is."""
+        """Store mean, deviation and image as the initial scene; the network is unchanged."""
         value = value.to(self.start).expand(self.shape)
         deviation = value.std() if value.numel() > 1 else value.new_zeros(())
         self.center.copy_(value.mean())
@@ -58,7 +58,7 @@ class Network(Field):
         self.start.copy_((value - self.center) / self.scale)
 
     def begin_at_start(self, last: nn.Linear | nn.Conv2d) -> None:
-        """Set the last layer of a `residual` to zero: the picture begins at what it starts from."""
+        """With `residual`, set the last layer to zero: the first output is the initial scene."""
         if self.residual:
             nn.init.zeros_(last.weight)
             if last.bias is not None:

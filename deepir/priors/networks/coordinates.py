@@ -1,4 +1,4 @@
-"""What all scenes have in common that a network draws from the coordinates of each pixel."""
+"""Base class of implicit neural representations."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from deepir.priors.networks.base import Network
 
 
 class Coordinates(Network):
-    """An implicit representation: `net((x, y)) -> value`, x and y from -1 to 1 along the longer side of the scene.
+    """Implicit representation `net((x, y)) -> values`, with coordinates from -1 to 1 along the longer side.
 
-    Of S scenes it has S values.
+    The network has one output for each of the S scenes.
     """
 
     net: nn.Module

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, counted
+from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
@@ -38,7 +38,7 @@ class DeepDecoder(Network):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        counted(width=(width, 1024), blocks=(blocks, 10))
+        check_counts(width=(width, 1024), blocks=(blocks, 10))
         if blocks < 2:
             raise ValueError("blocks must be at least 2")
         unit = 2 ** (blocks - 1)

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.fields.base import Shape, counted
+from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
 from deepir.priors.networks.skip_network import Skip
 from deepir.registry import register
@@ -56,7 +56,7 @@ class DIP(Network):
         bf16: bool = False,
     ) -> None:
         super().__init__(shape, neutral, residual=picture, bf16=bf16)
-        counted(width=(width, 512), scales=(scales, 8), skip=(skip, 128), inputs=(inputs, 128))
+        check_counts(width=(width, 512), scales=(scales, 8), skip=(skip, 128), inputs=(inputs, 128))
         self.perturb, self.sigmoid = perturb, sigmoid
         unit = 2**scales
         # Reflection wants two px at the coarsest scale.

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, counted
+from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.coordinates import Coordinates
 from deepir.registry import register
 
@@ -54,7 +54,7 @@ class Fourier(Coordinates):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        counted(count=(count, 4096), width=(width, 1024), depth=(depth, 32))
+        check_counts(count=(count, 4096), width=(width, 1024), depth=(depth, 32))
         if not 0 < bandwidth < float("inf"):
             raise ValueError(f"bandwidth must be a positive number, not {bandwidth}")
         layers: list[nn.Module] = [Waves(count, bandwidth)]

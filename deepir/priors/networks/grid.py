@@ -8,11 +8,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, counted
+from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
-START = 1e-2  # standard deviation of the features at the begin
+#: Initial standard deviation of the features.
+INITIAL_FEATURE_SIGMA = 1e-2
 
 
 @register("field", "grid")
@@ -41,11 +42,11 @@ class Grid(Network):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        counted(levels=(levels, 16), features=(features, 64), width=(width, 1024))
+        check_counts(levels=(levels, 16), features=(features, 64), width=(width, 1024))
         sizes = [[max(-(-side // 2**level), 2) for side in shape[-2:]] for level in range(levels)]
         sizes[0] = list(shape[-2:])
         self.grids = nn.ParameterList(
-            nn.Parameter(START * torch.randn(shape[0], features, *size)) for size in sizes
+            nn.Parameter(INITIAL_FEATURE_SIGMA * torch.randn(shape[0], features, *size)) for size in sizes
         )
         self.mix = nn.Sequential(
             nn.Conv2d(levels * features, width, 1), nn.GELU(), nn.Conv2d(width, width, 1), nn.GELU()

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, counted
+from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.coordinates import Coordinates
 from deepir.registry import register
 
@@ -47,7 +47,7 @@ class Siren(Coordinates):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        counted(width=(width, 1024), depth=(depth, 32))
+        check_counts(width=(width, 1024), depth=(depth, 32))
         if not 0 < omega < float("inf"):
             raise ValueError(f"omega must be a positive number, not {omega}")
         layers: list[nn.Module] = [Sine(2 if i == 0 else width, width, omega) for i in range(depth)]

@@ -12,11 +12,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.priors.networks.fused_upsampling import risen
+from deepir.priors.networks.fused_upsampling import upsample_join_convolve
 
 Pad = Literal["reflect", "zeros"]
-SLOPE = 0.2  # of the leaky rectifier
-WIDE, LARGE = 128, 1024  # channels and px from which on, on a CPU, fewer products are worth what they cost
+#: Negative slope of the leaky rectifier.
+NEGATIVE_SLOPE = 0.2
+#: Channels from which the fused block is faster on a CPU.
+MIN_FUSED_CHANNELS = 128
+#: Pixels of the coarse image from which the fused block is faster on a CPU.
+MIN_FUSED_PIXELS = 1024
 
 
 class Padded(nn.Conv2d):
@@ -48,7 +52,7 @@ class Convolution(nn.Sequential):
         super().__init__(
             Padded(inputs, outputs, size, stride, pad),
             nn.BatchNorm2d(outputs, track_running_stats=False),
-            nn.LeakyReLU(SLOPE, inplace=True),
+            nn.LeakyReLU(NEGATIVE_SLOPE, inplace=True),
         )
 
 
@@ -89,36 +93,36 @@ class Skip(nn.Module):
             levels.append(down(levels[-1]))
         deep = levels.pop()
         for i in reversed(range(len(levels))):
-            deep = self._risen(i, self.skips[i](levels[i]), deep)
+            deep = self._join(i, self.skips[i](levels[i]), deep)
         picture: Tensor = self.last(deep)
         return picture
 
-    def _risen(self, i: int, beside: Tensor, deep: Tensor) -> Tensor:
-        """What the scale `i` makes of the one below, doubled, with its own skip connection beside it."""
+    def _join(self, i: int, skip: Tensor, deep: Tensor) -> Tensor:
+        """What the scale `i` makes of the one below, doubled, with its own skip connection skip it."""
         first, mixed = self.rise[i].children()
         convolution, *after = first.children()
-        if self._is_worth_it(deep):
-            x = risen(beside, deep, self.join[i], convolution)  # type: ignore[arg-type]
+        if self._fused_is_faster(deep):
+            x = upsample_join_convolve(skip, deep, self.join[i], convolution)  # type: ignore[arg-type]
         else:
-            x = convolution(self.join[i](torch.cat((beside, self._doubled(deep)), 1)))
+            x = convolution(self.join[i](torch.cat((skip, self._upsample(deep)), 1)))
         for layer in (*after, mixed):
             x = layer(x)
         return x
 
-    def _is_worth_it(self, deep: Tensor) -> bool:
+    def _fused_is_faster(self, deep: Tensor) -> bool:
         published = self.up == "bilinear" and self.pad == "reflect"
-        large = deep.shape[1] >= WIDE and deep[0, 0].numel() >= LARGE
+        large = deep.shape[1] >= MIN_FUSED_CHANNELS and deep[0, 0].numel() >= MIN_FUSED_PIXELS
         return published and large and deep.device.type == "cpu"
 
-    def _doubled(self, x: Tensor) -> Tensor:
+    def _upsample(self, x: Tensor) -> Tensor:
         """`x` with twice the height and width, in its own precision."""
         with torch.autocast(x.device.type, enabled=False):
             doubled = F.interpolate(x, scale_factor=2, mode=self.up)
         # Its gradient is a slice of that of what it is joined with, and takes nine times as long if it is not packed.
         if doubled.requires_grad:
-            doubled.register_hook(_packed)
+            doubled.register_hook(_to_channels_last)
         return doubled
 
 
-def _packed(gradient: Tensor) -> Tensor:
+def _to_channels_last(gradient: Tensor) -> Tensor:
     return gradient.contiguous(memory_format=torch.channels_last)

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, counted
+from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.coordinates import Coordinates
 from deepir.registry import register
 
@@ -64,7 +64,7 @@ class Wire(Coordinates):
         **options: Any,
     ) -> None:
         super().__init__(shape, neutral, **options)
-        counted(width=(width, 1024), depth=(depth, 32))
+        check_counts(width=(width, 1024), depth=(depth, 32))
         if not (0 < omega < float("inf") and 0 <= sharpness < float("inf")):
             raise ValueError("omega must be positive and sharpness not negative")
         first = Gabor(2, width, omega, sharpness, real=True)

@@ -1,4 +1,4 @@
-"""What a penalty is."""
+"""Base class of penalties."""
 
 from __future__ import annotations
 
@@ -10,23 +10,30 @@ from torch import Tensor, nn
 
 
 class Penalty(nn.Module):
-    """A negative log-prior of a value, in nats: `weight * energy(value)`.
+    """Negative log-prior of an unknown, `weight * energy(value)`, nats.
 
-    `weight` is in nats for each unit of the energy; `given` is what the configuration says of it, None for
-    `auto`: then a problem sets it, mostly to `natural`.
+    Attributes:
+        weight: Nats per unit of the energy.
+        user_weight: Weight of the configuration; None for `auto`: a problem sets it, mostly to `default_weight`.
+
+    Args:
+        weight: Fixed weight; None for `auto`.
+
+    Raises:
+        ValueError: The weight is negative or not finite.
     """
 
     weight: Tensor
-    #: Whether it is of the picture that the scene shows, not of the scene's array; see `Operator.image`.
-    of_image: ClassVar[bool] = False
-    #: How plain a scene is, in powers of two, from which the penalty may be stronger by as much as it is plainer.
-    clear: ClassVar[float] = math.inf
+    #: Whether it acts on samples at pixel centres instead of spline coefficients; see `Operator.to_pixels`.
+    acts_on_pixels: ClassVar[bool] = False
+    #: log2 smoothness of the scene above which the default weight grows; inf: never.
+    smooth_scene_threshold: ClassVar[float] = math.inf
 
     def __init__(self, *, weight: float | None = None) -> None:
         super().__init__()
         if weight is not None and not 0 <= weight < float("inf"):
             raise ValueError(f"weight must be a number of at least 0, not {weight}")
-        self.given = weight
+        self.user_weight = weight
         self.register_buffer("weight", torch.tensor(1.0 if weight is None else float(weight)))
 
     def forward(self, value: Tensor) -> Tensor:
@@ -34,29 +41,31 @@ class Penalty(nn.Module):
         return self.weight * self.energy(value)
 
     def energy(self, value: Tensor) -> Tensor:
-        """The energy of a value (..., H, W), a scalar in the value's units (or their square)."""
+        """Energy of a value (..., H, W): a scalar, in units of the value or their square."""
         raise NotImplementedError
 
-    def natural(self, noise: float) -> float:
-        """The weight that suits a value with noise of this standard deviation, before it is penalised."""
+    def default_weight(self, sigma: float) -> float:
+        """Weight for a value whose unregularised estimate has noise of standard deviation `sigma`."""
         return 1.0
 
-    def typical(self) -> float:
-        """The weight at a usual place."""
+    def typical_weight(self) -> float:
+        """Weight at a typical pixel."""
         return float(self.weight)
 
     def adapt(self, value: Tensor, noise: float) -> None:
-        """Learn what the penalty needs from the value as it is, with noise of this standard deviation.
+        """Update buffers from the present value; called between the stages of a solve.
 
-        Called between the stages of a solve; it may change buffers, nothing else.
+        Args:
+            value: (..., H, W).
+            noise: Standard deviation of its noise.
         """
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
-        """About how the penalty curves at `value`: per square of a change, and per squared gradient of one."""
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
+        """Mean curvature at `value` as coefficients (identity, negative Laplacian), weight included."""
         return 0.0, 0.0
 
-    def flat(self, value: Tensor) -> float:
-        """The share of a value that the penalty has made flat; NaN if it does not know."""
+    def fraction_shrunk_to_zero(self, value: Tensor) -> float:
+        """Fraction of the value that the penalty has flattened; NaN if unknown."""
         return math.nan
 
     @classmethod

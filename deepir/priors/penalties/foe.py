@@ -14,9 +14,10 @@ from deepir.fields.base import Shape
 from deepir.priors.penalties.smoothed_norm import SmoothedNorm
 from deepir.registry import register
 
-SIDE = 5  # px: of a filter
-#: Where training starts: with first, diagonal, second and mixed differences.
-DIFFERENCES = (
+#: Side of a filter, px.
+FILTER_SIDE = 5
+#: Initial filters of training: first, diagonal, second and mixed differences.
+INITIAL_FILTERS = (
     ((0, 0, 0), (0, -1, 1), (0, 0, 0)),
     ((0, 0, 0), (0, -1, 0), (0, 1, 0)),
     ((0, 0, 0), (0, -1, 0), (0, 0, 1)),
@@ -26,22 +27,24 @@ DIFFERENCES = (
     ((0, 0, 0), (0, 1, -1), (0, -1, 1)),
     ((1, -2, 1), (-2, 4, -2), (1, -2, 1)),
 )
-THIN = 3  # px from one place to the next where one in so many does
-FLAT = 0.3
+#: Stride at which responses are sampled for statistics, px.
+SAMPLING_STRIDE = 3
+#: Response below which a filter counts as flat, noise standard deviations.
+FLAT_RESPONSE = 0.3
 
 
 class Experts(nn.Module):
-    """Filters, what their answers cost, and where that grows more slowly; trained by `deepir train foe`."""
+    """Parameters of the experts: filters, weights and tails; trained by `deepir train foe`."""
 
     def __init__(self) -> None:
         super().__init__()
-        start = F.pad(torch.tensor(DIFFERENCES, dtype=torch.float32), (1, 1, 1, 1))
+        start = F.pad(torch.tensor(INITIAL_FILTERS, dtype=torch.float32), (1, 1, 1, 1))
         self.taps = nn.Parameter(start + 0.03 * torch.randn(start.shape))
         self.costs = nn.Parameter(torch.full((len(start),), -1.6))
         self.tails = nn.Parameter(torch.full((len(start),), 1.8))
 
     def forward(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Filters (C, k, k), blind to a constant and as long as a difference, weights (C) and tails (C)."""
+        """Filters (C, k, k) of zero mean and the norm of a difference; weights (C,); tails (C,)."""
         taps = self.taps - self.taps.mean((1, 2), keepdim=True)
         filters = taps * (2 / taps.square().sum((1, 2), keepdim=True)).sqrt()
         return filters, self.costs.exp(), self.tails.exp()
@@ -49,14 +52,16 @@ class Experts(nn.Module):
 
 @register("penalty", "foe")
 class FoE(SmoothedNorm):
-    """Fields of experts: what small filters answer, `Σ w_c φ(f_c * x)`, is mostly small and now and then large.
+    """Fields of experts, `Σ w_c φ(f_c * x)`: heavy-tailed costs φ of the responses of small learned filters.
 
-    (Roth and Black 2009; filters and weights learned so that the minimum is the best estimate, Samuel and Tappen
-    2009.) Fine texture and slopes cost less than with total variation.
+    Fine texture and slopes cost less than with total variation.
+
+    Source: Roth and Black 2009, "Fields of experts"; trained so that the minimum is the best estimate, Samuel and
+    Tappen 2009, "Learning optimized MAP estimates in continuously-valued MRF models".
     """
 
-    scale = 1.0  # in whose units the experts are
-    clear = 2.0  # skies: it knows noise better than edges
+    scale = 1.0  # the experts are in units of the noise
+    smooth_scene_threshold = 2.0  # skies: the filters model noise better than edges
     filters: Tensor
     costs: Tensor
     tails: Tensor
@@ -69,71 +74,93 @@ class FoE(SmoothedNorm):
             self.register_buffer(name, value.clone(), persistent=False)
 
     def energy(self, value: Tensor) -> Tensor:
-        """`Σ share Σ_c w_c 2 t_c (sqrt(1 + l / t_c) - 1)` of `l = sqrt((f_c * x)² + e²) - e`, in units of `1 / weight`.
+        """`Σ m Σ_c w_c 2 t_c (sqrt(1 + l / t_c) - 1)`, `l = sqrt((f_c * x)² + e²) - e`, with the weight map m.
 
-        As long as the total variation where `l` is small, as its root where it is large.
+        Lengths are in units of `1 / weight`. The cost is linear in small `l`, like total variation, and grows as the
+        square root of large `l`.
         """
         tails = self.tails / self.weight.clamp(min=1e-12)
         if value.device.type == "cpu":
-            energy: Tensor = _OnCPU.apply(
-                value, self.share, self.filters, self.costs, tails, float(self.edge)
+            energy: Tensor = _CompiledEnergy.apply(
+                value, self.weight_map, self.filters, self.costs, tails, float(self.epsilon)
             )
             return energy
-        return counted(value, self.share, self.filters, self.costs, tails, self.edge)
+        return foe_energy(value, self.weight_map, self.filters, self.costs, tails, self.epsilon)
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
-        """The mean of `weight share Σ w_c |f_c|² φ' / 4 |f_c * x|`: a filter's share of the gradient's waves."""
-        long = lengths(value, self.filters, self.edge, THIN)
-        bent = (1 + long * (self.weight / self.tails)[:, None, None]).rsqrt() / (long + self.edge)
-        stiff = middles(self.share, value.shape)[..., ::THIN, ::THIN] * (self.costs[:, None, None] * bent)
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
+        """The mean of `weight weight_map Σ w_c |f_c|² φ' / 4 |f_c * x|`: a filter's share of the gradient's waves."""
+        long = filter_magnitudes(value, self.filters, self.epsilon, SAMPLING_STRIDE)
+        bent = (1 + long * (self.weight / self.tails)[:, None, None]).rsqrt() / (long + self.epsilon)
+        stiff = central_weights(self.weight_map, value.shape)[..., ::SAMPLING_STRIDE, ::SAMPLING_STRIDE] * (
+            self.costs[:, None, None] * bent
+        )
         return 0.0, float(self.weight * stiff.mean((-2, -1)).sum(-1).mean() / 2)  # |f_c|² is two
 
-    def flat(self, value: Tensor) -> float:
-        """The share of the filters' answers that are less than `FLAT` of the noise that the weight is for."""
-        return float((lengths(value, self.filters, self.edge, THIN) * self.weight < FLAT).float().mean())
+    def fraction_shrunk_to_zero(self, value: Tensor) -> float:
+        """Fraction of the filter responses below `FLAT_RESPONSE`."""
+        return float(
+            (
+                filter_magnitudes(value, self.filters, self.epsilon, SAMPLING_STRIDE) * self.weight
+                < FLAT_RESPONSE
+            )
+            .float()
+            .mean()
+        )
 
 
-def counted(
-    value: Tensor, share: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, edge: Tensor | float
+def foe_energy(
+    value: Tensor, weight_map: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, epsilon: Tensor | float
 ) -> Tensor:
-    """The energy of values (..., H, W), with slopes for whatever asks for them; share: (..., H, W), or one number."""
-    long = lengths(value, filters, edge)
+    """Energy of `FoE` in torch, with gradients in all arguments.
+
+    Args:
+        value: (..., H, W).
+        weight_map: (..., H, W), or a scalar.
+        filters: (C, FILTER_SIDE, FILTER_SIDE).
+        costs: Weight w_c of each filter, (C,).
+        tails: Response t_c above which the cost grows as a square root, (C,), units of the value.
+        epsilon: Smoothing length e, units of the value.
+
+    Returns:
+        A float64 scalar.
+    """
+    long = filter_magnitudes(value, filters, epsilon)
     tails, costs = (each[:, None, None].to(long) for each in (tails, costs))
     each = costs * 2 * long / (1 + (1 + long / tails).sqrt())
-    return (middles(share, value.shape) * each).sum(dtype=torch.float64)
+    return (central_weights(weight_map, value.shape) * each).sum(dtype=torch.float64)
 
 
-def lengths(value: Tensor, filters: Tensor, edge: Tensor | float, step: int = 1) -> Tensor:
+def filter_magnitudes(value: Tensor, filters: Tensor, epsilon: Tensor | float, step: int = 1) -> Tensor:
     """`sqrt((f_c * x)² + e²) - e`, (..., C, H - 4, W - 4), without its cancellation."""
     flat = value.reshape(-1, 1, *value.shape[-2:])
     squared = F.conv2d(flat, filters[:, None].to(flat), stride=step).square()
-    long = squared / ((squared + edge**2).sqrt() + edge)
+    long = squared / ((squared + epsilon**2).sqrt() + epsilon)
     return long.reshape(*value.shape[:-2], *long.shape[1:])
 
 
-def middles(share: Tensor, shape: Shape) -> Tensor:
-    """How much the places count in whose middle a filter can lie, (..., 1, H - 4, W - 4)."""
-    inside = slice(SIDE // 2, -(SIDE // 2))
-    return share.expand(*share.shape[:-2], *shape[-2:])[..., None, inside, inside]
+def central_weights(weight_map: Tensor, shape: Shape) -> Tensor:
+    """Weights of the pixels at which a filter lies inside the image, (..., 1, H - 4, W - 4)."""
+    inside = slice(FILTER_SIDE // 2, -(FILTER_SIDE // 2))
+    return weight_map.expand(*weight_map.shape[:-2], *shape[-2:])[..., None, inside, inside]
 
 
-class _OnCPU(torch.autograd.Function):
+class _CompiledEnergy(torch.autograd.Function):
     """The same in one pass, which finds the gradient as well."""
 
     @staticmethod
     def forward(
-        ctx: Any, value: Tensor, share: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, e: float
+        ctx: Any, value: Tensor, weight_map: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, e: float
     ) -> Tensor:
         from deepir.kernels.compile import parallel_for
         from deepir.kernels.fields_of_experts import experts
 
         pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
-        share = share.to(pictures).expand(pictures.shape[-2:]).contiguous()
+        weight_map = weight_map.to(pictures).expand(pictures.shape[-2:]).contiguous()
         learned = tuple(each.to(pictures).contiguous() for each in (filters, costs, tails))
         gradient = torch.empty_like(pictures)
         energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
         for i, picture in enumerate(pictures):
-            parallel_for(experts, len(picture), picture, share, *learned, e, energy[i], gradient[i])
+            parallel_for(experts, len(picture), picture, weight_map, *learned, e, energy[i], gradient[i])
         ctx.save_for_backward(gradient.reshape(value.shape))
         return energy.sum()
 

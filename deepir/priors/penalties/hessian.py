@@ -17,11 +17,11 @@ class Hessian(SmoothedNorm):
     """
 
     scale = 3.2
-    follows = False  # not tried from place to place
+    adapts = False  # not tested with a weight map
 
     def energy(self, value: Tensor) -> Tensor:
         """`Σ sqrt(xx² + yy² + 2 xy²  + e²) - e`, with `e = rounding / weight`."""
         along_x = F.pad(value.diff(n=2, dim=-1), (1, 1))
         along_y = F.pad(value.diff(n=2, dim=-2), (0, 0, 1, 1))
         across = F.pad(value.diff(dim=-1).diff(dim=-2), (0, 1, 0, 1))
-        return self.lengths(along_x.square() + along_y.square() + 2 * across.square())
+        return self.smoothed_l1(along_x.square() + along_y.square() + 2 * across.square())

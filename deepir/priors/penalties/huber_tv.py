@@ -28,20 +28,20 @@ class HuberTV(SpatiallyWeighted):
         self.threshold = threshold
 
     def energy(self, value: Tensor) -> Tensor:
-        """`|∇x|² / 2 d` where `|∇x| < d = threshold / weight`, `|∇x| - d / 2` elsewhere, summed by `share`."""
+        """`|∇x|² / 2 d` where `|∇x| < d = threshold / weight`, `|∇x| - d / 2` elsewhere, summed by `weight_map`."""
         d = self.threshold / self.weight.clamp(min=1e-12)
         squared = squared_gradient(value)
         linear = squared.clamp(min=d.square().to(squared)).sqrt() - d / 2
-        return (self.share * torch.where(squared < d.square(), squared / (2 * d), linear)).sum(
+        return (self.weight_map * torch.where(squared < d.square(), squared / (2 * d), linear)).sum(
             dtype=torch.float64
         )
 
-    def natural(self, noise: float) -> float:
+    def default_weight(self, sigma: float) -> float:
         """One nat for a step of `TV.scale` standard deviations."""
-        return 1 / (TV.scale * noise)
+        return 1 / (TV.scale * sigma)
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
-        """The mean of `weight share / max(|∇x|, d)`, of the gradient."""
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
+        """The mean of `weight weight_map / max(|∇x|, d)`, of the gradient."""
         d = self.threshold / self.weight.clamp(min=1e-12)
         steep = squared_gradient(value).sqrt().clamp(min=float(d))
-        return 0.0, float((self.weight * self.share / steep).mean())
+        return 0.0, float((self.weight * self.weight_map / steep).mean())

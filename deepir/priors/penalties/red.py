@@ -12,28 +12,33 @@ from deepir.fields.base import Shape
 from deepir.priors.penalties.base import Penalty
 from deepir.registry import lookup, register
 
-FALL = 0.8  # of the strength from one stage to the next
+#: Denoiser strength relative to that of the stage before.
+STRENGTH_DECAY = 0.8
 
 
 @register("penalty", "red")
 class RED(Penalty):
-    """Half the squared distance of the picture from what a denoiser makes of it, `½ Σ (x - D(x))²`.
+    """Regularisation by denoising: `½ Σ (x - D(x))²` with a denoiser D.
 
-    (Romano, Elad, Milanfar 2017, "The little engine that could: regularization by denoising", solved by fixed points:
-    `D(x)` is held during a stage, and found anew at the begin of the next.) Where the data leave much of the picture
-    open, the denoiser begins stronger and becomes weaker from stage to stage (Zhang et al. 2021, "Plug-and-play image
-    restoration with deep denoiser prior").
+    Solved by fixed points: `D(x)` is constant during a stage and updated at the start of the next.
 
     Args:
         shape: Of the value.
-        denoiser: The name of one, or a function `(picture (S, C, H, W), noise) -> picture`.
-        strength: Of the noise that the denoiser is told, in standard deviations of the picture's. What `D(x)` is
-            averaged with is less noisy than the data.
-        first: The strength in the first stage, from which it falls by a fifth a stage; `strength` if not given.
-        trust: The natural weight, in one over the variance that the denoiser is told.
+        weight: Fixed weight; None for `auto`.
+        denoiser: Registered name, or a function `(image (S, C, H, W), sigma) -> image`.
+        strength: Standard deviation passed to the denoiser, relative to that of the noise of the value.
+        first: Strength in the first stage, from which it decreases by a fifth per stage; `strength` if None. A
+            stronger start helps where the data determine little (Zhang et al. 2021, "Plug-and-play image restoration
+            with deep denoiser prior").
+        trust: Default weight, in inverse variances passed to the denoiser.
+
+    Raises:
+        ValueError: An option is not positive and finite.
+
+    Source: Romano, Elad, Milanfar 2017, "The little engine that could: regularization by denoising".
     """
 
-    of_image = True
+    acts_on_pixels = True
     target: Tensor
     stage: Tensor
 
@@ -57,23 +62,23 @@ class RED(Penalty):
         self.register_buffer("stage", torch.tensor(0))
 
     def energy(self, value: Tensor) -> Tensor:
-        """`½ Σ (x - D(x))²`, with `D(x)` as it was found last."""
+        """`½ Σ (x - D(x))²`, with the last `D(x)`."""
         return (value - self.target).square().sum(dtype=torch.float64) / 2
 
     def adapt(self, value: Tensor, noise: float) -> None:
-        """Denoise the picture; the next time more weakly, down to `strength`."""
-        self.target.copy_(self.denoise(value, self._told() * noise))
+        """Update `D(x)`; the strength then decreases, down to `strength`."""
+        self.target.copy_(self.denoise(value, self._denoiser_sigma() * noise))
         self.stage += 1
 
-    def natural(self, noise: float) -> float:
-        """`trust` over the variance of the noise that the denoiser is told; by default, as much as eight bursts."""
-        return self.trust / (self._told() * noise) ** 2
+    def default_weight(self, sigma: float) -> float:
+        """`trust` over the variance passed to the denoiser."""
+        return self.trust / (self._denoiser_sigma() * sigma) ** 2
 
-    def _told(self) -> float:
-        """Strength in this stage."""
-        return max(self.strength, self.first * FALL ** int(self.stage))
+    def _denoiser_sigma(self) -> float:
+        """Standard deviation passed to the denoiser in this stage, relative to that of the noise."""
+        return max(self.strength, self.first * STRENGTH_DECAY ** int(self.stage))
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
         """The weight."""
         return float(self.weight), 0.0
 

@@ -21,6 +21,6 @@ class Ridge(Penalty):
         """`½ Σ (x - center)²`."""
         return (value - self.center).square().sum(dtype=torch.float64) / 2
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
         """The weight."""
         return float(self.weight), 0.0

@@ -1,4 +1,4 @@
-"""What penalties of a length have in common."""
+"""Base class of smoothed L1 norms of vectors."""
 
 from __future__ import annotations
 
@@ -12,9 +12,18 @@ from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 
 
 class SmoothedNorm(SpatiallyWeighted):
-    """A sum of lengths, rounded at `rounding`, in units of `1 / weight`, so that it is smooth enough for L-BFGS."""
+    """A sum of vector lengths, smoothed near zero for L-BFGS.
 
-    #: The step or kink, in standard deviations of the noise, that costs one nat.
+    Args:
+        shape: Of the value; None without a weight map.
+        weight: Fixed weight; None for `auto`.
+        rounding: Smoothing length, in units of `1 / weight`.
+
+    Raises:
+        ValueError: `rounding` is not positive and finite.
+    """
+
+    #: Length that costs one nat at the default weight, noise standard deviations.
     scale: ClassVar[float]
 
     def __init__(
@@ -26,15 +35,15 @@ class SmoothedNorm(SpatiallyWeighted):
         self.rounding = rounding
 
     @property
-    def edge(self) -> Tensor:
-        """The length `e` below which it is round."""
+    def epsilon(self) -> Tensor:
+        """Smoothing length e, units of the value."""
         return self.rounding / self.weight.clamp(min=1e-12)
 
-    def natural(self, noise: float) -> float:
-        """One nat for `scale` standard deviations."""
-        return 1 / (self.scale * noise)
+    def default_weight(self, sigma: float) -> float:
+        """One nat per `scale` noise standard deviations."""
+        return 1 / (self.scale * sigma)
 
-    def lengths(self, squared: Tensor) -> Tensor:
-        """`Σ share (sqrt(|v|² + e²) - e)` of squared lengths: the same as the difference, without its cancellation."""
-        rounded = squared / (torch.sqrt(squared + self.edge.square()) + self.edge)
-        return (self.share * rounded).sum(dtype=torch.float64)
+    def smoothed_l1(self, squared: Tensor) -> Tensor:
+        """`Σ m (sqrt(|v|² + e²) - e)` with the weight map m, from `|v|²`; written without cancellation."""
+        rounded = squared / (torch.sqrt(squared + self.epsilon.square()) + self.epsilon)
+        return (self.weight_map * rounded).sum(dtype=torch.float64)

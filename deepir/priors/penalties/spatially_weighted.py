@@ -1,4 +1,4 @@
-"""What penalties that vary from place to place have in common."""
+"""Base class of penalties with a weight map."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from deepir.priors.penalties.base import Penalty
 
 
 class SpatiallyWeighted(Penalty):
-    """A sum over places. Of a value whose `shape` is given, `share` is how much each counts, (H, W); one at first."""
+    """A penalty that is a sum over pixels, each weighted by `weight_map`, (H, W), ones at first; () without a shape."""
 
-    #: Whether the weight may follow the scene from place to place.
-    follows: ClassVar[bool] = True
-    share: Tensor
+    #: Whether the weight map may be adapted to the scene.
+    adapts: ClassVar[bool] = True
+    weight_map: Tensor
 
     def __init__(self, shape: Shape | None = None, *, weight: float | None = None) -> None:
         super().__init__(weight=weight)
-        self.register_buffer("share", torch.ones(shape[-2:] if shape else ()))
+        self.register_buffer("weight_map", torch.ones(shape[-2:] if shape else ()))
 
     @property
-    def free(self) -> bool:
-        """Whether `share` is to be found."""
-        return self.given is None and self.share.ndim > 0
+    def is_adaptive(self) -> bool:
+        """Whether the weight map is estimated: a shape, and an automatic weight."""
+        return self.user_weight is None and self.weight_map.ndim > 0
 
     @torch.no_grad()
-    def go_on_from(self, other: SpatiallyWeighted) -> None:
-        """Count places as another penalty of the same value does, where both may."""
-        if self.free and self.follows and other.follows:
-            self.share.copy_(other.share)
+    def inherit_weights(self, other: SpatiallyWeighted) -> None:
+        """Copy the weight map of another penalty on the same value, if both adapt."""
+        if self.is_adaptive and self.adapts and other.adapts:
+            self.weight_map.copy_(other.weight_map)
 
-    def typical(self) -> float:
-        """The geometric mean of the places' weights."""
-        return float(self.weight * self.share.log().mean().exp())
+    def typical_weight(self) -> float:
+        """Geometric mean of the weights of all pixels."""
+        return float(self.weight * self.weight_map.log().mean().exp())

@@ -21,7 +21,7 @@ class TGV(SmoothedNorm):
     """
 
     scale = 1.6  # as for total variation
-    follows = False  # not tried from place to place
+    adapts = False  # not tested with a weight map
     unit: Tensor
 
     def __init__(
@@ -41,7 +41,7 @@ class TGV(SmoothedNorm):
         edges = (_down(value) - down).square() + (_right(value) - right).square()
         shear = _right(down) + _down(right)
         kinks = _down(down).square() + _right(right).square() + shear.square() / 2
-        return self.lengths(edges) + self.ratio * self.lengths(kinks)
+        return self.smoothed_l1(edges) + self.ratio * self.smoothed_l1(kinks)
 
     def adapt(self, value: Tensor, noise: float) -> None:
         """Take the spread of the value for the slopes' unit."""

@@ -9,9 +9,8 @@ from deepir.arrays.differences import squared_gradient
 from deepir.priors.penalties.base import Penalty
 from deepir.registry import register
 
-#: Usual gradient, in standard deviations of the noise: edges are far above it. The best on the truth was 4 to 11, for a
-#: burst and for one blurred frame.
-SCALE = 5.0
+#: Typical gradient, noise standard deviations; 4 to 11 were best on bursts and a blurred frame with known truth.
+GRADIENT_SIGMA_RATIO = 5.0
 
 
 @register("penalty", "smooth")
@@ -22,10 +21,10 @@ class Tikhonov(Penalty):
         """`½ Σ |∇x|²`, with forward differences."""
         return squared_gradient(value).sum(dtype=torch.float64) / 2
 
-    def natural(self, noise: float) -> float:
-        """A gradient of `SCALE` standard deviations is usual."""
-        return 1 / (SCALE * noise) ** 2
+    def default_weight(self, sigma: float) -> float:
+        """Inverse variance of a gradient of `GRADIENT_SIGMA_RATIO` noise standard deviations."""
+        return 1 / (GRADIENT_SIGMA_RATIO * sigma) ** 2
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
         """The weight, of the gradient."""
         return 0.0, float(self.weight)

@@ -20,32 +20,32 @@ class TV(SmoothedNorm):
     scale = 1.6
 
     def energy(self, value: Tensor) -> Tensor:
-        """`Σ share (sqrt(|∇x|² + e²) - e)`, with `e = rounding / weight`."""
+        """`Σ weight_map (sqrt(|∇x|² + e²) - e)`, with `e = rounding / weight`."""
         if value.device.type == "cpu":
-            energy: Tensor = _OnCPU.apply(value, self.share, float(self.edge))
+            energy: Tensor = _CompiledEnergy.apply(value, self.weight_map, float(self.epsilon))
             return energy
-        return self.lengths(squared_gradient(value))
+        return self.smoothed_l1(squared_gradient(value))
 
-    def stiffness(self, value: Tensor) -> tuple[float, float]:
-        """The mean of `weight share / sqrt(|∇x|² + e²)`, of the gradient."""
-        steep = (squared_gradient(value) + self.edge.square()).rsqrt()
-        return 0.0, float((self.weight * self.share * steep).mean())
+    def mean_curvature(self, value: Tensor) -> tuple[float, float]:
+        """The mean of `weight weight_map / sqrt(|∇x|² + e²)`, of the gradient."""
+        steep = (squared_gradient(value) + self.epsilon.square()).rsqrt()
+        return 0.0, float((self.weight * self.weight_map * steep).mean())
 
 
-class _OnCPU(torch.autograd.Function):
+class _CompiledEnergy(torch.autograd.Function):
     """The same in one pass, which finds the gradient as well."""
 
     @staticmethod
-    def forward(ctx: Any, value: Tensor, share: Tensor, rounding: float) -> Tensor:
+    def forward(ctx: Any, value: Tensor, weight_map: Tensor, rounding: float) -> Tensor:
         from deepir.kernels.compile import parallel_for
         from deepir.kernels.tv import total_variation
 
         pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
-        share = share.to(pictures).expand(pictures.shape[-2:]).contiguous()
+        weight_map = weight_map.to(pictures).expand(pictures.shape[-2:]).contiguous()
         gradient = torch.empty_like(pictures)
         energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
         for i, picture in enumerate(pictures):
-            parallel_for(total_variation, len(picture), picture, share, rounding, energy[i], gradient[i])
+            parallel_for(total_variation, len(picture), picture, weight_map, rounding, energy[i], gradient[i])
         ctx.save_for_backward(gradient.reshape(value.shape))
         return energy.sum()
 

@@ -10,7 +10,7 @@ from deepir.build.problem import build_scene
 from deepir.config import load
 from deepir.priors.networks.base import Network
 from deepir.priors.networks.dip import DIP
-from deepir.priors.networks.fused_upsampling import risen
+from deepir.priors.networks.fused_upsampling import upsample_join_convolve
 from deepir.priors.networks.grid import Grid
 from deepir.priors.networks.siren import Sine, Siren
 from deepir.priors.networks.skip_network import Padded, Skip
@@ -89,7 +89,7 @@ def test_rows_that_are_doubled_after_the_convolution_give_what_they_give_before_
     deep = torch.randn(2, 6, height, 4, dtype=torch.float64, requires_grad=True)
     doubled = nn.functional.interpolate(deep, scale_factor=2, mode="bilinear")
     plain = convolution(norm(torch.cat((beside, doubled), 1)))
-    quick = risen(beside, deep, norm, convolution)
+    quick = upsample_join_convolve(beside, deep, norm, convolution)
     torch.testing.assert_close(quick, plain)
     into = (beside, deep, *norm.parameters(), *convolution.parameters())
     weights = torch.randn_like(plain)
@@ -102,7 +102,11 @@ def test_a_channel_that_is_constant_has_no_variance_in_bfloat16():
     (convolution, *_), norm = net.rise[0][0], net.join[0]
     deep = torch.rand(6, 1, 1).bfloat16().expand(1, 6, 4, 4)
     with torch.autocast("cpu", torch.bfloat16):
-        assert risen(torch.rand(1, 3, 8, 8).bfloat16(), 3 * deep, norm, convolution).isfinite().all()
+        assert (
+            upsample_join_convolve(torch.rand(1, 3, 8, 8).bfloat16(), 3 * deep, norm, convolution)
+            .isfinite()
+            .all()
+        )
 
 
 def test_perturbed_input_is_drawn_anew_for_each_gradient_and_never_for_a_result():

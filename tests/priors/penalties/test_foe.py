@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.ndimage import correlate
 
-from deepir.priors.penalties.foe import Experts, FoE, counted
+from deepir.priors.penalties.foe import Experts, FoE, foe_energy
 from deepir.priors.penalties.tv import TV
 from deepir.simulate.scenes.procedural import procedural
 from deepir.training import foe
@@ -22,7 +22,7 @@ def picture(shape=(20, 24)):
 
 def varied(shape, **options):
     penalty = FoE((1, 1, *shape), **options)
-    penalty.share.copy_(torch.rand(shape, generator=torch.Generator().manual_seed(1)) + 0.2)
+    penalty.weight_map.copy_(torch.rand(shape, generator=torch.Generator().manual_seed(1)) + 0.2)
     return penalty
 
 
@@ -33,7 +33,9 @@ def reference(x, penalty):
     for kernel, cost, tail in zip(penalty.filters, penalty.costs, penalty.tails, strict=True):
         length = np.hypot(correlate(x, kernel.double().numpy())[inside], e) - e
         t = float(tail) / weight
-        total += (penalty.share.numpy()[inside] * float(cost) * 2 * t * (np.sqrt(1 + length / t) - 1)).sum()
+        total += (
+            penalty.weight_map.numpy()[inside] * float(cost) * 2 * t * (np.sqrt(1 + length / t) - 1)
+        ).sum()
     return total
 
 
@@ -54,7 +56,7 @@ def test_the_loop_is_what_torch_computes(threads, shape):
     (slope,) = torch.autograd.grad(found, x)
     torch.set_num_threads(before)
     tails = penalty.tails / penalty.weight
-    wanted = counted(x, penalty.share, penalty.filters, penalty.costs, tails, penalty.edge)
+    wanted = foe_energy(x, penalty.weight_map, penalty.filters, penalty.costs, tails, penalty.epsilon)
     assert torch.allclose(found, wanted, rtol=1e-6)
     assert torch.allclose(slope, torch.autograd.grad(wanted, x)[0], rtol=1e-5, atol=1e-7)
 
@@ -73,7 +75,7 @@ def test_a_level_is_not_seen_nor_a_sign():
 
 
 def test_the_natural_weight_belongs_to_the_units():
-    costs = [float(FoE(weight=FoE().natural(0.1 * s))(s * picture())) for s in (1.0, 1e3)]
+    costs = [float(FoE(weight=FoE().default_weight(0.1 * s))(s * picture())) for s in (1.0, 1e3)]
     assert costs[0] == pytest.approx(costs[1], rel=1e-5)
 
 
@@ -115,7 +117,7 @@ def test_its_stiffness_is_that_of_its_second_derivatives():
         24, dtype=torch.float64
     )
     wave = wave[None, None]
-    _, stiffness = penalty.stiffness(x)
+    _, stiffness = penalty.mean_curvature(x)
     steep = stiffness * float(wave.diff(dim=-2).square().sum())
     step = 1e-3
     bent = float(penalty(x + step * wave) - 2 * penalty(x) + penalty(x - step * wave)) / step**2

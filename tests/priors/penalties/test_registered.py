@@ -69,10 +69,10 @@ def test_the_energy_is_the_references(name, weight):
 def test_the_weight_scales_the_energy_and_is_one_until_it_is_known(name):
     x = picture()
     penalty = PENALTIES[name].example()
-    assert penalty.given is None
+    assert penalty.user_weight is None
     assert torch.allclose(penalty(x), penalty.energy(x))
     penalty = PENALTIES[name].example(weight=3.0)
-    assert penalty.given == 3.0
+    assert penalty.user_weight == 3.0
     assert torch.allclose(penalty(x), 3 * penalty.energy(x))
     assert float(PENALTIES[name].example(weight=0.0)(x).detach()) == 0
 
@@ -105,11 +105,15 @@ def test_the_natural_weight_belongs_to_the_units(name):
     # In other units, value and noise alike, the penalty with its natural weight is the same number of nats.
     if name in OF_GRADIENTS:
         costs = [
-            float(PENALTIES[name].example(weight=PENALTIES[name].example().natural(0.1 * s))(s * picture()))
+            float(
+                PENALTIES[name].example(weight=PENALTIES[name].example().default_weight(0.1 * s))(
+                    s * picture()
+                )
+            )
             for s in (1.0, 1e3)
         ]
         assert costs[0] == pytest.approx(costs[1], rel=1e-5)
-    assert PENALTIES[name].example().natural(0.1) > 0
+    assert PENALTIES[name].example().default_weight(0.1) > 0
 
 
 @pytest.mark.parametrize("name", OF_GRADIENTS)

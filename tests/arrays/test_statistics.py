@@ -4,16 +4,17 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir.arrays.median import median
 from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.subsample import ENOUGH, masked_values, subsample
+from deepir.arrays.statistics import MAX_SAMPLES_PER_FRAME, masked_values, median, subsample
 
 
 @given(height=st.integers(200, 600), width=st.integers(200, 800))
 def test_they_are_enough_and_from_all_columns(height, width):
     column = torch.arange(width).expand(1, 1, height, width)
     (some,) = subsample(column)
-    assert some.shape[1] >= min(ENOUGH, height * width) / 6  # a step that shares no factor with the width
+    assert (
+        some.shape[1] >= min(MAX_SAMPLES_PER_FRAME, height * width) / 6
+    )  # a step that shares no factor with the width
     assert len(some.unique()) == width
 
 
