@@ -59,7 +59,7 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool) -> Result:
     if found is None or raw is None or shared is None:
         return result
     free = None
-    if len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
+    if registered and len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
         free = _candidates(UNREGISTERED, judge, burst, one, offset)
     best = _best(found, free, raw, judge, registered=registered)
