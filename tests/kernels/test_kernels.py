@@ -49,7 +49,7 @@ def test_the_normal_equations_are_exact_in_float32_too(threads, size, pedestal, 
     wanted = pixels(PixelEquations, torch.float64, size, pedestal, one)
     for dtype in (torch.float32, torch.float64):
         found = pixels(PixelEquationsCPU, dtype, size, pedestal, one)
-        for name in ("maps", "down", "across"):
+        for name in ("maps", "column_sums", "row_sums"):
             for each, right in zip(getattr(found, name), getattr(wanted, name), strict=True):
                 assert error(each, right) < 1e-12
 
@@ -189,5 +189,5 @@ def test_a_first_use_says_why_it_takes_long(tmp_path):
         for _ in range(2)
     )
     assert first.stdout == second.stdout == "4500.0\n"
-    assert first.stderr.splitlines() == ["compiling loops for this machine: some 20 s, once"]
+    assert first.stderr.splitlines() == ["compiling kernels for this machine: about 20 s, once"]
     assert second.stderr == ""
