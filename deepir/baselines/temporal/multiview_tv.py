@@ -33,7 +33,7 @@ def multiview_tv(burst: Burst, config: Config) -> Result:
 def multiview_tv_recursive(burst: Burst, config: Config) -> Result:
     """Offset by gradient descent on the total variation of one frame after the other, for long videos.
 
-    Source: as `multiview_tv`.
+    Source: Barral, Arias, Davy (2024), as `multiview_tv`.
     """
     return _corrected(burst, config, recursive_offset(burst.frames))
 

@@ -33,7 +33,7 @@ def describe(burst: Frames) -> list[str]:
     lines += _temperatures(burst, finite)
     lines += _unusable(burst, finite)
     unusable = unusable_frames(frames)
-    lines += [f"frame {k} shows unusable: it is {why}" for k, why in unusable.items()]
+    lines += [f"frame {k} shows nothing: it is {why}" for k, why in unusable.items()]
     frames = np.delete(frames, [*unusable], axis=0)
     if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
