@@ -98,7 +98,7 @@ def update_parts(problem: Problem) -> None:
         for parts, information, means in problem.solved(values, closed, flux=flux).information_blocks():
             sigma, most = (
                 torch.stack([getattr(part, name).double() if part else means.new_zeros(()) for part in parts])
-                for name in ("sigma", "most")
+                for name in ("sigma", "max_sigma")
             )
             free = [
                 i
