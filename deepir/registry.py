@@ -92,7 +92,7 @@ def load_plugin(module: str) -> None:
     try:
         importlib.import_module(module)
     except Exception as error:  # a plugin may raise anything
-        raise ConfigError(f"plugin {module!r} cannot be imported: {error}") from error
+        raise ConfigError(f"plugin {module!r} cannot be imported: {_reason(error)}") from error
 
 
 def summary(component: Any) -> str:
@@ -113,8 +113,16 @@ def _load_plugins() -> None:
         try:
             entry.load()
         except Exception as error:  # a broken plugin must name itself, whatever it raises
-            raise ConfigError(f"plugin {entry.name!r} ({entry.value}) does not load: {error}") from error
+            raise ConfigError(
+                f"plugin {entry.name!r} ({entry.value}) does not load: {_reason(error)}"
+            ) from error
 
 
 def _origin(component: Any) -> str:
     return f"{component.__module__}.{component.__qualname__}"
+
+
+def _reason(error: Exception) -> str:
+    """Why a plugin cannot be imported; modules of deepir itself may have moved."""
+    moved = isinstance(error, ImportError) and (error.name or "").startswith("deepir.")
+    return f"{error}; names of deepir changed, see its CHANGELOG.md" if moved else str(error)

@@ -42,6 +42,7 @@ def test_each_kind_has_its_components():
         "penalty": {"hessian", "huber_tv", "l1", "red", "ridge", "smooth", "tgv", "tv"},
         "denoiser": {"cnn", "dct", "nl_means", "wavelets"},
         "fidelity": {"gaussian", "huber", "l1", "poisson"},
+        "effect": {"bad_pixels", "moving_objects", "noise", "saturation", "vignetting"},
         "problem": {"deconv", "generic", "nuc", "sr"},
         "method": {"average", "bicubic", "joint"},
         "training": {"denoiser"},
