@@ -245,7 +245,7 @@ LENS = "deepir_lens"
 @pytest.fixture
 def lens(outside, monkeypatch):
     """The second package of the page in this process; forgotten afterwards."""
-    known = {kind: registry.components(kind) for kind in registry.HOMES}
+    known = {kind: registry.components(kind) for kind in registry.COMPONENT_MODULES}
     monkeypatch.setattr(registry, "_components", known)
     monkeypatch.syspath_prepend(outside)
     load_plugin(LENS)
@@ -255,7 +255,7 @@ def lens(outside, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def burst():
+def vignetted():
     """A burst through a lens that vignettes, the strength of that, and a frame with a flash."""
     settings = Settings(
         n_frames=6,
@@ -275,8 +275,8 @@ def burst():
     return frames, flashed
 
 
-def test_an_operator_between_warp_and_sensor_keeps_the_shortcuts_of_the_solver(lens, burst):
-    frames, _ = burst
+def test_an_operator_between_warp_and_sensor_keeps_the_shortcuts_of_the_solver(lens, vignetted):
+    frames, _ = vignetted
     still = torch.eye(3, dtype=torch.float64).repeat(len(frames), 1, 1)
     usable = np.ones(frames.shape, bool)
     problem, _ = build(load("lens.yaml"), Burst(frames, usable, ~usable[0]), still)
@@ -286,15 +286,15 @@ def test_an_operator_between_warp_and_sensor_keeps_the_shortcuts_of_the_solver(l
     check_operator(*operator.example())
 
 
-def test_a_recipe_changes_one_stage_of_nuc_by_name(lens, burst):
-    frames, _ = burst
+def test_a_recipe_changes_one_stage_of_nuc_by_name(lens, vignetted):
+    frames, _ = vignetted
     result = deepir.run("lens.yaml", *QUICK, frames=frames)
     assert result.history[-1]["stage"] == "scene"
     assert 0.0 < float(result.extra["strength"]) < 0.3
 
 
-def test_an_effect_of_a_plugin_has_a_switch(lens, burst):
-    _, flashed = burst
+def test_an_effect_of_a_plugin_has_a_switch(lens, vignetted):
+    _, flashed = vignetted
     short = ("solver.max_iterations=2", *QUICK)
     found = deepir.run("lens.yaml", *short, frames=flashed)
     assert any("flash brightens 1 frame" in message for message in found.messages)

@@ -17,9 +17,14 @@ QUICK = {"threads": 1, "solver": {"max_iterations": 3}}
 
 
 @pytest.fixture(scope="module")
-def frames():
+def sim():
     camera = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0, motion="shift", dead_pixels=0.0)
-    return simulate(None, camera, seed=3).frames
+    return simulate(None, camera, seed=3)
+
+
+@pytest.fixture(scope="module")
+def frames(sim):
+    return sim.frames
 
 
 def test_a_run_in_memory_writes_nothing(frames, tmp_path, monkeypatch):
@@ -232,10 +237,9 @@ def test_a_motion_is_registered_unless_it_says_otherwise(frames):
 
 
 @pytest.fixture
-def motion(tmp_path):
-    """Of three frames, in a file."""
-    motion = np.tile(np.eye(3), (3, 1, 1))
-    motion[1:, :2, 2] = [[1.5, -2.0], [0.5, 3.0]]
+def motion(sim, tmp_path):
+    """The true motion, in a file: with a wrong one the result would be given up."""
+    motion = sim.truth.motion.astype(np.float32)
     np.save(tmp_path / "motion.npy", motion)
     return motion
 

@@ -46,6 +46,7 @@ class MultiviewNUC(Recipe):
     frames = 2
     judged = True
     operators = ("sensor",)
+    effect_names = ("frame_gain", "frame_offset")
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """The sensor, from the frames alone, the noise that it leaves, and the scenes as they then look.

@@ -55,7 +55,16 @@ class Narcissus(NUC):
     frames = 1
     operators = ("add", "sensor")
     effect_names = (
-        *("frame_gain", "line_noise", "noise", "sensor_pattern", "shading", "gain_drift", "vignetting"),
+        *(
+            "frame_gain",
+            "frame_offset",
+            "line_noise",
+            "noise",
+            "sensor_pattern",
+            "shading",
+            "gain_drift",
+            "vignetting",
+        ),
     )
 
     def initialise(self, problem: Problem, seed: int) -> None:

@@ -14,6 +14,7 @@ from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.pipeline.schedule import plan
 from deepir.problems.generic import Generic
 from deepir.registry import lookup
+from deepir.storage.checkpoint import FileCheckpoint
 
 
 @pytest.fixture
@@ -84,8 +85,8 @@ def test_a_solve_that_is_interrupted_in_the_priors_stage_ends_the_same(tmp_path,
 
     whole = once()
     with pytest.raises(DeepIRError):
-        once([interrupt], tmp_path / "state.safetensors")
-    assert torch.equal(once(checkpoint=tmp_path / "state.safetensors"), whole)
+        once([interrupt], FileCheckpoint(tmp_path / "state.safetensors"))
+    assert torch.equal(once(checkpoint=FileCheckpoint(tmp_path / "state.safetensors")), whole)
 
 
 @pytest.mark.parametrize("prior", ["red", "tgv", "grid"])

@@ -12,6 +12,7 @@ from deepir.operators.homography import displacements
 from deepir.operators.warp import project_pixels
 from deepir.problems.optical_flow import optical_flow
 from deepir.simulate import Settings, simulate
+from deepir.storage.checkpoint import FileCheckpoint
 
 SIZE = (64, 80)
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
@@ -29,7 +30,7 @@ def sim():
 @pytest.fixture
 def quick(monkeypatch):
     """An optical flow that takes one step."""
-    monkeypatch.setattr("deepir.problems.optical_flow.ITERATIONS", 1)
+    monkeypatch.setattr("deepir.problems.optical_flow.LEVEL_ITERATIONS", 1)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +119,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(sim, tmp_path, quick):
     burst = Burst(sim.frames.astype(np.float32), np.ones(size, bool), np.zeros(size[1:], bool), "test")
     whole = joint(burst, config)
     with pytest.raises(InterruptedError):
-        joint(burst, config, callbacks=[at_the_second_flow], checkpoint=tmp_path / "state")
-    resumed = joint(burst, config, checkpoint=tmp_path / "state")
+        joint(burst, config, callbacks=[at_the_second_flow], checkpoint=FileCheckpoint(tmp_path / "state"))
+    resumed = joint(burst, config, checkpoint=FileCheckpoint(tmp_path / "state"))
     assert np.array_equal(resumed.extra["flow"], whole.extra["flow"])
     assert np.array_equal(resumed.scene, whole.scene)

@@ -8,13 +8,13 @@ import deepir
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
+from deepir.effects import gain_drift
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.estimation.spatial_weights import adapt_weight_map
 from deepir.fields.basis_expansion import DCT, Radial
 from deepir.metrics import scores
 from deepir.problems import narcissus as module
-from deepir.problems import nuc
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.narcissus import Narcissus
 from deepir.simulate import Settings, simulate
@@ -181,13 +181,13 @@ def stages(*settings):
 def test_a_response_that_drifts_is_corrected_before_its_rounds(monkeypatch):
     called = []
     monkeypatch.setattr(module, "_register", lambda problem: called.append("register"))
-    monkeypatch.setattr(nuc, "even_response", lambda problem: called.append("even"))
-    monkeypatch.setattr(nuc, "_update", lambda problem: None)
+    monkeypatch.setattr(gain_drift, "correct_gain_drift", lambda problem: called.append("even"))
+    monkeypatch.setattr(Narcissus, "update", lambda self, problem: None)
     stages()["response 2"].prepare(None)
     assert called == ["register", "even"]
 
 
 def test_where_lines_may_jump_the_scene_is_fitted_at_its_full_weight_too():
     plan = stages("physics.sensor.level.type=drift+row_noise")
-    assert plan["scene 1"].prepare is nuc.finish
+    assert plan["scene 1"].prepare.__func__ is Narcissus.finish
     assert "scene 3" in plan
