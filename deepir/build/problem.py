@@ -74,6 +74,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         compared.check_data(data, usable)
     except ValueError as error:
         raise ConfigError(f"fidelity: {error}") from error
+    bounded = burst.clipped is not None and config.effects.get("saturation") is not False
     problem = Problem(
         operator,
         fields,
@@ -82,7 +83,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         slots=names,
         penalties={name: each for name, each in penalties.items() if each},
         fidelity=compared,
-        saturation=None if burst.clipped is None else torch.from_numpy(burst.clipped)[:, None],
+        saturation=torch.from_numpy(burst.clipped)[:, None] if bounded else None,
         agc=burst.stretched,
     )
     with torch.no_grad():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from torch import Tensor
 
@@ -47,6 +47,9 @@ class Effect:
     its fields are the options that `effects.NAME` takes in YAML. What it finds it keeps in the problem.
     """
 
+    #: Whether it compares frames at one place of the scene: not where each pixel has a motion of its own.
+    compares_frames: ClassVar[bool] = False
+
     def prepare(self, problem: Problem) -> None:
         """Before the scene has a start: what the frames alone show."""
 
@@ -75,10 +78,6 @@ class Effect:
         """The schedule with the stages of this effect."""
         return schedule
 
-    def messages(self, problem: Problem) -> list[str]:
-        """Warnings once all is solved."""
-        return []
-
-    def drift_messages(self, problem: Problem) -> list[str]:
-        """Warnings that make sense only where the solve was not cut short."""
+    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+        """Warnings once all is solved; `complete`: the solve was not cut short, which leaves drift and residuals."""
         return []

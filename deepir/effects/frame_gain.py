@@ -91,5 +91,5 @@ class FrameGain(Effect):
     def finish(self, problem: Problem) -> None:
         normalise_frame_gain(problem)
 
-    def drift_messages(self, problem: Problem) -> list[str]:
-        return frame_gain_message(problem)
+    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+        return frame_gain_message(problem) if complete else []

@@ -82,5 +82,5 @@ class FrameOffset(Effect):
     def equalise(self, problem: Problem) -> bool:
         return start_line_levels(problem)
 
-    def drift_messages(self, problem: Problem) -> list[str]:
-        return drift_message(problem)
+    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+        return drift_message(problem) if complete else []

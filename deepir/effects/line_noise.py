@@ -114,5 +114,5 @@ class TemporalLineNoise(Effect):
     def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
         return schedule.replaced("scene", *with_jumps(problem, schedule("scene")))
 
-    def messages(self, problem: Problem) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
         return line_noise_message(problem)

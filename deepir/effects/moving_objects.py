@@ -227,6 +227,7 @@ class MovingObjectsMask(Effect):
         restart_contrast: The same from which scene and pattern are started anew, once the pattern is known.
     """
 
+    compares_frames = True
     min_contrast: float = 12.0
     restart_contrast: float = 60.0
 
@@ -249,5 +250,5 @@ class MovingObjectsMask(Effect):
     def finish(self, problem: Problem) -> None:
         down_weight_moving(problem)
 
-    def messages(self, problem: Problem) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
         return moving_message(problem)

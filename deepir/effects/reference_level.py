@@ -106,6 +106,8 @@ def _follows_level(problem: Problem, values: Values) -> bool:
 class ReferenceLevel(Effect):
     """The level of the data at which gain and offset are independent of each other."""
 
+    compares_frames = True
+
     def update(self, problem: Problem, *, settled: bool) -> bool:
         if settled:
             refine_reference_level(problem)

@@ -102,9 +102,9 @@ class LowOrderParts(Effect):
         return False
 
     @torch.no_grad()
-    def drift_messages(self, problem: Problem) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
         shadings, stray, drifts = low_order_unknowns(problem)
-        if not (shadings or stray) or len(problem.data) >= MIN_FRAMES:
+        if not complete or not (shadings or stray) or len(problem.data) >= MIN_FRAMES:
             return []
         evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
         smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))

@@ -34,6 +34,8 @@ def fill_unobserved(problem: Problem) -> None:
 class Unobserved(Effect):
     """Parts of the scene that no frame sees."""
 
+    compares_frames = True
+
     def initialise(self, problem: Problem) -> None:
         fill_unobserved(problem)
 

@@ -1,7 +1,7 @@
 """Dense displacements between frames of one sensor, from their texture.
 
 Optical flow of the brightness follows the low frequencies of the fixed pattern, and changes of level and contrast. So
-the flow is that of the texture, normalised to an even contrast. Only displacements of which the forward and the
+the flow is that of the texture, normalised to an even contrast. Only displacements whose forward and
 backward flow agree are kept.
 """
 

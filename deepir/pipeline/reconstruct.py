@@ -53,8 +53,7 @@ def joint(
         motion, taken = interpolate_missing_motion(motion, used)
         messages += interpolation_message(used, taken)
     valid = burst.valid & used[:, None, None]
-    bounds = burst.clipped if config.effects.get("saturation", True) is not False else None
-    clipped = None if bounds is None else bounds[taken]
+    clipped = None if burst.clipped is None else burst.clipped[taken]
     kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken], clipped=clipped)
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)

@@ -52,8 +52,7 @@ def coarse_to_fine(problem: Problem, recipe: Recipe, seed: int) -> None:
     problem.load_state_dict(untouched)
     half, rounds = half_resolution(problem), type(recipe)(recipe.effects)
     rounds.initialise(half, seed)
-    schedule = rounds.plan(half)
-    stages = [schedule(f"sensor {i}") for i in (1, 2, 3)]
+    stages = [stage for stage in rounds.plan(half) if stage.needed is None and not stage.use_held_out]
     solve(half, stages)
     upsample_motion(problem, select_homography(half, stages[-1]) or half)
     upsample_moving_mask(problem, half)

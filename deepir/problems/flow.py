@@ -8,9 +8,7 @@ from typing import Any
 import torch
 
 from deepir.effects.effect import Effect
-from deepir.effects.moving_objects import MovingObjectsMask
-from deepir.effects.reference_level import ReferenceLevel, take_reference_level
-from deepir.effects.unobserved import Unobserved
+from deepir.effects.reference_level import ReferenceLevel
 from deepir.errors import ConfigError
 from deepir.fields.dense_motion import Flow
 from deepir.optim.fourier_hessian import has_fourier_model
@@ -55,25 +53,9 @@ class DenseMotion(NUC):
         ]
         return Schedule(stages)
 
-    def update(self, problem: Problem, *, settled: bool = True) -> None:
-        """As for `nuc`, but what moves by itself is explained by the displacements."""
-        for effect in self.of_the_sensor():
-            effect.update(problem, settled=settled)
-        self.weigh(problem, self.sensor_weight)
-
-    def finish(self, problem: Problem) -> None:
-        """As for `nuc`, but what moves by itself is explained by the displacements."""
-        effects, self.effects = self.effects, self.of_the_sensor()
-        super().finish(problem)
-        self.effects = effects
-
-    def of_the_sensor(self) -> list[Effect]:
-        """The effects that do not compare frames at the same place of the scene."""
-        return [
-            each
-            for each in self.effects
-            if not isinstance(each, MovingObjectsMask | Unobserved | ReferenceLevel)
-        ]
+    def between_rounds(self) -> list[Effect]:
+        """Not those that compare frames at one place: displacements explain what moves by itself."""
+        return [effect for effect in self.effects if not effect.compares_frames]
 
     @torch.no_grad()
     def _displace(self, problem: Problem) -> None:
@@ -86,7 +68,9 @@ class DenseMotion(NUC):
             moved = optical_flow(
                 corrected[:, 0].cpu(), (problem.precision[:, 0] > 0).cpu(), copy.deepcopy(flow).cpu()
             )
-        take_reference_level(problem)
+        for effect in self.effects:
+            if isinstance(effect, ReferenceLevel):
+                effect.update(problem, settled=False)
         flow.init_from(flow.start + moved.permute(0, 2, 3, 1).to(flow.start))
         for field in (problem.fields[name] for name in problem.closed_form()):
             field.init_from(torch.full(field.shape, field.neutral).to(corrected))

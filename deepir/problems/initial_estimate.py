@@ -57,9 +57,8 @@ def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
     if strong:
         residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=True)
     for turn in range(1, TURNS + 2):
-        if turn > 1 and (
-            strong or (fixed and problem.ends is None)
-        ):  # what saturates moves, and is no pattern
+        # What saturates moves with the scene, and is no pattern.
+        if turn > 1 and (strong or (fixed and problem.ends is None)):
             residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=strong)
         elif turn > 1:
             start_scene(problem)
@@ -71,7 +70,7 @@ def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
 
 @torch.no_grad()
 def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
-    """Whether what stands still is stronger than all that is in the average of the frames."""
+    """Whether the fixed pattern is stronger than all that is in the average of the frames."""
     scene, weight = problem.backproject(problem.values())
     pattern = temporal_mean(rest, problem.precision.sign())
     # By the standard deviation: before a black sky the bulk has next to none.
@@ -82,19 +81,23 @@ def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
 def subtract_fixed_pattern(
     problem: Problem, rest: Tensor, taken: Tensor, noise: float, *, strong: bool
 ) -> Tensor:
-    """Take out of the scene's start what stands still: the pattern, of frames' `rest`, and the scene by turns.
+    """Subtract the fixed pattern from the scene's start, pattern and scene by turns.
 
-    A pattern many times stronger than the scene is else all that there is in the average, and no solve gets away from
-    there. Of others one turn takes most, so that what changes in a pixel is the scene: beside a smeared pattern a plain
-    scene's changes look like noise, which gains that are too small explain. But not what is slow of it: that is the
-    scene's, unless shading is found.
+    A pattern many times stronger than the scene dominates the average, and no solve recovers from that. Of weaker ones
+    one turn removes most; their low-order part stays in the scene, unless shading is found.
 
-    Returned is the new `rest`; `taken` (1, 1, h, w), the pattern that was taken out before, is updated.
+    Args:
+        problem: Its scene is started anew.
+        rest: Residual of the frames, (N, 1, h, w), fixed pattern included.
+        taken: The pattern subtracted before, (1, 1, h, w); updated.
+        noise: Standard deviation of a sample's noise.
+        strong: Iterate until the pattern converges, low-order part included.
+
+    Returns:
+        The new residual.
     """
-    average, weight = (
-        RegisteredAverage(problem, problem.values()),
-        problem.precision / problem.precision.amax(),
-    )
+    average = RegisteredAverage(problem, problem.values())
+    weight = problem.precision / problem.precision.amax()
     for _ in range(MAX_PASSES if strong else 1):
         pattern = temporal_mean(rest, weight)
         if not strong:
@@ -113,9 +116,12 @@ def subtract_fixed_pattern(
 def start_scene(
     problem: Problem, average: RegisteredAverage | None = None, pattern: Tensor | float = 0.0
 ) -> None:
-    """Start the scene at the registered average of the frames; what no frame sees is like its nearest neighbour.
+    """Start the scene at the registered average of the frames; unobserved pixels take their nearest neighbour.
 
-    `average` spares its computation where it is known; `pattern`, in every frame, is no scene.
+    Args:
+        problem: Its scene is set.
+        average: Spares its computation where it is known.
+        pattern: Subtracted from every frame.
     """
     average = average or RegisteredAverage(problem, problem.values())
     mean = average((problem.data - average.at_zero).sub_(pattern))

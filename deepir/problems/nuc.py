@@ -19,15 +19,11 @@ from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
 DOMINANT_PATTERN = 10.0  # standard deviations of the noise, from which the pattern biases the registration
-ROUND_TOLERANCE, LAST_TOLERANCE = (
-    2e-3,
-    3e-4,
-)  # nats per sample that ten iterations gain: first rounds, last round
-SCENE_TOLERANCE = 0.1  # the same of the scene's own stage, per scene pixel
-ITERATIONS = {
-    True: (30, 60, 30),
-    False: (25, 30, 35),
-}  # first rounds, last round, scene: with Fourier model or not
+ROUND_TOLERANCE = 2e-3  # nats per sample that ten iterations gain, in the first rounds
+LAST_TOLERANCE = 3e-4  # the same in the last round
+SCENE_TOLERANCE = 0.1  # the same in the scene's own stage, per scene pixel
+#: Of the first rounds, the last round and the scene: with a Fourier model of the Hessian, and without.
+ITERATIONS = {True: (30, 60, 30), False: (25, 30, 35)}
 
 
 @register("problem", "nuc")

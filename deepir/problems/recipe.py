@@ -76,10 +76,14 @@ class Recipe:
 
     def update(self, problem: Problem, *, settled: bool = True) -> None:
         """Hyperparameters and masks from the last round; a new start where an effect asks for one."""
-        again = [effect.update(problem, settled=settled) for effect in self.effects]
+        again = [effect.update(problem, settled=settled) for effect in self.between_rounds()]
         self.weigh(problem, self.sensor_weight)
         if any(again):
             self.restart(problem)
+
+    def between_rounds(self) -> list[Effect]:
+        """The effects that are updated between the rounds."""
+        return self.effects
 
     def first_update(self, problem: Problem) -> None:
         """The same after the first round, when scene and pattern have not settled."""
@@ -87,7 +91,7 @@ class Recipe:
 
     def finish(self, problem: Problem) -> None:
         """Hyperparameters and weights for the scene's own stage."""
-        for effect in self.effects:
+        for effect in self.between_rounds():
             effect.finish(problem)
         self.weigh(problem)
 
@@ -106,7 +110,5 @@ class Recipe:
 
     def warnings(self, problem: Problem, *, complete: bool = True) -> list[str]:
         """Warnings once the problem is solved; `complete`: the solve was not cut short."""
-        found = [line for effect in self.effects for line in effect.messages(problem)]
-        if complete:
-            found += [line for effect in self.effects for line in effect.drift_messages(problem)]
+        found = [line for effect in self.effects for line in effect.messages(problem, complete=complete)]
         return [*self.messages, *found]

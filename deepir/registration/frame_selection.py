@@ -148,7 +148,7 @@ def spanning_tree_motions(
         images: `(N, h, w)`, without the pattern.
         level: their level.
         model: "shift" or "rigid".
-        motion: `(N, 3, 3)`, of which the known ones are used.
+        motion: `(N, 3, 3)`; NaN where unknown, and then not used.
         known: `(N,)` bool.
 
     Returns:

@@ -18,7 +18,7 @@ from deepir.registration.pyramid import Level, block_mean, sample
 class DetectionCriteria:
     """Which regions of the temporal change are moving objects: hysteresis thresholding, then morphology.
 
-    Lengths are px of frames of which the longer side is at most `LIKELIHOOD_SIDE` px.
+    Lengths are px of frames reduced to a longer side of at most `LIKELIHOOD_SIDE` px.
     """
 
     window: int = 3  # px; side of the window over which the change is averaged

@@ -126,7 +126,7 @@ def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
 
     Args:
         frames: `(N, h, w)`.
-        weight: `(h, w)`; pixels of which it is not one are filled.
+        weight: `(h, w)`; pixels with a weight other than one are filled.
 
     Returns:
         Frames `(N, h, w)` float64.

@@ -168,7 +168,7 @@ def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
         model: "shift" searches shifts only; any other model searches rotations, too.
 
     Returns:
-        Motions `(N, 3, 3)`, of which at most a few have changed.
+        Motions `(N, 3, 3)`; at most a few differ.
     """
     used = motion.isfinite().all((1, 2))
     for _ in range(len(motion)):

@@ -209,7 +209,7 @@ def first_harmonic(
         likelihood: spectra and powers.
         k: frame number.
         other_frames: `(N,)` bool, the frames that it is compared with.
-        all_shifts: `(N, 2)` (x, y), px, of which those of the other frames are used.
+        all_shifts: `(N, 2)` (x, y), px; those of the other frames are used.
 
     Returns:
         `(h, w / 2 + 1)` complex, summed over the other frames; zero for waves that are not used.

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from deepir.errors import DataError
 from deepir.simulate.detector.bolometer import bolometer_pixels, housing_flux
 from deepir.simulate.detector.line_noise import line_noise
 from deepir.simulate.detector.sensor import add_defects, expose, fixed_pattern
 from deepir.simulate.detector.thermal_lag import apply_lag, smooth_path, time_constants
 from deepir.simulate.events import observe
+from deepir.simulate.files import save_with_truth
 from deepir.simulate.optics.blur import psf
 from deepir.simulate.optics.parallax import dense_flow, parallax, relief
 from deepir.simulate.optics.rendering import (
@@ -77,13 +76,8 @@ class Simulation:
         Raises:
             DataError: The name does not end in .npz.
         """
-        path = Path(path)
-        if path.suffix != ".npz":
-            raise DataError(f"{path}: a simulation is saved as .npz")
-        beside = path.with_name(f"{path.stem}_truth.npz")
-        np.savez(path, frames=self.frames, settings=json.dumps({"seed": self.seed, **asdict(self.settings)}))
-        np.savez(beside, **{field.name: getattr(self.truth, field.name) for field in fields(Truth)})
-        return path, beside
+        settings = {"seed": self.seed, **asdict(self.settings)}
+        return save_with_truth(Path(path), self.truth, settings, frames=self.frames)
 
 
 def simulate(

@@ -1,7 +1,7 @@
 """Fused upsample-concatenate-normalise-convolve block, with a quarter of the products.
 
-Linear upsampling inserts zeros and smooths. The convolution commutes with the smoothing and then acts on an image three
-quarters of which are zero: a transposed convolution of stride two. Batch normalisation is linear in each channel and is
+Linear upsampling inserts zeros and smooths. The convolution commutes with the smoothing and then acts on an image with
+three quarters of zeros: a transposed convolution of stride two. Batch normalisation is linear in each channel and is
 folded into the weights. Only the border, where padding does not commute, needs corrections.
 """
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from deepir.errors import DataError
 from deepir.simulate.detector.sensor import expose, fixed_pattern
+from deepir.simulate.files import save_with_truth
 from deepir.simulate.recording.camera import (
     automatic_gain,
     compress,
@@ -61,14 +60,8 @@ class Recording:
         Raises:
             DataError: The name does not end in .npz.
         """
-        path = Path(path)
-        if path.suffix != ".npz":
-            raise DataError(f"{path}: a recording is saved as .npz")
-        beside = path.with_name(f"{path.stem}_truth.npz")
-        settings = json.dumps({"seed": self.seed, **asdict(self.settings)})
-        np.savez(path, frames=self.frames, times=self.times, settings=settings)
-        np.savez(beside, **{field.name: getattr(self.truth, field.name) for field in fields(RecordingTruth)})
-        return path, beside
+        settings = {"seed": self.seed, **asdict(self.settings)}
+        return save_with_truth(Path(path), self.truth, settings, frames=self.frames, times=self.times)
 
 
 def simulate_recording(settings: RecordingSettings = DEFAULT_RECORDING, *, seed: int = 0) -> Recording:
