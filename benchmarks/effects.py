@@ -47,8 +47,8 @@ BURSTS: dict[str, dict[str, Any]] = {
 }
 #: Each frame of these bursts is stretched, or has a response of its own.
 STRETCHED = {"AGC": 0.15, "gain drift": 0.004}
-SEEDS = (31, 32)
-DRIVE = [range(30, 90, 6), range(270, 330, 6)]  # frames of the real drive
+SEEDS = (31,)
+DRIVE = [range(30, 90, 6)]  # frames of the real drive
 
 
 def main() -> None:
@@ -64,8 +64,8 @@ def report(*, real: bool) -> Iterator[str]:
     """Lines of markdown."""
     yield "# What each effect is worth\n"
     yield "`make bench-effects` leaves out one effect of `nuc` at a time (`effects.NAME=false`)."
-    yield "Simulated: change of the scene's PSNR, dB, over 16 kinds of bursts, two seeds. Real: change of likeness"
-    yield "with the calibrated frames at two places of a drive. Seconds: of the simulated bursts, all effects first.\n"
+    yield "Simulated: change of the scene's PSNR, dB, over 16 kinds of bursts. Real: change of likeness"
+    yield "with the calibrated frames on a drive. Seconds: of the simulated bursts, all effects first.\n"
     began = time.monotonic()
     whole = simulated([])
     drive = driven([]) if real else []
@@ -86,7 +86,7 @@ def report(*, real: bool) -> Iterator[str]:
 
 
 def simulated(settings: list[str]) -> dict[str, float]:
-    """PSNR of the scene of each kind of burst, dB; the mean over the seeds. A refused burst has the raw frame's."""
+    """PSNR of the scene of each kind of burst, dB; the mean over the seeds. A burst that fails has the raw frame's."""
     found = {}
     for name in [*BURSTS, *STRETCHED]:
         each = []
@@ -101,7 +101,7 @@ def simulated(settings: list[str]) -> dict[str, float]:
                 frames = ((frames - low) / (high - low)).astype(np.float32)
             try:
                 scene = deepir.run("nuc", *settings, frames=frames).scene
-            except DeepIRError:
+            except (DeepIRError, torch.linalg.LinAlgError):
                 scene = frames[0]
             truth = burst.truth.scene
             gain, offset = np.polyfit(

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from deepir.errors import DeepIRError
     from deepir.io import read_frames
     from deepir.problem import Problem
+    from deepir.recording.correct import correct
     from deepir.result import Result
 
 # Looked up on first use: `import deepir` and `deepir --help` do without torch.
@@ -26,10 +27,11 @@ _HOMES = {
     "DeepIRError": "errors",
     "Problem": "problem",
     "Result": "result",
+    "correct": "recording.correct",
     "read_frames": "io",
     "run": "api",
 }
-__all__ = ["DeepIRError", "Problem", "Result", "read_frames", "run"]
+__all__ = ["DeepIRError", "Problem", "Result", "correct", "read_frames", "run"]
 
 
 def __getattr__(name: str) -> Any:

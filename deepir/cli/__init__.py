@@ -16,6 +16,7 @@ from deepir.cli.commands.calibrate import calibrate
 from deepir.cli.commands.capture import capture
 from deepir.cli.commands.check import check
 from deepir.cli.commands.compare import batch, compare
+from deepir.cli.commands.correct import correct
 from deepir.cli.commands.demo import demo
 from deepir.cli.commands.listing import list_components
 from deepir.cli.commands.run import resume, run
@@ -28,6 +29,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
+app.command()(correct)
 app.command()(run)
 app.command()(demo)
 app.command()(capture)

@@ -12,6 +12,7 @@ import typer
 
 if TYPE_CHECKING:
     from deepir.config import Config
+    from deepir.io.radiometry import Radiometry
 
 Settings = Annotated[
     list[str] | None,
@@ -70,3 +71,14 @@ def recording_config(file: str, settings: Sequence[str], keys: Sequence[str]) ->
         if not each.startswith(tuple(f"{key}{end}" for key in keys for end in "=.")):
             raise ConfigError(f"{each}: only settings of {', '.join(keys)} are accepted here")
     return load("nuc", [f"data.path={file}", *settings])
+
+
+def recording_radiometry(config: Config) -> Radiometry | None:
+    """Conversion of a recording's values to kelvin: of the file, as the settings change it."""
+    from deepir.io import readers
+    from deepir.io.radiometry import resolve_radiometry
+    from deepir.paths import expanded
+
+    data = config.data
+    found = readers.radiometry(expanded(str(data.path))) if data.raw is None else None
+    return resolve_radiometry(found, data.radiometry)

@@ -28,7 +28,7 @@ def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | Non
         usable: which samples count, same shape.
         pattern: what they share, (h, w).
     """
-    found = [_gain(frame, good, pattern) for frame, good in zip(frames, usable, strict=True)]
+    found = [pattern_gain(frame, good, pattern) for frame, good in zip(frames, usable, strict=True)]
     gains, errors = torch.stack([each[0] for each in found]), torch.stack([each[1] for each in found])
     if not bool((gains > SIGNIFICANCE * errors).all()):
         return None
@@ -38,8 +38,8 @@ def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | Non
     return gains if spread > SIGNIFICANCE and float(apart.square().mean().sqrt()) > MINIMUM_SPREAD else None
 
 
-def _gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tensor]:
-    """The gain of one frame, and its standard error."""
+def pattern_gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tensor]:
+    """How strong the pattern (h, w) is in a frame, and the standard error of that."""
     steps, shared = [], []
     for axis in AXES:
         counts = usable.narrow(axis, 1, usable.shape[axis] - 1) & usable.narrow(

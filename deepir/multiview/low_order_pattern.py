@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from scipy import ndimage
 
 from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
 
@@ -24,6 +25,9 @@ CELL, STEP = 8, 2
 #: Samples that say the same: the displacement of all in a window is one, and each frame is in pairs of all gaps.
 CORRELATED = len(GAPS) * ((2 * RADIUS + 1) / STEP) ** 2
 DEGREE = 2  # of the polynomial
+#: px of the averaged frames; Gaussian that is taken of them before their changes: an error of a displacement changes
+#: edges most.
+CHANGE_SIGMA = 2.0
 #: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
 LEAST_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
@@ -36,18 +40,29 @@ MINIMUM_SAMPLES = 50
 
 @dataclass(frozen=True)
 class SlowPattern:
-    """A slow additive pattern (h, w), mean zero; `related`: whether neighbouring frames show the same things."""
+    """A slow additive pattern.
+
+    Attributes:
+        offset: (h, w), mean zero.
+        related: whether neighbouring frames show the same things.
+        displacements: between frames averaged over blocks, of each pair and back.
+    """
 
     offset: Array
     related: bool
+    displacements: tuple[Displacement, ...]
 
 
-def slow_pattern(frames: Array, usable: Array) -> SlowPattern:
+def slow_pattern(
+    frames: Array, usable: Array, pairs: Sequence[tuple[int, int]] | None = None, rounds: int = ROUNDS
+) -> SlowPattern:
     """The slow additive pattern that frames still hold.
 
     Args:
         frames: (N, h, w), in any order in which neighbours may show the same scene; fine pattern taken off.
         usable: (N, h, w) bool, which samples count.
+        pairs: numbers of frames that may show the same scene, nearest first; None: all that are `GAPS` apart.
+        rounds: times that displacements are sought.
 
     Returns:
         The pattern in the frames' units; zero where the frames are not related.
@@ -56,16 +71,18 @@ def slow_pattern(frames: Array, usable: Array) -> SlowPattern:
     coarse = np.stack([averaged(frame, good, factor) for frame, good in zip(frames, usable, strict=True)])
     contrast = max(float(np.median(coarse.std((1, 2)))), np.finfo(float).tiny)
     coarse /= contrast
-    pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
+    if pairs is None:
+        pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
     grid = _Grid(coarse.shape[1:])
     total = np.zeros(coarse.shape[1:])
-    for round_ in range(ROUNDS):
-        found = list(displacements(coarse - total, pairs))
-        if round_ == 0 and not _related(coarse, found):
-            return SlowPattern(np.zeros(frames.shape[1:]), related=False)
-        total += grid.fitted(coarse - total, found)
+    for round_ in range(rounds):
+        both = tuple(displacements(coarse - total, pairs, both_ways=True))
+        ahead = both[::2]
+        if round_ == 0 and not _related(coarse, ahead):
+            return SlowPattern(np.zeros(frames.shape[1:]), related=False, displacements=both)
+        total += grid.fitted(coarse - total, ahead)
     offset = contrast * _enlarged(total, frames.shape[1:], factor)
-    return SlowPattern(offset - offset.mean(), related=True)
+    return SlowPattern(offset - offset.mean(), related=True, displacements=both)
 
 
 def _related(frames: Array, found: Sequence[Displacement]) -> bool:
@@ -117,6 +134,7 @@ class _Grid:
 
     def fitted(self, frames: Array, found: Sequence[Displacement]) -> Array:
         """The map that explains best how brightness changes along the displacements; Cauchy weights."""
+        frames = ndimage.gaussian_filter(frames, (0, CHANGE_SIGMA, CHANGE_SIGMA))
         equations = [each for each in (self._equations(frames, one) for one in found) if each is not None]
         unknowns = np.zeros(self.prior.shape[0])
         for _ in range(REWEIGHTINGS):

@@ -7,21 +7,23 @@ backward flow agree are kept.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from skimage.registration import optical_flow_ilk
+
+from deepir.kernels import threads
+from deepir.multiview.lucas_kanade import RADIUS, Pyramid, optical_flow, sampled
 
 Array = np.ndarray
+__all__ = ["RADIUS", "Displacement", "displacements", "sampled", "texture"]
 
 SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
 TEXTURE_SIGMA = 8.0  # px; Gaussian that separates texture from what is broader
 CONTRAST_SIGMA = 16.0  # px; Gaussian over which the contrast of the texture is normalised
 CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
-RADIUS = 7  # px; half-width of the Lucas-Kanade window
-WARPS = 10  # warps of the Lucas-Kanade flow
 MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
 MIN_CORRELATION = 0.7  # normalised local correlation of texture from which a displacement is trusted
 CORRELATION_SIGMA = 5.0  # px; Gaussian window of this correlation
@@ -51,22 +53,21 @@ class Displacement:
         return float((moved & self.known).mean())
 
 
-def displacements(frames: Array, pairs: Iterable[tuple[int, int]]) -> Iterator[Displacement]:
-    """Displacements between pairs of frames by inverse Lucas-Kanade on their texture, forward and backward.
+def displacements(
+    frames: Array, pairs: Sequence[tuple[int, int]], *, both_ways: bool = False
+) -> Iterator[Displacement]:
+    """Displacements between pairs of frames by the optical flow of their texture, forward and backward.
 
     Args:
         frames: (N, h, w) float64, finite, with little fixed pattern left.
         pairs: numbers of the first and the second frame.
-
-    Source: Le Besnerais and Champagnat, Dense optical flow by iterative local window registration, ICIP 2005, in the
-    implementation of scikit-image.
+        both_ways: whether the displacement from the second frame to the first follows each.
     """
-    textures: dict[int, Array] = {}
-    for first, second in pairs:
-        for k in (first, second):
-            if k not in textures:
-                textures[k] = texture(frames[k])
-        yield _displacement(first, second, textures)
+    wanted = sorted({k for pair in pairs for k in pair})
+    with ThreadPoolExecutor(threads.count()) as pool:
+        textures = dict(zip(wanted, pool.map(lambda k: Pyramid(texture(frames[k])), wanted), strict=True))
+        for found in pool.map(lambda pair: _displacements(pair[0], pair[1], textures), pairs):
+            yield from found if both_ways else found[:1]
 
 
 def texture(frame: Array) -> Array:
@@ -77,13 +78,20 @@ def texture(frame: Array) -> Array:
     return np.asarray(even / max(even.std(), np.finfo(float).tiny))
 
 
-def _displacement(first: int, second: int, textures: dict[int, Array]) -> Displacement:
-    """Forward displacement, trusted where backward flow returns to the start and the local correlation is high."""
+def _displacements(first: int, second: int, textures: dict[int, Pyramid]) -> list[Displacement]:
+    """From the first frame to the second, and back."""
     here, there = textures[first], textures[second]
+    ahead, back = optical_flow(here, there), optical_flow(there, here)
+    return [
+        _trusted(first, second, ahead, back, here.picture, there.picture),
+        _trusted(second, first, back, ahead, there.picture, here.picture),
+    ]
+
+
+def _trusted(first: int, second: int, ahead: Array, back: Array, here: Array, there: Array) -> Displacement:
+    """A displacement, trusted where that back returns to the start and the local correlation is high."""
     height, width = here.shape
     rows, columns = np.mgrid[:height, :width].astype(float)
-    ahead = optical_flow_ilk(here, there, radius=RADIUS, num_warp=WARPS)
-    back = optical_flow_ilk(there, here, radius=RADIUS, num_warp=WARPS)
     y, x = rows + ahead[0], columns + ahead[1]
     inside = (y >= BORDER) & (y <= height - 1 - BORDER) & (x >= BORDER) & (x <= width - 1 - BORDER)
     loop_error = np.hypot(*(ahead[i] + sampled(back[i], y, x) for i in (0, 1)))
@@ -95,8 +103,3 @@ def _displacement(first: int, second: int, textures: dict[int, Array]) -> Displa
     energy = np.sqrt(local_mean(here**2) * local_mean(matched**2))
     is_correlated = local_mean(here * matched) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
     return Displacement(first, second, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)
-
-
-def sampled(values: Array, y: Array, x: Array) -> Array:
-    """Bilinear interpolation of values (h, w) at points `y`, `x`; the nearest pixel's value beyond the border."""
-    return np.asarray(ndimage.map_coordinates(values, [y, x], order=1, mode="nearest"))

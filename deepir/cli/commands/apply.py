@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Settings, recording_config
+from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
-    from deepir.config import Config, Data
-    from deepir.io.radiometry import Radiometry
+    from deepir.config import Config
 
 MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
 ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")  # keys
@@ -60,10 +59,9 @@ def apply(
 def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool) -> str:
     """Write all frames; a line with the result."""
     import itertools
-    from concurrent.futures import Future, ThreadPoolExecutor
 
     from deepir.io import stream_frames
-    from deepir.io.output.recording import open_writer, output_type
+    from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
 
     data, shown = config.data, config.output
@@ -77,28 +75,10 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
             err=True,
         )
     dtype = output_type(first.dtype, rounded=rounded)
-    begun, count = time.perf_counter(), 0
-    written: Future[None] | None = None
-    with (
-        open_writer(target, dtype, unit_metadata(_radiometry(data)), shown.palette, shown.tones) as write,
-        ThreadPoolExecutor(1) as behind,  # a frame is written while the next is corrected
-    ):
-        for frame in itertools.chain([first], frames):
-            corrected = maps.correct(frame)
-            if written is not None:
-                written.result()
-            written = behind.submit(write, corrected)
-            count += 1
-        if written is not None:
-            written.result()
+    begun = time.perf_counter()
+    with open_writer(
+        target, dtype, unit_metadata(recording_radiometry(config)), shown.palette, shown.tones
+    ) as write:
+        count = write_frames(map(maps.correct, itertools.chain([first], frames)), write)
     speed = count / (time.perf_counter() - begun)
     return f"{target}: {count} frame(s) of {' x '.join(map(str, first.shape))} px, {speed:.0f} frames/s"
-
-
-def _radiometry(data: Data) -> Radiometry | None:
-    from deepir.io import readers
-    from deepir.io.radiometry import resolve_radiometry
-    from deepir.paths import expanded
-
-    found = readers.radiometry(expanded(str(data.path))) if data.raw is None else None
-    return resolve_radiometry(found, data.radiometry)

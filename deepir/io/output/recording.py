@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,29 @@ def mp4(path: Path, palette: str, mapping: str) -> Iterator[Write]:
         yield write
         if track is not None:
             container.mux(track.encode())
+
+
+def write_frames(frames: Iterable[Array], write: Write) -> int:
+    """Write frames (h, w), each while the next is computed.
+
+    Args:
+        frames: Computed one by one.
+        write: Of `open_writer`.
+
+    Returns:
+        Their number.
+    """
+    count = 0
+    written: Future[None] | None = None
+    with ThreadPoolExecutor(1) as behind:
+        for frame in frames:
+            if written is not None:
+                written.result()
+            written = behind.submit(write, frame)
+            count += 1
+        if written is not None:
+            written.result()
+    return count
 
 
 def _track(av: Any, container: Any, shape: tuple[int, ...]) -> Any:

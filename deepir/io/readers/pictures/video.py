@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,11 +46,31 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
         check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
         for frame in container.decode(video=0):
             deep = any(component.bits > 8 for component in frame.format.components)
+            grey = "gray16le" if deep else "gray"
             if len(frame.format.components) == 1 and not frame.format.has_palette:
-                yield frame.to_ndarray(format="gray16le" if deep else "gray")
+                yield frame.to_ndarray(format=grey)
+                continue
+            is_yuv = frame.format.name.startswith(("yuv4", "yuvj4")) and not deep
+            pixels = None if is_yuv else frame.to_ndarray(format="rgb48le" if deep else "rgb24")
+            if (_colour(frame) if pixels is None else _channel_difference(pixels)) <= GREY_TOLERANCE:
+                yield frame.to_ndarray(format=grey)
             else:
-                pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-                if np.ptp(pixels, axis=2).max() <= GREY_TOLERANCE * np.iinfo(pixels.dtype).max:
-                    yield frame.to_ndarray(format="gray16le" if deep else "gray")
-                else:
-                    yield to_grey(pixels, path)
+                yield to_grey(frame.to_ndarray(format="rgb24") if pixels is None else pixels, path)
+
+
+def _colour(frame: Any) -> float:
+    """Largest difference of the channels of an 8-bit YUV frame, share of the range, from its colour planes (BT.601)."""
+    blue, red = (
+        np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)[:, : plane.width]
+        - np.float32(128)
+        for plane in frame.planes[1:3]
+    )
+    channels = 1.402 * red, -0.344 * blue - 0.714 * red, 1.772 * blue
+    return max(float(np.abs(a - b).max()) for a, b in itertools.combinations(channels, 2)) / 255
+
+
+def _channel_difference(pixels: Array) -> float:
+    """Largest difference of the channels (h, w, 3) of a pixel, as a share of the range."""
+    channels = (pixels[..., channel].astype(np.int32) for channel in range(3))
+    most = max(int(np.abs(a - b).max()) for a, b in itertools.combinations(channels, 2))
+    return most / int(np.iinfo(pixels.dtype).max)

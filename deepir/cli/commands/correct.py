@@ -1,0 +1,118 @@
+"""`deepir correct`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
+
+if TYPE_CHECKING:
+    from deepir.config import Config
+    from deepir.recording.estimate import SensorEstimate
+
+ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")  # keys
+
+
+def correct(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of a camera that moves.")],
+    settings: Settings = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.", show_default=False
+        ),
+    ] = None,
+    correction: Annotated[
+        str,
+        typer.Option(
+            help="What is corrected: none, fine_offset, offset, registered_offset, gain_and_offset; or auto, "
+            "what serves held-out frames best."
+        ),
+    ] = "auto",
+    float32: Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")] = False,
+    overwrite: Overwrite = False,
+) -> int:
+    """Correct a whole recording of a moving camera: deepir correct drive.avi.
+
+    Writes the corrected recording, the camera's maps (OUTPUT_maps.npz, for `deepir apply`) and a picture (OUTPUT.png).
+    The recording may be larger than the memory. Settings: data.key, data.raw, data.radiometry, output.palette,
+    output.tones.
+    """
+    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.errors import DataError
+
+    config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
+    target = output or Path(f"{Path(file).stem}_corrected.tif")
+    maps, picture = (target.with_name(f"{target.stem}{end}") for end in ("_maps.npz", ".png"))
+    source = Path(str(config.data.path))
+    for each in (target, maps, picture):
+        if each.exists() and source.exists() and each.samefile(source):
+            raise DataError(f"{each} is the recording itself: give another --output")
+        if each.exists() and not overwrite:
+            raise DataError(f"{each} exists; replace it with --overwrite, or give another --output")
+    try:
+        with Interruptible():
+            _correct(config, correction, target, maps, picture, rounded=not float32)
+    except Interrupted as error:
+        if maps.exists():
+            typer.echo(f"deepir: interrupted; go on with: deepir apply {maps} {file}", err=True)
+            return error.status
+        return report_aborted(error)
+    return 0
+
+
+def _correct(
+    config: Config, correction: str, target: Path, maps: Path, picture: Path, *, rounded: bool
+) -> None:
+    """Estimate the sensor, then write maps, picture and all corrected frames."""
+    import functools
+    from concurrent.futures import ThreadPoolExecutor
+
+    from deepir.cli.tracking import track
+    from deepir.io import stream_frames
+    from deepir.io.output.recording import open_writer, output_type, write_frames
+    from deepir.io.radiometry import unit_metadata
+    from deepir.recording.correct import CorrectedRecording
+    from deepir.recording.estimate import estimate_sensor
+    from deepir.recording.keyframes import choose_keyframes
+    from deepir.report.correction import write_correction
+
+    data, shown = config.data, config.output
+    begun = time.perf_counter()
+    read = functools.partial(stream_frames, str(data.path), key=data.key, raw=data.raw)
+    dtype = output_type(next(read()).dtype, rounded=rounded)
+    metadata = unit_metadata(recording_radiometry(config))
+    writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
+    keyframes = choose_keyframes(track(read(), "reading"))
+    estimate = estimate_sensor(keyframes, correction)
+    corrected = CorrectedRecording(read, estimate, keyframes)
+    corrected.save_maps(maps)
+    typer.echo(_summary(estimate, len(keyframes.frames), len(corrected)))
+    for message in estimate.messages:
+        typer.echo(f"deepir: warning: {message}", err=True)
+    with ThreadPoolExecutor(1) as beside, writer as write:
+        drawn = beside.submit(write_correction, picture, corrected)
+        count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
+        drawn.result()
+    speed = count / (time.perf_counter() - begun)
+    typer.echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
+
+
+def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:
+    """What is corrected, and by how much it serves held-out frames."""
+    line = f"correction: {estimate.kept.replace('_', ' ')}, from {keyframes} of {length} frames"
+    least = estimate.nats.get(estimate.kept)
+    gains = [
+        f"{nats - least:.0f} nats for {name.replace('_', ' ')}"
+        for name, nats in estimate.nats.items()
+        if least is not None and name != estimate.kept
+    ]
+    if gains:
+        line += f"; the likelihood of held-out frames is larger than by {', '.join(gains)}"
+    if estimate.strength is not None:
+        line += "; the pattern has a strength of its own in each frame, as of an automatic gain control"
+    return f"{line}; {int(estimate.bad_pixels.sum())} bad pixels"

@@ -1,0 +1,1 @@
+"""Correction of whole recordings: one camera, many scenes."""
