@@ -56,7 +56,7 @@ def box_sum(values, radius, sums, rows):
 
 
 @compiled
-def lucas_kanade(first, second, gradient, tensor, radius, iterations, flow):
+def lucas_kanade(first, second, gradient, tensor, damping, radius, iterations, flow):
     """Flow that minimises in each window the squared difference of `first` and the displaced `second`.
 
     Args:
@@ -64,6 +64,7 @@ def lucas_kanade(first, second, gradient, tensor, radius, iterations, flow):
         second: (h, w).
         gradient: of `first`, down and across, (2, h, w).
         tensor: structure tensor of `first` summed over windows, (yy, xy, xx), (3, h, w), of full rank.
+        damping: what was added to the tensor's diagonal: in windows without texture the flow stays as it was.
         radius: half-width of a window, px.
         iterations: Gauss-Newton steps.
         flow: displacement down and across, px, (2, h, w): the start, and overwritten by the result.
@@ -91,5 +92,9 @@ def lucas_kanade(first, second, gradient, tensor, radius, iterations, flow):
             for j in range(width):
                 yy, xy, xx = tensor[0, i, j], tensor[1, i, j], tensor[2, i, j]
                 determinant = yy * xx - xy * xy
-                flow[0, i, j] = (xx * sum_down[i, j] - xy * sum_across[i, j]) / determinant
-                flow[1, i, j] = (yy * sum_across[i, j] - xy * sum_down[i, j]) / determinant
+                along_y, along_x = (
+                    sum_down[i, j] + damping * flow[0, i, j],
+                    sum_across[i, j] + damping * flow[1, i, j],
+                )
+                flow[0, i, j] = (xx * along_y - xy * along_x) / determinant
+                flow[1, i, j] = (yy * along_x - xy * along_y) / determinant

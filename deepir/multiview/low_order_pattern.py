@@ -21,7 +21,7 @@ GAPS = (1, 2)
 #: Times that displacements are sought, each after what was found before is taken off.
 ROUNDS = 2
 #: px of the averaged frames between nodes of the grid, and between the samples that are used.
-CELL, STEP = 8, 2
+CELL, STEP = 5, 2
 #: Samples that say the same: the displacement of all in a window is one, and each frame is in pairs of all gaps.
 CORRELATED = len(GAPS) * ((2 * RADIUS + 1) / STEP) ** 2
 DEGREE = 2  # of the polynomial
@@ -54,7 +54,11 @@ class SlowPattern:
 
 
 def slow_pattern(
-    frames: Array, usable: Array, pairs: Sequence[tuple[int, int]] | None = None, rounds: int = ROUNDS
+    frames: Array,
+    usable: Array,
+    pairs: Sequence[tuple[int, int]] | None = None,
+    rounds: int = ROUNDS,
+    removed: Array | None = None,
 ) -> SlowPattern:
     """The slow additive pattern that frames still hold.
 
@@ -63,6 +67,8 @@ def slow_pattern(
         usable: (N, h, w) bool, which samples count.
         pairs: numbers of frames that may show the same scene, nearest first; None: all that are `GAPS` apart.
         rounds: times that displacements are sought.
+        removed: slow part of what was taken off, (h, w). It holds some of the scenes, which would stand still in the
+            frames: it is put back where displacements are sought.
 
     Returns:
         The pattern in the frames' units; zero where the frames are not related.
@@ -75,8 +81,9 @@ def slow_pattern(
         pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
     grid = _Grid(coarse.shape[1:])
     total = np.zeros(coarse.shape[1:])
+    back = 0.0 if removed is None else averaged(removed, np.ones(removed.shape, bool), factor) / contrast
     for round_ in range(rounds):
-        both = tuple(displacements(coarse - total, pairs, both_ways=True))
+        both = tuple(displacements(coarse + back - total, pairs, both_ways=True))
         ahead = both[::2]
         if round_ == 0 and not _related(coarse, ahead):
             return SlowPattern(np.zeros(frames.shape[1:]), related=False, displacements=both)

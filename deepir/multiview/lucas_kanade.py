@@ -12,12 +12,12 @@ from deepir.kernels.optical_flow import box_sum, lucas_kanade, sample_bilinear
 Array = np.ndarray[Any, Any]
 
 RADIUS = 7  # px, half-width of a window
-ITERATIONS = 6  # Gauss-Newton steps on each level
+ITERATIONS = 4  # Gauss-Newton steps on each level
 LEVELS = 3  # of the pyramid, each of half the resolution
 SMALLEST_SIDE = 12  # px, of the coarsest level
 PYRAMID_SIGMA, GRADIENT_SIGMA = 1.0, 0.7  # px, of Gaussians before halving and before differences
-#: Share of the median structure tensor's trace that is added to its diagonal: flow of a window without texture is zero.
-DAMPING = 0.1
+#: Share of the median structure tensor's trace that is added to its diagonal: without texture, flow stays as it was.
+DAMPING = 0.03
 MEDIAN_SIDE = 5  # px, of the median filter of the flow on each level
 
 
@@ -26,10 +26,10 @@ class Pyramid:
 
     def __init__(self, picture: Array) -> None:
         level = np.ascontiguousarray(picture, np.float64)
-        self.levels: list[tuple[Array, Array, Array]] = []
+        self.levels: list[tuple[Array, Array, Array, float]] = []
         for _ in range(LEVELS):
             gradient = np.stack(np.gradient(ndimage.gaussian_filter(level, GRADIENT_SIGMA)))
-            self.levels.append((level, gradient, _structure_tensor(gradient)))
+            self.levels.append((level, gradient, *_structure_tensor(gradient)))
             if min(level.shape) < 2 * SMALLEST_SIDE:
                 break
             level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
@@ -43,11 +43,11 @@ class Pyramid:
 def optical_flow(first: Pyramid, second: Pyramid) -> Array:
     """Displacement (2, h, w), px down and across, at which `second` shows what `first` shows at each pixel."""
     flow: Array | None = None
-    for (here, gradient, tensor), (there, *_) in zip(
+    for (here, gradient, tensor, damping), (there, *_) in zip(
         reversed(first.levels), reversed(second.levels), strict=True
     ):
         flow = np.zeros((2, *here.shape)) if flow is None else _enlarged(flow, here.shape)
-        lucas_kanade(here, there, gradient, tensor, RADIUS, ITERATIONS, flow)
+        lucas_kanade(here, there, gradient, tensor, damping, RADIUS, ITERATIONS, flow)
         flow = np.stack([ndimage.median_filter(each, MEDIAN_SIDE) for each in flow])
     assert flow is not None
     return flow
@@ -61,7 +61,8 @@ def sampled(values: Array, y: Array, x: Array) -> Array:
     return found.reshape(np.shape(y))
 
 
-def _structure_tensor(gradient: Array) -> Array:
+def _structure_tensor(gradient: Array) -> tuple[Array, float]:
+    """Structure tensor (yy, xy, xx), (3, h, w), summed over windows, and what is added to its diagonal."""
     down, across = gradient
     tensor, rows = np.empty((3, *down.shape)), np.empty(down.shape)
     for product, sums in zip((down * down, down * across, across * across), tensor, strict=True):
@@ -69,7 +70,7 @@ def _structure_tensor(gradient: Array) -> Array:
     damping = DAMPING * float(np.median(tensor[0] + tensor[2])) + np.finfo(float).tiny
     tensor[0] += damping
     tensor[2] += damping
-    return tensor
+    return tensor, damping
 
 
 def _enlarged(flow: Array, shape: tuple[int, ...]) -> Array:

@@ -160,7 +160,7 @@ def _median(frames: Array, usable: Array) -> float:
 
 
 def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]]) -> None:
-    """Raise `DataError` if neighbouring frames differ by no more than their noise, or show the same at the same place."""
+    """Raise `DataError` if neighbouring frames differ only by noise, or all show the same scene."""
     noise = 2**0.5 * noise_deviation(frames - offset)
     changes = [float(np.quantile(np.abs(frames[i] - frames[j])[::3, ::3], 0.75)) for i, j in pairs]
     some = frames[:: max(1, len(frames) // FRAMES_AT_REST)]
@@ -190,8 +190,8 @@ def _candidates(
     bad = defective_pixels(frames, usable, consensus)
     known = ~bad
     messages = []
-    slow = slow_pattern(frames - consensus, usable, pairs, rounds=1)
     fine = consensus - slow_part(consensus - _columns(consensus, known), known)
+    slow = slow_pattern(frames - consensus, usable & known, pairs, rounds=1, removed=consensus - fine)
     offset = consensus + slow.offset
     scene = slow_part(np.mean(frames - offset, axis=0), known)[known].std()
     if not slow.related or slow_part(offset, known)[known].std() < LEAST_SLOW_RATIO * scene:
