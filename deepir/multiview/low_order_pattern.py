@@ -25,9 +25,6 @@ CELL, STEP = 5, 2
 #: Samples that say the same: the displacement of all in a window is one, and each frame is in pairs of all gaps.
 CORRELATED = len(GAPS) * ((2 * RADIUS + 1) / STEP) ** 2
 DEGREE = 2  # of the polynomial
-#: px of the averaged frames; Gaussian that is taken of them before their changes: an error of a displacement changes
-#: edges most.
-CHANGE_SIGMA = 2.0
 #: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
 LEAST_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
@@ -59,6 +56,7 @@ def slow_pattern(
     pairs: Sequence[tuple[int, int]] | None = None,
     rounds: int = ROUNDS,
     removed: Array | None = None,
+    change_sigma: float = 0.0,
 ) -> SlowPattern:
     """The slow additive pattern that frames still hold.
 
@@ -69,6 +67,8 @@ def slow_pattern(
         rounds: times that displacements are sought.
         removed: slow part of what was taken off, (h, w). It holds some of the scenes, which would stand still in the
             frames: it is put back where displacements are sought.
+        change_sigma: px of the averaged frames; Gaussian over which changes of brightness are averaged: errors of
+            displacements at edges have both signs.
 
     Returns:
         The pattern in the frames' units; zero where the frames are not related.
@@ -79,7 +79,7 @@ def slow_pattern(
     coarse /= contrast
     if pairs is None:
         pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
-    grid = _Grid(coarse.shape[1:])
+    grid = _Grid(coarse.shape[1:], change_sigma)
     total = np.zeros(coarse.shape[1:])
     back = 0.0 if removed is None else averaged(removed, np.ones(removed.shape, bool), factor) / contrast
     for round_ in range(rounds):
@@ -125,8 +125,8 @@ def averaged(frame: Array, usable: Array, factor: int) -> Array:
 class _Grid:
     """Maps (h, w) that are a polynomial and a bilinear interpolation of nodes, both of prior deviation one."""
 
-    def __init__(self, size: tuple[int, ...]) -> None:
-        self.size = size
+    def __init__(self, size: tuple[int, ...], change_sigma: float) -> None:
+        self.size, self.change_sigma = size, change_sigma
         self.nodes = tuple(max(2, side // CELL) for side in size)
         orders = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i) if i + j]
         along = [np.polynomial.legendre.legvander(np.linspace(-1, 1, count), DEGREE) for count in self.nodes]
@@ -141,7 +141,6 @@ class _Grid:
 
     def fitted(self, frames: Array, found: Sequence[Displacement]) -> Array:
         """The map that explains best how brightness changes along the displacements; Cauchy weights."""
-        frames = ndimage.gaussian_filter(frames, (0, CHANGE_SIGMA, CHANGE_SIGMA))
         equations = [each for each in (self._equations(frames, one) for one in found) if each is not None]
         unknowns = np.zeros(self.prior.shape[0])
         for _ in range(REWEIGHTINGS):
@@ -171,7 +170,7 @@ class _Grid:
             return None
         rows, columns = np.nonzero(some)
         y, x = found.y[some], found.x[some]
-        change = frames[found.first][some] - sampled(frames[found.second], y, x)
+        change = _change(frames, found, self.change_sigma)[some]
         nodes = self._weights(rows.astype(float), columns.astype(float)) - self._weights(y, x)
         return sp.hstack([nodes, nodes @ self.polynomials]).tocsr(), change
 
@@ -188,6 +187,14 @@ class _Grid:
         points = np.tile(np.arange(len(low[0])), 4)
         shape = (len(low[0]), len(self.polynomials))
         return sp.csr_matrix((np.concatenate(weights), (points, np.concatenate(indices))), shape=shape)
+
+
+def _change(frames: Array, found: Displacement, sigma: float) -> Array:
+    """What brightness changes along a displacement, averaged over the known samples nearby, (h, w)."""
+    change = frames[found.first] - sampled(frames[found.second], found.y, found.x)
+    known = ndimage.gaussian_filter(found.known.astype(float), sigma)
+    change = ndimage.gaussian_filter(np.where(found.known, change, 0.0), sigma)
+    return np.asarray(change / np.maximum(known, np.finfo(float).tiny))
 
 
 def _enlarged(coarse: Array, size: Sequence[int], factor: int) -> Array:

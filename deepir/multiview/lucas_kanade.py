@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,21 +23,27 @@ MEDIAN_SIDE = 5  # px, of the median filter of the flow on each level
 
 
 class Pyramid:
-    """A picture (h, w) at several resolutions, with gradients and structure tensors."""
+    """A picture (h, w) at several resolutions, with gradients and structure tensors.
 
-    def __init__(self, picture: Array) -> None:
+    Args:
+        picture: (h, w).
+        transform: what is registered of the picture at each resolution, same shape: its texture.
+    """
+
+    def __init__(self, picture: Array, transform: Callable[[Array], Array]) -> None:
         level = np.ascontiguousarray(picture, np.float64)
         self.levels: list[tuple[Array, Array, Array, float]] = []
         for _ in range(LEVELS):
-            gradient = np.stack(np.gradient(ndimage.gaussian_filter(level, GRADIENT_SIGMA)))
-            self.levels.append((level, gradient, *_structure_tensor(gradient)))
+            shown = transform(level)
+            gradient = np.stack(np.gradient(ndimage.gaussian_filter(shown, GRADIENT_SIGMA)))
+            self.levels.append((shown, gradient, *_structure_tensor(gradient)))
             if min(level.shape) < 2 * SMALLEST_SIDE:
                 break
             level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
 
     @property
     def picture(self) -> Array:
-        """The finest level, (h, w)."""
+        """What is registered at the finest level, (h, w)."""
         return self.levels[0][0]
 
 

@@ -21,8 +21,8 @@ Array = np.ndarray
 __all__ = ["RADIUS", "Displacement", "displacements", "sampled", "texture"]
 
 SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
-TEXTURE_SIGMA = 4.0  # px; Gaussian that separates texture from what is broader
-CONTRAST_SIGMA = 16.0  # px; Gaussian over which the contrast of the texture is normalised
+TEXTURE_SIGMA = 4.0  # px of each resolution; Gaussian that separates texture from what is broader
+CONTRAST_SIGMA = 16.0  # px of each resolution; Gaussian over which the contrast of the texture is normalised
 CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
 MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
 MIN_CORRELATION = 0.7  # normalised local correlation of texture from which a displacement is trusted
@@ -65,7 +65,7 @@ def displacements(
     """
     wanted = sorted({k for pair in pairs for k in pair})
     with ThreadPoolExecutor(threads.count()) as pool:
-        textures = dict(zip(wanted, pool.map(lambda k: Pyramid(texture(frames[k])), wanted), strict=True))
+        textures = dict(zip(wanted, pool.map(lambda k: Pyramid(frames[k], texture), wanted), strict=True))
         for found in pool.map(lambda pair: _displacements(pair[0], pair[1], textures), pairs):
             yield from found if both_ways else found[:1]
 

@@ -31,6 +31,9 @@ Array = np.ndarray[Any, Any]
 
 MAX_PAIRS = 90  # pairs of frames whose displacements are sought
 MAX_HELD_OUT_PAIRS = 8
+CHANGE_SIGMA = (
+    2.0  # px of the averaged frames; over which changes of brightness along displacements are averaged
+)
 #: Ratio of the slow part of the pattern to that of the scenes' mean, from which it is the sensor's. Displacements are
 #: too short on average, so that a part of the scenes' mean stays in the pattern: 0.2 to 0.9 of it in simulated drives.
 LEAST_SLOW_RATIO = 1.5
@@ -191,7 +194,14 @@ def _candidates(
     known = ~bad
     messages = []
     fine = consensus - slow_part(consensus - _columns(consensus, known), known)
-    slow = slow_pattern(frames - consensus, usable & known, pairs, rounds=1, removed=consensus - fine)
+    slow = slow_pattern(
+        frames - consensus,
+        usable & known,
+        pairs,
+        rounds=1,
+        removed=consensus - fine,
+        change_sigma=CHANGE_SIGMA,
+    )
     offset = consensus + slow.offset
     scene = slow_part(np.mean(frames - offset, axis=0), known)[known].std()
     if not slow.related or slow_part(offset, known)[known].std() < LEAST_SLOW_RATIO * scene:
