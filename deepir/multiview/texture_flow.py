@@ -21,7 +21,7 @@ Array = np.ndarray
 __all__ = ["RADIUS", "Displacement", "displacements", "sampled", "texture"]
 
 SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
-TEXTURE_SIGMA = 4.0  # px of each resolution; Gaussian that separates texture from what is broader
+TEXTURE_SIGMA = 8.0  # px of each resolution; Gaussian that separates texture from what is broader
 CONTRAST_SIGMA = 16.0  # px of each resolution; Gaussian over which the contrast of the texture is normalised
 CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
 MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
