@@ -92,9 +92,7 @@ def lucas_kanade(first, second, gradient, tensor, damping, radius, iterations, f
             for j in range(width):
                 yy, xy, xx = tensor[0, i, j], tensor[1, i, j], tensor[2, i, j]
                 determinant = yy * xx - xy * xy
-                along_y, along_x = (
-                    sum_down[i, j] + damping * flow[0, i, j],
-                    sum_across[i, j] + damping * flow[1, i, j],
-                )
+                along_y = sum_down[i, j] + damping * flow[0, i, j]
+                along_x = sum_across[i, j] + damping * flow[1, i, j]
                 flow[0, i, j] = (xx * along_y - xy * along_x) / determinant
                 flow[1, i, j] = (yy * along_x - xy * along_y) / determinant

@@ -31,11 +31,10 @@ Array = np.ndarray[Any, Any]
 
 MAX_PAIRS = 90  # pairs of frames whose displacements are sought
 MAX_HELD_OUT_PAIRS = 8
-CHANGE_SIGMA = (
-    2.0  # px of the averaged frames; over which changes of brightness along displacements are averaged
-)
-#: Ratio of the slow part of the pattern to that of the scenes' mean, from which it is the sensor's. Displacements are
-#: too short on average, so that a part of the scenes' mean stays in the pattern: 0.2 to 0.9 of it in simulated drives.
+#: px of the averaged frames; Gaussian over which changes of brightness along displacements are averaged.
+CHANGE_SIGMA = 2.0
+#: Ratio of the slow part of the pattern to that of the scenes' mean, from which it is the sensor's. Errors of the
+#: displacements leave a part of the scenes' mean in the pattern: 0.2 to 0.9 of it in simulated drives.
 LEAST_SLOW_RATIO = 1.5
 #: px of the frames that the scene moves down, at most, and across, at least, where the camera turns only sideways; or
 #: the other way round. Of the upper quartiles of the displacements in a pair of frames, those of nine pairs in ten.
