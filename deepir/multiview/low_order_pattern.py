@@ -19,12 +19,13 @@ from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Array, Displacemen
 #: Frames between which displacements are sought, apart in the order of the frames.
 GAPS = (1, 2)
 #: Times that displacements are sought, each after what was found before is taken off.
-ROUNDS = 2
+ROUNDS = 3
 #: px of the averaged frames between nodes of the grid, and between the samples that are used.
 CELL, STEP = 5, 2
 #: Samples that say the same: the displacement of all in a window is one, and each frame is in pairs of all gaps.
 CORRELATED = len(GAPS) * ((2 * RADIUS + 1) / STEP) ** 2
 DEGREE = 2  # of the polynomial
+CHANGE_SIGMA = 0.5  # px of the averaged frames; Gaussian over which changes of brightness are averaged
 #: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
 LEAST_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
@@ -56,7 +57,7 @@ def slow_pattern(
     pairs: Sequence[tuple[int, int]] | None = None,
     rounds: int = ROUNDS,
     removed: Array | None = None,
-    change_sigma: float = 0.0,
+    change_sigma: float = CHANGE_SIGMA,
 ) -> SlowPattern:
     """The slow additive pattern that frames still hold.
 

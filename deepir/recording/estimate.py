@@ -31,7 +31,7 @@ Array = np.ndarray[Any, Any]
 
 MAX_PAIRS = 90  # pairs of frames whose displacements are sought
 MAX_HELD_OUT_PAIRS = 8
-#: px of the averaged frames; Gaussian over which changes of brightness along displacements are averaged.
+#: px of the averaged frames; Gaussian over which changes of brightness are averaged: many pairs allow more than few.
 CHANGE_SIGMA = 2.0
 #: Ratio of the slow part of the pattern to that of the scenes' mean, from which it is the sensor's. Errors of the
 #: displacements leave a part of the scenes' mean in the pattern: 0.2 to 0.9 of it in simulated drives.
