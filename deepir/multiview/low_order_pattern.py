@@ -102,7 +102,8 @@ def _related(frames: Array, found: Sequence[Displacement]) -> bool:
     mirrored = np.concatenate([[frames[k], frames[k + 1][:, ::-1]] for k in first])
     by_chance = displacements(mirrored, [(2 * k, 2 * k + 1) for k in range(count)])
     chance = float(np.median([each.share_moved for each in by_chance]))
-    known = float(np.median([each.share_moved for each in found if each.second - each.first == GAPS[0]]))
+    nearest = min(each.second - each.first for each in found)
+    known = float(np.median([each.share_moved for each in found if each.second - each.first == nearest]))
     return known >= max(LEAST_KNOWN, CHANCE_FACTOR * chance)
 
 

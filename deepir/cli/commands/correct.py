@@ -107,12 +107,12 @@ def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:
     line = f"correction: {estimate.kept.replace('_', ' ')}, from {keyframes} of {length} frames"
     least = estimate.nats.get(estimate.kept)
     gains = [
-        f"{nats - least:.0f} nats for {name.replace('_', ' ')}"
+        f"{name.replace('_', ' ')} by {nats - least:.0f}"
         for name, nats in estimate.nats.items()
         if least is not None and name != estimate.kept
     ]
     if gains:
-        line += f"; the likelihood of held-out frames is larger than by {', '.join(gains)}"
+        line += f"; on held-out frames it is likelier (nats) than {', '.join(gains)}"
     if estimate.strength is not None:
         line += "; the pattern has a strength of its own in each frame, as of an automatic gain control"
     return f"{line}; {int(estimate.bad_pixels.sum())} bad pixels"

@@ -1,0 +1,68 @@
+"""`deepir correct`: a recording in, a corrected recording, maps and a picture out; and its refusals."""
+
+import numpy as np
+import pytest
+from skimage import data
+
+from deepir.io import read_frames
+
+SIZE = (60, 80)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Scenes (60, 60, 80) of a camera that wanders over a picture, noise, and a pattern of columns and pixels."""
+    rng = np.random.default_rng(4)
+    picture = 8000 + 4.0 * data.camera()
+    walk = np.cumsum(rng.integers(-2, 9, (60, 2)), 0) % 380
+    scenes = np.stack([picture[y : y + SIZE[0], x : x + SIZE[1]] for y, x in walk])
+    pattern = 60 * rng.standard_normal((1, SIZE[1])) + 40 * rng.standard_normal(SIZE)
+    return scenes, scenes + pattern + 3 * rng.standard_normal(scenes.shape)
+
+
+def fixed_pattern(frames, scenes):
+    """Deviation of the detail of what frames and scenes differ by in all frames."""
+    difference = np.median(frames - scenes, 0)
+    return np.std(np.diff(difference, axis=1))
+
+
+def test_the_fixed_pattern_is_taken_off_and_maps_can_be_applied(deepir, folder, recording):
+    scenes, frames = recording
+    np.savez("walk.npz", frames=frames.round().astype(np.uint16))
+    assert deepir("correct", "walk.npz")[0] == 0
+    assert {each.name for each in folder.glob("walk_*")} == {
+        "walk_corrected.tif",
+        "walk_corrected_maps.npz",
+        "walk_corrected.png",
+    }
+    corrected = read_frames("walk_corrected.tif")
+    assert corrected.dtype == "uint16"
+    assert fixed_pattern(corrected.frames, scenes) < 0.2 * fixed_pattern(frames, scenes)
+    assert deepir("apply", "walk_corrected_maps.npz", "walk.npz", "--output", "again.tif")[0] == 0
+    assert fixed_pattern(read_frames("again.tif").frames, scenes) < 0.2 * fixed_pattern(frames, scenes)
+
+
+def test_a_result_is_replaced_only_on_demand(deepir, folder, recording):
+    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+    (folder / "walk_corrected.tif").write_bytes(b"mine")
+    status, _, err = deepir("correct", "walk.npz")
+    assert status == 2
+    assert "--overwrite" in err
+    assert (folder / "walk_corrected.tif").read_bytes() == b"mine"
+
+
+def test_a_camera_at_rest_is_refused_and_nothing_is_written(deepir, folder, recording):
+    noise = 3 * np.random.default_rng(1).standard_normal((60, *SIZE))
+    np.savez("rest.npz", frames=(recording[1][0] + noise).round().astype(np.uint16))
+    status, _, err = deepir("correct", "rest.npz")
+    assert status == 2
+    assert "stands still" in err
+    assert not list(folder.glob("rest_*"))
+
+
+def test_a_correction_that_is_not_there_is_named(deepir, folder, recording):
+    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+    status, _, err = deepir("correct", "walk.npz", "--correction", "ofset")
+    assert status == 2
+    assert "did you mean 'offset'" in err
+    assert not list(folder.glob("walk_*"))
