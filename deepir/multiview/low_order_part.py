@@ -24,13 +24,13 @@ FINE_SIDE = 5
 LARGEST_RATIO = 20.0
 
 
-def slow_part(pattern: Array, usable: Array) -> Array:
+def slow_part(pattern: Array, usable: Array, sigma: float = SLOW_SIGMA) -> Array:
     """A plane and, of what it leaves of the usable pixels of a pattern (h, w), the Gaussian mean; mean zero."""
     rows, columns = np.indices(pattern.shape).astype(float) / max(pattern.shape)
     axes = np.stack((np.ones_like(rows), rows, columns), -1)
     plane = axes @ np.linalg.lstsq(axes[usable], pattern[usable], rcond=None)[0]
-    share = ndimage.gaussian_filter(usable.astype(float), SLOW_SIGMA, mode="nearest")
-    mean = ndimage.gaussian_filter(np.where(usable, pattern - plane, 0.0), SLOW_SIGMA, mode="nearest")
+    share = ndimage.gaussian_filter(usable.astype(float), sigma, mode="nearest")
+    mean = ndimage.gaussian_filter(np.where(usable, pattern - plane, 0.0), sigma, mode="nearest")
     slow = plane + mean / np.maximum(share, 1e-9)
     return np.asarray(slow - slow.mean())
 

@@ -53,6 +53,21 @@ class Displacement:
         return float((moved & self.known).mean())
 
 
+def motion_extent(found: Sequence[Displacement]) -> tuple[float, float]:
+    """How far the scene moves down and across, px of the frames passed in; zero where no displacement is known.
+
+    Of the upper quartiles of the displacements in a pair of frames, that which nine pairs in ten do not exceed.
+    """
+    far = []
+    for each in found:
+        if each.known.any():
+            rows, columns = np.nonzero(each.known)
+            moved = each.y[each.known] - rows, each.x[each.known] - columns
+            far.append([np.quantile(np.abs(along), 0.75) for along in moved])
+    down, across = np.quantile(far, 0.9, axis=0) if far else (0.0, 0.0)
+    return float(down), float(across)
+
+
 def displacements(
     frames: Array, pairs: Sequence[tuple[int, int]], *, both_ways: bool = False
 ) -> Iterator[Displacement]:

@@ -12,41 +12,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.multiview.camera_at_rest import is_at_rest
-from deepir.multiview.held_out_pattern import Judge
-from deepir.multiview.low_order_part import SLOW_SIGMA, slow_part
-from deepir.multiview.low_order_pattern import coarsening, slow_pattern
 from deepir.multiview.texture_flow import Displacement
 from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
 from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels
-from deepir.recording.keyframes import Keyframes
+from deepir.recording.held_out import HeldOutFrames
+from deepir.recording.keyframes import Keyframes, spread
+from deepir.recording.offset import SeparatedOffset, separate_offset
 from deepir.recording.responses import noise_deviation, refine_responses
 
 Array = np.ndarray[Any, Any]
 
 MAX_PAIRS = 90  # pairs of frames whose displacements are sought
-MAX_HELD_OUT_PAIRS = 8
-#: px of the averaged frames; Gaussian over which changes of brightness are averaged: many pairs allow more than few.
-CHANGE_SIGMA = 2.0
-#: Ratio of the slow part of the pattern to that of the scenes' mean, from which it is the sensor's. Errors of the
-#: displacements leave a part of the scenes' mean in the pattern: 0.2 to 0.9 of it in simulated drives.
-LEAST_SLOW_RATIO = 1.5
-#: px of the frames that the scene moves down, at most, and across, at least, where the camera turns only sideways; or
-#: the other way round. Of the upper quartiles of the displacements in a pair of frames, those of nine pairs in ten.
-LINE_MOTION, CROSS_MOTION = 2.0, 5.0
-#: Deviation of the pattern's lines that have not moved, relative to the scene's that have: they are the sensor's from.
-LEAST_LINE_RATIO = 1.2
-COLUMN_SIGMA = 16.0  # px; of the Gaussian below which the columns' means are the scene's
 MIN_KEYFRAMES = 4
 #: What a correction may consist of, from nothing to all; and the word for the choice by held-out frames.
 CORRECTIONS = ("none", "fine_offset", "offset", "registered_offset", "gain_and_offset")
 AUTO = "auto"
-LEAST_NATS = 50.0  # by which a larger correction makes held-out frames likelier, to be chosen
+LEAST_NATS = 30.0  # by which a larger correction makes held-out frames likelier, to be chosen
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
@@ -113,9 +99,15 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO) -> SensorEstim
     if gains is not None:
         frames = (frames - level) / gains[:, None, None] + np.float32(level)
         offset = gradient_consensus(frames, usable).astype(np.float32)
-    pairs = _spread(estimated.pairs, MAX_PAIRS)
-    candidates, bad, messages = _candidates(frames, usable, pairs, offset, level, with_gain=gains is None)
-    nats = _judged(held, limits, candidates, bad)
+    bad = defective_pixels(frames, usable, offset)
+    pairs = spread(estimated.pairs, MAX_PAIRS)
+    separated = separate_offset(frames, usable, ~bad, offset, pairs, level)
+    held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, separated)
+    masked = np.where(usable, frames, np.nan).astype(np.float32)
+    base, messages = _base(separated, held_out, correction)
+    candidates = _candidates(masked, base, separated.displacements, level, with_gain=gains is None)
+    bad |= _unresponsive(candidates["gain_and_offset"][0]) if "gain_and_offset" in candidates else False
+    nats = {name: found for name, each in candidates.items() if np.isfinite(found := held_out.nats(*each))}
     kept = correction
     if correction == AUTO:
         kept = _choice(nats)
@@ -178,113 +170,48 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
         )
 
 
-def _candidates(
-    frames: Array,
-    usable: Array,
-    pairs: Sequence[tuple[int, int]],
-    consensus: Array,
-    level: float,
-    *,
-    with_gain: bool,
-) -> tuple[dict[str, tuple[Array, Array]], Array, list[str]]:
-    """Corrections (gain, offset) from none to all that registered frames tell; bad pixels; and messages."""
-    one = np.ones_like(consensus)
-    bad = defective_pixels(frames, usable, consensus)
-    known = ~bad
-    messages = []
-    fine = consensus - slow_part(consensus - _columns(consensus, known), known)
-    slow = slow_pattern(
-        frames - consensus,
-        usable & known,
-        pairs,
-        rounds=1,
-        removed=consensus - fine,
-        change_sigma=CHANGE_SIGMA,
-    )
-    offset = consensus + slow.offset
-    scene = slow_part(np.mean(frames - offset, axis=0), known)[known].std()
-    if not slow.related or slow_part(offset, known)[known].std() < LEAST_SLOW_RATIO * scene:
-        offset = fine
-        messages.append(
-            "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
-            "or the camera moves too little"
-        )
-    lines = _scene_lines(fine, frames - consensus, slow.displacements, coarsening(frames.shape[1:]))
-    fine, offset = fine - lines, offset - lines
-    masked = np.where(usable, frames, np.nan).astype(np.float32)
-    gain, registered = refine_responses(masked, slow.displacements, one, offset, level, with_gain=with_gain)
-    bad |= (gain < GAIN_LIMITS[0]) | (gain > GAIN_LIMITS[1])
-    candidates = {"none": (one, np.zeros_like(consensus)), "fine_offset": (one, fine)}
-    if not np.array_equal(offset, fine):
-        candidates["offset"] = (one, offset)
-    candidates["registered_offset"] = (one, registered)
-    if with_gain:
-        candidates["gain_and_offset"] = (gain, registered)
-    return candidates, bad, messages
+def _held_out_frames(held: Keyframes, usable: Array, separated: SeparatedOffset) -> HeldOutFrames:
+    """Frames that judge; the displacements of their scenes are sought with either offset."""
+    offsets = [each for each in (separated.fine, separated.whole) if each is not None]
+    level = _median(held.frames, usable) if usable.any() else 0.0
+    return HeldOutFrames(held, usable, level, [(np.ones_like(each), each) for each in offsets])
 
 
-def _columns(pattern: Array, known: Array) -> Array:
-    """The detail of the mean of each column, (1, w): mostly the sensor's. Of rows a scene has some, as a horizon."""
-    counts = known.sum(0)
-    profile = np.where(known, pattern, 0).sum(0) / np.maximum(counts, 1)
-    return np.asarray(profile - ndimage.gaussian_filter1d(profile, COLUMN_SIGMA))[None]
-
-
-def _scene_lines(fine: Array, corrected: Array, found: Sequence[Displacement], factor: int) -> Array:
-    """What of rows or columns is the scene's, (h, w).
-
-    A camera that only turns sideways sees a ledge at the same rows in all frames.
-    """
-    lines = np.zeros_like(fine)
-    known = [each for each in found if each.known.any()]
-    if not known:
-        return lines
-    start = np.indices(known[0].known.shape)
-    far = [
-        [float(np.quantile(np.abs(at - start[axis])[each.known], 0.75)) for each, at in moved]
-        for axis, moved in enumerate(([(e, e.y) for e in known], [(e, e.x) for e in known]))
+def _base(
+    separated: SeparatedOffset, held_out: HeldOutFrames, correction: str
+) -> tuple[tuple[str, Array], list[str]]:
+    """The offset with or without what is slow, named as in `CORRECTIONS`; and messages."""
+    fine, whole = separated.fine, separated.whole
+    if correction == "fine_offset":
+        return (correction, fine), []
+    if whole is not None and (correction == "offset" or _slow_part_serves(held_out, fine, whole)):
+        return ("offset", whole), []
+    return ("fine_offset", fine), [
+        "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
+        "or the camera moves too little, or turns only one way"
     ]
-    down, across = (factor * float(np.quantile(each, 0.9)) for each in far)
-    for axis, along, cross in ((1, down, across), (0, across, down)):
-        if along >= LINE_MOTION or cross < CROSS_MOTION:
-            continue
-        profile = _detail(fine.mean(axis))
-        scene = np.median([_detail(frame.mean(1 - axis)).std() for frame in corrected])
-        if profile.std() < LEAST_LINE_RATIO * scene:
-            lines = lines + np.expand_dims(profile, axis)
-    return lines
 
 
-def _detail(profile: Array) -> Array:
-    return np.asarray(profile - ndimage.gaussian_filter1d(profile, SLOW_SIGMA))
-
-
-def _judged(
-    held: Keyframes,
-    limits: tuple[float, float],
-    candidates: dict[str, tuple[Array, Array]],
-    bad: Array,
-) -> dict[str, float]:
-    """Nats of each candidate on held-out frames; empty where these do not tell."""
-    if not held.pairs:
-        return {}
-    usable = _usable(held.frames, limits) & ~bad
-    level = _median(held.frames, usable)
-    frames = np.where(usable, held.frames, np.float32(level))
-    # The judge divides by the gain about zero, the estimate about the level.
-    maps = {name: (gain, offset + level * (1 - gain)) for name, (gain, offset) in candidates.items()}
-    judge = Judge(
-        frames,
-        usable,
-        _spread(held.pairs, MAX_HELD_OUT_PAIRS),
-        [maps["fine_offset"], list(maps.values())[-1]],
-    )
-    left = {name: judge.left(*each) for name, each in maps.items()}
-    return {
-        name: each.nats + np.nan_to_num(each.detail_nats) for name, each in left.items() if each is not None
+def _candidates(
+    masked: Array, base: tuple[str, Array], found: Sequence[Displacement], level: float, *, with_gain: bool
+) -> dict[str, tuple[Array, Array]]:
+    """Corrections (gain, offset), each of more than the one before."""
+    name, offset = base
+    one = np.ones_like(offset)
+    gain, registered = refine_responses(masked, found, one, offset, level, with_gain=with_gain)
+    candidates = {
+        "none": (one, np.zeros_like(one)),
+        name: (one, offset),
+        "registered_offset": (one, registered),
     }
+    return candidates | ({"gain_and_offset": (gain, registered)} if with_gain else {})
 
 
-def _spread(pairs: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]]:
-    """At most so many of the pairs, evenly spread."""
-    return [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))]
+def _slow_part_serves(held_out: HeldOutFrames, fine: Array, whole: Array) -> bool:
+    """Whether held-out frames change less along their displacements without the slow part; the detail says nothing."""
+    without, with_slow = (held_out.left(np.ones_like(each), each) for each in (fine, whole))
+    return bool(without and with_slow and without.nats - with_slow.nats > LEAST_NATS)
+
+
+def _unresponsive(gain: Array) -> Array:
+    return np.asarray((gain < GAIN_LIMITS[0]) | (gain > GAIN_LIMITS[1]))

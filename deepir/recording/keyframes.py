@@ -7,7 +7,7 @@ evenly spread.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any
@@ -169,3 +169,8 @@ def _distinct(recording: Iterator[Array]) -> Iterator[Array | None]:
         repeats = before is not None and np.array_equal(frame, before)
         before = frame
         yield None if repeats else frame
+
+
+def spread(pairs: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+    """At most so many of the pairs, evenly spread."""
+    return [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))]

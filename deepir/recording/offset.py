@@ -1,0 +1,174 @@
+"""The offset of a camera from frames of many scenes: its fine part from their gradients, its slow part from motion.
+
+The gradients that frames share are the pattern's and, where the scenes have something in common, the scenes': sky above
+and road below. What is slow of it is estimated again from what brightness changes along the displacements of the scene.
+The displacements are sought on frames without the pattern's texture, and without a part of it that is the scenes' they
+would follow frames at rest; so the estimate is repeated with what registered frames tell of that texture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.multiview.low_order_part import SLOW_SIGMA, slow_part
+from deepir.multiview.low_order_pattern import averaged, coarsening, slow_pattern
+from deepir.multiview.texture_flow import TEXTURE_SIGMA, Displacement, displacements, motion_extent, sampled
+from deepir.recording.keyframes import spread
+from deepir.recording.responses import refine_responses
+
+Array = np.ndarray[Any, Any]
+
+FIRST_STRIDE = 2  # pairs of frames, of which one is used for the first estimate
+#: px of the averaged frames; Gaussian over which changes of brightness are averaged: many pairs allow more than few.
+CHANGE_SIGMA = 2.0
+CUTOFF_PAIRS = 12  # pairs of frames by which the cut-off is chosen
+LEAST_COMMON = 200  # px of the averaged frames whose displacement has to be known in a pair
+#: Ratio of the changes along displacements with a low cut-off to those with a high one, from which the texture in
+#: between is the sensor's: 1.2 to 1.4 where it is, up to 1.03 where it is the scenes', in real and simulated drives.
+LEAST_GAIN = 1.1
+#: px of the averaged frames that the scene moves along one axis, and across, where the camera turns only one way.
+REST_MOTION, CROSS_MOTION = 1.0, 2.5
+#: Deviation of the pattern's lines that have not moved, relative to the scene's that have: they are the sensor's from.
+LEAST_LINE_RATIO = 1.2
+COLUMN_SIGMA = 16.0  # px; of the Gaussian below which the columns' means are the scene's
+
+
+@dataclass(frozen=True)
+class SeparatedOffset:
+    """An additive pattern.
+
+    Attributes:
+        fine: (h, w), without what is slow.
+        whole: (h, w), with it; None where the scenes do not move, or along one axis only.
+        displacements: of the scenes, between frames averaged over blocks.
+    """
+
+    fine: Array
+    whole: Array | None
+    displacements: tuple[Displacement, ...]
+
+
+def separate_offset(
+    frames: Array,
+    usable: Array,
+    known: Array,
+    consensus: Array,
+    pairs: Sequence[tuple[int, int]],
+    level: float,
+) -> SeparatedOffset:
+    """Divide what frames share into the sensor's offset and the scenes' mean.
+
+    Args:
+        frames: (N, h, w), float32, finite.
+        usable: (N, h, w) bool, which samples count.
+        known: (h, w) bool, pixels that respond to the scene.
+        consensus: (h, w), whose gradients frames share.
+        pairs: numbers of frames that may show the same things displaced.
+        level: median of the frames, in their units.
+    """
+    good = usable & known
+    columns = _columns(consensus, known)
+    cutoff = _cutoff(frames - consensus, good, consensus - columns, pairs)
+    fine = consensus - slow_part(consensus - columns, known, cutoff)
+    masked, one = np.where(good, frames, np.nan).astype(np.float32), np.ones_like(consensus)
+    offset = consensus
+    found: tuple[Displacement, ...] = ()
+    for some in (pairs[::FIRST_STRIDE], pairs):
+        if found:
+            offset = refine_responses(masked, found, one, offset, level, with_gain=False)[1].astype(
+                np.float32
+            )
+        slow = slow_pattern(
+            frames - offset,
+            good,
+            some,
+            rounds=1,
+            removed=slow_part(offset - columns, known, cutoff),
+            change_sigma=CHANGE_SIGMA,
+        )
+        found = slow.displacements
+        if not slow.related:
+            return SeparatedOffset(fine, None, found)
+        offset = (offset + slow.offset).astype(np.float32)
+    lines = _scene_lines(fine, frames - offset, found)
+    return SeparatedOffset(fine - lines, None if _axes_at_rest(found) else offset - lines, found)
+
+
+def _columns(pattern: Array, known: Array) -> Array:
+    """The detail of the mean of each column, (1, w): mostly the sensor's. Of rows a scene has some, as a horizon."""
+    counts = known.sum(0)
+    profile = np.where(known, pattern, 0).sum(0) / np.maximum(counts, 1)
+    return np.asarray(profile - ndimage.gaussian_filter1d(profile, COLUMN_SIGMA))[None]
+
+
+def _cutoff(rest: Array, good: Array, shared: Array, pairs: Sequence[tuple[int, int]]) -> float:
+    """Gaussian sigma, px, beyond which what frames share may be the scenes'.
+
+    Frames whose texture still holds the pattern's agree less along their displacements.
+
+    Args:
+        rest: (N, h, w), frames less what they share.
+        good: (N, h, w) bool, which samples count.
+        shared: (h, w), what they share, but for columns.
+        pairs: numbers of frames that may show the same things displaced.
+    """
+    factor, known = coarsening(rest.shape[1:]), np.asarray(good.any(0))
+    low, high = SLOW_SIGMA, TEXTURE_SIGMA * factor
+    some = spread(pairs, CUTOFF_PAIRS)
+    numbers = sorted({k for pair in some for k in pair})
+    coarse = np.stack([averaged(rest[k], good[k], factor) for k in numbers])
+    placed = [(numbers.index(i), numbers.index(j)) for i, j in some]
+    found = [
+        displacements(coarse + averaged(slow_part(shared, known, cutoff), known, factor), placed)
+        for cutoff in (low, high)
+    ]
+    ratios = []
+    for one, other in zip(*found, strict=True):
+        common = one.known & other.known
+        if common.sum() >= LEAST_COMMON:
+            ratios.append(_agreement(coarse, one, common) / _agreement(coarse, other, common))
+    return high if ratios and np.median(ratios) > LEAST_GAIN else low
+
+
+def _agreement(frames: Array, found: Displacement, where: Array) -> float:
+    """Robust deviation of the change of brightness along a displacement, less what is slow of it."""
+    change = frames[found.first] - sampled(frames[found.second], found.y, found.x)
+    change = np.where(where, change - np.median(change[where]), 0.0)
+    share = ndimage.gaussian_filter(where.astype(float), TEXTURE_SIGMA)
+    slow = ndimage.gaussian_filter(change, TEXTURE_SIGMA) / np.maximum(share, np.finfo(float).tiny)
+    return max(MAD_TO_SIGMA * float(np.median(np.abs(change - slow)[where])), np.finfo(float).tiny)
+
+
+def _axes_at_rest(found: Sequence[Displacement]) -> list[int]:
+    """The axis along which the scene does not move while it moves across, if any."""
+    extent = motion_extent(found)
+    return [axis for axis in (0, 1) if extent[axis] < REST_MOTION and extent[1 - axis] >= CROSS_MOTION]
+
+
+def _scene_lines(fine: Array, corrected: Array, found: Sequence[Displacement]) -> Array:
+    """What of rows or columns is the scene's, (h, w).
+
+    A camera that only turns sideways sees a ledge at the same rows in all frames.
+
+    Args:
+        fine: (h, w), fine offset.
+        corrected: (N, h, w), frames less what they share.
+        found: displacements.
+    """
+    lines = np.zeros_like(fine)
+    for axis in _axes_at_rest(found):
+        profile = _detail(fine.mean(1 - axis))
+        scene = np.median([_detail(frame.mean(1 - axis)).std() for frame in corrected])
+        if profile.std() < LEAST_LINE_RATIO * scene:
+            lines = lines + np.expand_dims(profile, 1 - axis)
+    return lines
+
+
+def _detail(profile: Array) -> Array:
+    return np.asarray(profile - ndimage.gaussian_filter1d(profile, SLOW_SIGMA))
