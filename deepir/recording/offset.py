@@ -32,8 +32,9 @@ LEAST_COMMON = 200  # px of the averaged frames whose displacement has to be kno
 #: Ratio of the changes along displacements with a low cut-off to those with a high one, from which the texture in
 #: between is the sensor's: 1.2 to 1.4 where it is, up to 1.03 where it is the scenes', in real and simulated drives.
 LEAST_GAIN = 1.1
-#: px of the averaged frames that the scene moves along one axis, and across, where the camera turns only one way.
-REST_MOTION, CROSS_MOTION = 1.0, 2.5
+#: Where the camera turns only one way: px of the averaged frames that the scene moves along one axis at least, and what
+#: it seems to move across, relative to that.
+TURN_MOTION, CROSS_RATIO = 2.5, 0.2
 #: Deviation of the pattern's lines that have not moved, relative to the scene's that have: they are the sensor's from.
 LEAST_LINE_RATIO = 1.2
 COLUMN_SIGMA = 16.0  # px; of the Gaussian below which the columns' means are the scene's
@@ -148,7 +149,11 @@ def _agreement(frames: Array, found: Displacement, where: Array) -> float:
 def _axes_at_rest(found: Sequence[Displacement]) -> list[int]:
     """The axis along which the scene does not move while it moves across, if any."""
     extent = motion_extent(found)
-    return [axis for axis in (0, 1) if extent[axis] < REST_MOTION and extent[1 - axis] >= CROSS_MOTION]
+    return [
+        axis
+        for axis in (0, 1)
+        if extent[1 - axis] >= TURN_MOTION and extent[axis] < CROSS_RATIO * extent[1 - axis]
+    ]
 
 
 def _scene_lines(fine: Array, corrected: Array, found: Sequence[Displacement]) -> Array:
