@@ -29,7 +29,7 @@ CHANGE_SIGMA = 0.5  # px of the averaged frames; Gaussian over which changes of 
 #: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
 LEAST_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
-REWEIGHTINGS = 10
+REWEIGHTINGS = 5
 #: Robust deviation of a pair's changes at least, relative to the frames' contrast.
 LEAST_SCALE = 0.003
 #: Samples of a pair below which it is left out.
