@@ -21,7 +21,7 @@ MAX_GROUPS = 32  # groups that are kept, at most
 #: Frames over which the motion is measured.
 WINDOW = 65
 #: Change of the scene within the spacing of a group, relative to that over the window.
-CHANGE_WITHIN_SPACING = 0.4
+CHANGE_WITHIN_SPACING = 0.35
 #: Change since the last group, relative to that over the window, below which the camera stands and no group begins.
 LEAST_CHANGE = 0.25
 SPACINGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # frames

@@ -40,4 +40,6 @@ def write_correction(path: Path, corrected: CorrectedRecording) -> None:
 
 def _panel(title: str, picture: Array) -> Panel:
     low, high = (float(each) for each in np.nanpercentile(picture, PERCENTILES))
-    return title, picture, low, high if high > low else low + 1
+    if low == high:  # a uniform picture is grey
+        low, high = low - 0.5, high + 0.5
+    return title, picture, low, high

@@ -1,0 +1,84 @@
+"""A camera's gain, offset and bad pixels from frames of a scene that moves, against the truth."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from deepir.errors import ConfigError, DataError
+from deepir.recording.consensus import gradient_consensus
+from deepir.recording.correct import correct
+from deepir.recording.defective_pixels import defective_pixels
+
+
+@pytest.fixture(scope="module")
+def corrected(walk):
+    return correct(walk.frames)
+
+
+def alike(first, second, where):
+    return np.corrcoef(first[where], second[where])[0, 1]
+
+
+def test_shared_gradients_give_the_fine_offset(walk):
+    frames = walk.frames.astype(np.float32)
+    usable = np.broadcast_to(~walk.bad, frames.shape)
+    found = gradient_consensus(frames, usable)
+    detail = found - ndimage.uniform_filter(found, 5)
+    true = walk.fine - ndimage.uniform_filter(walk.fine, 5)
+    inside = ~ndimage.binary_dilation(walk.bad, iterations=3)
+    assert alike(detail, true, inside) > 0.97
+
+
+def test_pixels_that_do_not_follow_the_scene_are_found(walk):
+    frames = walk.frames.astype(np.float32)
+    usable = np.ones(frames.shape, bool)
+    found = defective_pixels(frames, usable, gradient_consensus(frames, usable).astype(np.float32))
+    assert found[walk.bad].mean() > 0.9
+    assert found[~walk.bad].mean() < 1e-3
+
+
+def test_most_of_the_pattern_is_taken_off(walk, corrected):
+    frames = np.stack([corrected.correct(frame) for frame in walk.frames[::5]])
+    assert corrected.estimate.kept == "gain_and_offset"
+    raw, left = (
+        float(np.mean(each - walk.scenes[::5], 0)[~walk.bad].std()) for each in (walk.frames[::5], frames)
+    )
+    assert left < 0.1 * raw
+
+
+def test_the_slow_part_is_the_sensors_and_not_the_scenes(walk, corrected):
+    smooth = ndimage.gaussian_filter(corrected.estimate.offset - walk.fine, 6)
+    assert alike(smooth, walk.slow, ~walk.bad) > 0.95
+    assert 0.8 < smooth.std() / walk.slow.std() < 1.2
+
+
+def test_gains_are_estimated(walk, corrected):
+    assert alike(corrected.estimate.gain, walk.gain, ~walk.bad & ~corrected.estimate.bad_pixels) > 0.6
+
+
+def test_a_pan_leaves_the_slow_part_and_says_so(walk):
+    frames = np.stack([np.roll(walk.scenes[0], 3 * k, axis=1) for k in range(40)])
+    frames = frames + walk.fine + walk.slow + 3 * np.random.default_rng(0).standard_normal(frames.shape)
+    found = correct(frames.astype(np.float32)).estimate
+    assert "offset" not in (found.kept, *found.nats)
+    assert any("turns only one way" in message for message in found.messages)
+
+
+@pytest.mark.parametrize("kept", ["none", "fine_offset"])
+def test_a_correction_can_be_forced(walk, kept):
+    found = correct(walk.frames[:24, :64, :80], correction=kept).estimate
+    assert found.kept == kept
+    assert (kept == "none") == (not found.offset.any())
+
+
+def test_a_misspelt_correction_names_the_nearest(walk):
+    with pytest.raises(ConfigError, match="fine_offset"):
+        correct(walk.frames, correction="fine_ofset")
+
+
+def test_few_frames_and_a_camera_at_rest_are_refused(walk):
+    with pytest.raises(DataError, match="too few"):
+        correct(walk.frames[:3])
+    noise = np.random.default_rng(1).integers(-9, 9, (60, *walk.frames.shape[1:]))
+    with pytest.raises(DataError, match="stands still"):
+        correct((walk.frames[0] + noise).astype(np.uint16))
