@@ -75,6 +75,9 @@ bench-problems: setup  ## every problem with several priors: one table
 bench-effects: setup  ## what each effect is worth: one left out at a time
 	$(BIN)/python benchmarks/effects.py --output docs/bench-effects.md
 
+bench-correct: setup  ## whole recordings: the pattern that is left, against methods that take recordings too
+	$(BIN)/python benchmarks/corrections.py --output docs/bench-correct.md
+
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 	$(BIN)/python benchmarks/recordings.py --output docs/bench-real.md
@@ -82,4 +85,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-effects clean
+.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-effects clean

@@ -30,7 +30,7 @@ ESTIMATES = [
     "limits",
 ]
 SECTIONS = {
-    "Use": ["tutorial", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
+    "Use": ["tutorial", "whole-recordings", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
     PROBLEMS: ["super-resolution"],
     "Concepts": ["how-it-works", "jitter", "sensor-physics", "conventions", "extending"],
     "Estimation": ["how-it-estimates", *(f"estimates-{each}" for each in ESTIMATES), "judging"],
@@ -41,7 +41,7 @@ SECTIONS = {
 REFERENCE = {
     "Running": ["api", "runner", "config", "burst", "result", "storage", "errors"],
     "Solving": ["problem", "schedule", "optim", "pipeline", "closed_form", "registered_average"],
-    "Estimating": ["effects", "estimation", "diagnostics", "multiview"],
+    "Estimating": ["effects", "estimation", "diagnostics", "multiview", "recording"],
     "Operators": ["operators"],
     "Fields": ["fields"],
     "Priors": ["priors", "denoisers", "likelihoods"],

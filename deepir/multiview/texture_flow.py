@@ -56,7 +56,7 @@ class Displacement:
 def motion_extent(found: Sequence[Displacement]) -> tuple[float, float]:
     """How far the scene moves down and across, px of the frames passed in; zero where no displacement is known.
 
-    Of the upper quartiles of the displacements in a pair of frames, that which nine pairs in ten do not exceed.
+    The upper quartile over pairs of frames of the upper quartiles of their displacements.
     """
     far = []
     for each in found:
@@ -64,7 +64,7 @@ def motion_extent(found: Sequence[Displacement]) -> tuple[float, float]:
             rows, columns = np.nonzero(each.known)
             moved = each.y[each.known] - rows, each.x[each.known] - columns
             far.append([np.quantile(np.abs(along), 0.75) for along in moved])
-    down, across = np.quantile(far, 0.9, axis=0) if far else (0.0, 0.0)
+    down, across = np.quantile(far, 0.75, axis=0) if far else (0.0, 0.0)
     return float(down), float(across)
 
 

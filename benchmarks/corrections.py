@@ -1,0 +1,158 @@
+"""`deepir correct` on whole recordings, against methods that take recordings too: `make bench-correct`.
+
+Simulated recordings have a truth: the fixed pattern that is left, in sigmas of the noise of a sample. The real drive
+has frames that a black body has calibrated: the median likeness of frames that are no keyframes. `DEEPIR_DATA` names
+the folder of real data (default ../shared/data); without it only the simulated ones are run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from recordings import alike, fine
+from written import write
+
+import deepir
+from deepir.baselines.online import gain_and_offset, normalise
+from deepir.baselines.temporal.constant_statistics import running_statistics
+from deepir.baselines.temporal.galms import learn_correction
+from deepir.baselines.temporal.multiview_tv import median_offset, recursive_offset
+from deepir.errors import DeepIRError
+from deepir.simulate.recording import Recording, RecordingSettings, residual_map, simulate_recording
+from deepir.simulate.recording.settings import RECORDING_KINDS
+
+SCRIPT = "benchmarks/corrections.py"
+DATA = Path(os.environ.get("DEEPIR_DATA", "../shared/data"))
+CAMERA = RecordingSettings(n_frames=240)  # at 30 frames a second
+CAMERAS: dict[str, dict[str, Any]] = {
+    "raw": {},
+    "raw, shaded": {"shading": 0.6, "gain_pixel": 0.01},
+    "after a shutter": {"shutter_every": 60.0, "drift": 0.01, "tau_ms": 10.0},
+    "8 bits, lossy": {"agc": True, "compression": "h264"},
+}
+SEEDS = (21,)
+JUDGED = 4  # frames, of which one is judged
+RATE, RADIUS, GATE = 0.2, 3.0, 0.01  # as the defaults of `galms`
+
+Maps = tuple[np.ndarray | float, np.ndarray]
+
+
+def galms(frames: np.ndarray) -> Maps:
+    scaled, low, span = normalise(frames)
+    return gain_and_offset(*learn_correction(scaled, RATE, RADIUS, GATE), low, span)
+
+
+def constant_statistics(frames: np.ndarray) -> Maps:
+    mean, deviation = running_statistics(frames.astype(np.float64))
+    gain = np.maximum(deviation, np.finfo(np.float32).tiny) / deviation.mean()  # dead pixels have none
+    return gain, mean - gain * mean.mean()
+
+
+RIVALS: dict[str, Callable[[np.ndarray], Maps]] = {
+    "galms": galms,
+    "constant_statistics": constant_statistics,
+    "multiview_tv": lambda frames: (1.0, median_offset(frames)),
+    "multiview_tv_recursive": lambda frames: (1.0, recursive_offset(frames)),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", type=Path, help="write the report to this file too")
+    parser.add_argument("--only", choices=["simulated", "drive"], help="one part of the report")
+    options = parser.parse_args()
+    parts = {"drive": drive, "simulated": simulated}
+    chosen = [parts[options.only]] if options.only else list(parts.values())
+    write((line for part in chosen for line in part()), SCRIPT, options.output)
+
+
+def drive() -> Iterator[str]:
+    """Likeness with the calibrated frames of a drive."""
+    yield "# Whole recordings\n\n## Lynred, a drive of 600 frames\n"
+    if not (DATA / "lynred_car").is_dir():
+        yield f"Not run: {DATA} is not there; `DEEPIR_DATA` names the folder of the data."
+        return
+    raw, calibrated = (
+        deepir.read_frames(DATA / "lynred_car" / f"{name}.avi").frames for name in ("raw", "calibrated")
+    )
+    begun = time.perf_counter()
+    corrected = deepir.correct(raw)
+    seconds = time.perf_counter() - begun
+    others = np.setdiff1d(np.arange(len(raw)), corrected.keyframes.numbers)
+
+    def likeness(correct: Callable[[np.ndarray], np.ndarray]) -> list[float]:
+        return [alike(correct(raw[k]), calibrated[k]) for k in others]
+
+    yield "Likeness with the calibrated frames: the median (least) of frames that are no keyframes.\n"
+    yield "| method | likeness | worse than raw | seconds |\n|---|---|---|---|"
+    before = likeness(lambda frame: frame)
+    yield f"| raw | {np.median(before):.3f} ({min(before):.2f}) | | |"
+    for name, rival in RIVALS.items():
+        begun = time.perf_counter()
+        gain, offset = rival(raw)
+        took = time.perf_counter() - begun
+        yield _row(name, likeness(lambda frame, g=gain, o=offset: (frame - o) / g), before, took)
+    yield _row(f"correct ({corrected.estimate.kept})", likeness(corrected.correct), before, seconds)
+
+
+def _row(name: str, found: list[float], before: list[float], seconds: float) -> str:
+    worse = sum(a < b for a, b in zip(found, before, strict=True))
+    return f"| {name} | {np.median(found):.4f} ({min(found):.2f}) | {worse} of {len(found)} | {seconds:.1f} |"
+
+
+def simulated() -> Iterator[str]:
+    """The pattern that is left of recordings with truth."""
+    yield "\n## Simulated recordings\n"
+    yield f"{CAMERA.n_frames} frames of {CAMERA.shape[1]} x {CAMERA.shape[0]}. Fixed pattern that is left, in sigmas"
+    yield "of the noise of a sample; in brackets its fine part. Seconds are of `correct`, estimate alone.\n"
+    yield f"| recording | camera | raw | {' | '.join(RIVALS)} | correct | what | seconds |"
+    yield "|---|---|---|" + "---|" * (len(RIVALS) + 3)
+    for kind in RECORDING_KINDS:
+        for name, camera in CAMERAS.items():
+            for seed in SEEDS:
+                yield _simulated_row(
+                    kind, name, simulate_recording(replace(CAMERA, kind=kind, **camera), seed=seed)
+                )
+
+
+def _simulated_row(kind: str, camera: str, recording: Recording) -> str:
+    frames = recording.frames.astype(np.float32)
+    judged = every(recording, JUDGED)
+    cells = [left(frames[::JUDGED], judged)]
+    for rival in RIVALS.values():
+        gain, offset = rival(frames)
+        cells.append(left((frames[::JUDGED] - offset) / gain, judged))
+    begun = time.perf_counter()
+    try:
+        corrected = deepir.correct(recording.frames)
+    except DeepIRError as error:
+        return f"| {kind} | {camera} | {' | '.join(cells)} | refused: {str(error)[:40]} | | |"
+    seconds = time.perf_counter() - begun
+    after = np.stack([corrected.correct(frame) for frame in recording.frames[::JUDGED]])
+    cells.append(f"**{left(after, judged)}**")
+    what = corrected.estimate.kept.replace("_", " ")
+    return f"| {kind} | {camera} | {' | '.join(cells)} | {what} | {seconds:.1f} |"
+
+
+def every(recording: Recording, stride: int) -> Recording:
+    """Some frames of a recording with their truth."""
+    truth = recording.truth
+    parts = ("scene", "offset", "shutter", "agc_gain", "agc_offset")
+    some = replace(truth, **{part: getattr(truth, part)[::stride] for part in parts})
+    return replace(recording, frames=recording.frames[::stride], truth=some)
+
+
+def left(corrected: np.ndarray, recording: Recording) -> str:
+    pattern = np.nan_to_num(residual_map(corrected, recording))
+    return f"{pattern.std():.2f} ({fine(pattern).std():.2f})"
+
+
+if __name__ == "__main__":
+    main()
