@@ -37,7 +37,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
     "after a shutter": {"shutter_every": 60.0, "drift": 0.01, "tau_ms": 10.0},
     "8 bits, lossy": {"agc": True, "compression": "h264"},
 }
-SEEDS = (21,)
+SEEDS = (22,)  # no setting was chosen by these
 JUDGED = 4  # frames, of which one is judged
 RATE, RADIUS, GATE = 0.2, 3.0, 0.01  # as the defaults of `galms`
 

@@ -33,6 +33,7 @@ MIN_KEYFRAMES = 4
 CORRECTIONS = ("none", "fine_offset", "offset", "registered_offset", "gain_and_offset")
 AUTO = "auto"
 LEAST_NATS = 30.0  # by which a larger correction makes held-out frames likelier, to be chosen
+LEAST_SHARE_NATS = 3.0  # by which a slow part that is like the scenes' mean makes them likelier than without
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
@@ -181,11 +182,14 @@ def _base(
     separated: SeparatedOffset, held_out: HeldOutFrames, correction: str
 ) -> tuple[tuple[str, Array], list[str]]:
     """The offset with or without what is slow, named as in `CORRECTIONS`; and messages."""
-    fine, whole = separated.fine, separated.whole
+    fine = separated.fine
     if correction == "fine_offset":
         return (correction, fine), []
-    if whole is not None and (correction == "offset" or _slow_part_serves(held_out, fine, whole)):
-        return ("offset", whole), []
+    slow = _slow_part(separated, held_out)
+    if slow is not None and (
+        correction == "offset" or _nats(held_out, fine) - _nats(held_out, slow) > LEAST_NATS
+    ):
+        return ("offset", slow), []
     return ("fine_offset", fine), [
         "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
         "or the camera moves too little, or turns only one way"
@@ -207,10 +211,18 @@ def _candidates(
     return candidates | ({"gain_and_offset": (gain, registered)} if with_gain else {})
 
 
-def _slow_part_serves(held_out: HeldOutFrames, fine: Array, whole: Array) -> bool:
-    """Whether held-out frames change less along their displacements without the slow part; the detail says nothing."""
-    without, with_slow = (held_out.left(np.ones_like(each), each) for each in (fine, whole))
-    return bool(without and with_slow and without.nats - with_slow.nats > LEAST_NATS)
+def _slow_part(separated: SeparatedOffset, held_out: HeldOutFrames) -> Array | None:
+    """The offset with what is slow, like the scenes' mean only if held-out frames say so."""
+    whole, orthogonal = separated.whole, separated.orthogonal
+    if whole is None or orthogonal is None:
+        return None
+    return whole if _nats(held_out, orthogonal) - _nats(held_out, whole) > LEAST_SHARE_NATS else orthogonal
+
+
+def _nats(held_out: HeldOutFrames, offset: Array) -> float:
+    """Of the changes of brightness along displacements, which the fine pattern has no part in; NaN: not judged."""
+    left = held_out.left(np.ones_like(offset), offset)
+    return np.nan if left is None else left.nats
 
 
 def _unresponsive(gain: Array) -> Array:

@@ -47,11 +47,14 @@ class SeparatedOffset:
     Attributes:
         fine: (h, w), without what is slow.
         whole: (h, w), with it; None where the scenes do not move, or along one axis only.
+        orthogonal: (h, w), the whole less what of it is proportional to the scenes' mean, which displacements that are
+            too short copy into it; None likewise.
         displacements: of the scenes, between frames averaged over blocks.
     """
 
     fine: Array
     whole: Array | None
+    orthogonal: Array | None
     displacements: tuple[Displacement, ...]
 
 
@@ -95,10 +98,14 @@ def separate_offset(
         )
         found = slow.displacements
         if not slow.related:
-            return SeparatedOffset(fine, None, found)
+            return SeparatedOffset(fine, None, None, found)
         offset = (offset + slow.offset).astype(np.float32)
-    lines = _scene_lines(fine, frames - offset, found)
-    return SeparatedOffset(fine - lines, None if _axes_at_rest(found) else offset - lines, found)
+    corrected = frames - offset
+    lines = _scene_lines(fine, corrected, found)
+    fine, offset = fine - lines, offset - lines
+    if _axes_at_rest(found):
+        return SeparatedOffset(fine, None, None, found)
+    return SeparatedOffset(fine, offset, offset - _shared_with(corrected.mean(0), offset, known), found)
 
 
 def _columns(pattern: Array, known: Array) -> Array:
@@ -144,6 +151,15 @@ def _agreement(frames: Array, found: Displacement, where: Array) -> float:
     share = ndimage.gaussian_filter(where.astype(float), TEXTURE_SIGMA)
     slow = ndimage.gaussian_filter(change, TEXTURE_SIGMA) / np.maximum(share, np.finfo(float).tiny)
     return max(MAD_TO_SIGMA * float(np.median(np.abs(change - slow)[where])), np.finfo(float).tiny)
+
+
+def _shared_with(mean: Array, offset: Array, known: Array) -> Array:
+    """What of the slow part of an offset (h, w) is proportional to that of the scenes' mean, by least squares."""
+    sigma = TEXTURE_SIGMA * coarsening(offset.shape)
+    pattern, scenes = (slow_part(each, known, sigma) for each in (offset, mean))
+    centred = scenes[known] - scenes[known].mean()
+    share = (pattern[known] @ centred) / max(float(centred @ centred), np.finfo(np.float32).tiny)
+    return np.asarray(share * scenes, np.float32)
 
 
 def _axes_at_rest(found: Sequence[Displacement]) -> list[int]:
