@@ -2,8 +2,8 @@
 
 The gradients that frames share are the pattern's and, where the scenes have something in common, the scenes': sky above
 and road below. What is slow of it is estimated again from what brightness changes along the displacements of the scene.
-The displacements are sought on frames without the pattern's texture, and without a part of it that is the scenes' they
-would follow frames at rest; so the estimate is repeated with what registered frames tell of that texture.
+The displacements are sought on frames less the pattern, for what is left of it holds them at rest. So the estimate is
+made twice, the second time with the texture that registered frames have shown.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CUTOFF_PAIRS = 12  # pairs of frames by which the cut-off is chosen
 LEAST_COMMON = 200  # px of the averaged frames whose displacement has to be known in a pair
 #: Ratio of the changes along displacements with a low cut-off to those with a high one, from which the texture in
 #: between is the sensor's: 1.2 to 1.4 where it is, up to 1.03 where it is the scenes', in real and simulated drives.
-LEAST_GAIN = 1.1
+LEAST_AGREEMENT_RATIO = 1.1
 #: Where the camera turns only one way: px of the averaged frames that the scene moves along one axis at least, and what
 #: it seems to move across, relative to that.
 TURN_MOTION, CROSS_RATIO = 2.5, 0.2
@@ -141,7 +141,7 @@ def _cutoff(rest: Array, good: Array, shared: Array, pairs: Sequence[tuple[int, 
         common = one.known & other.known
         if common.sum() >= LEAST_COMMON:
             ratios.append(_agreement(coarse, one, common) / _agreement(coarse, other, common))
-    return high if ratios and np.median(ratios) > LEAST_GAIN else low
+    return high if ratios and np.median(ratios) > LEAST_AGREEMENT_RATIO else low
 
 
 def _agreement(frames: Array, found: Displacement, where: Array) -> float:
