@@ -30,7 +30,17 @@ ESTIMATES = [
     "limits",
 ]
 SECTIONS = {
-    "Use": ["tutorial", "whole-recordings", "gallery", "cli", "configuration", "files", "which-prior", "priors", "ablations"],
+    "Use": [
+        "tutorial",
+        "whole-recordings",
+        "gallery",
+        "cli",
+        "configuration",
+        "files",
+        "which-prior",
+        "priors",
+        "ablations",
+    ],
     PROBLEMS: ["super-resolution"],
     "Concepts": ["how-it-works", "jitter", "sensor-physics", "conventions", "extending"],
     "Estimation": ["how-it-estimates", *(f"estimates-{each}" for each in ESTIMATES), "judging"],
