@@ -187,7 +187,7 @@ def _base(
         return (correction, fine), []
     slow = _slow_part(separated, held_out)
     if slow is not None and (
-        correction == "offset" or _nats(held_out, fine) - _nats(held_out, slow) > LEAST_NATS
+        correction == "offset" or _slow_nats(held_out, fine) - _slow_nats(held_out, slow) > LEAST_NATS
     ):
         return ("offset", slow), []
     return ("fine_offset", fine), [
@@ -216,10 +216,14 @@ def _slow_part(separated: SeparatedOffset, held_out: HeldOutFrames) -> Array | N
     whole, orthogonal = separated.whole, separated.orthogonal
     if whole is None or orthogonal is None:
         return None
-    return whole if _nats(held_out, orthogonal) - _nats(held_out, whole) > LEAST_SHARE_NATS else orthogonal
+    return (
+        whole
+        if _slow_nats(held_out, orthogonal) - _slow_nats(held_out, whole) > LEAST_SHARE_NATS
+        else orthogonal
+    )
 
 
-def _nats(held_out: HeldOutFrames, offset: Array) -> float:
+def _slow_nats(held_out: HeldOutFrames, offset: Array) -> float:
     """Of the changes of brightness along displacements, which the fine pattern has no part in; NaN: not judged."""
     left = held_out.left(np.ones_like(offset), offset)
     return np.nan if left is None else left.nats

@@ -29,7 +29,7 @@ class HeldOutFrames:
         self, held: Keyframes, usable: Array, level: float, corrections: Sequence[tuple[Array, Array]]
     ) -> None:
         self.level = level
-        pairs = spread(held.pairs, MAX_PAIRS) if len(held.frames) > 1 else []
+        pairs = spread(held.pairs, MAX_PAIRS)
         frames = np.where(usable, held.frames, np.float32(level))
         self._judge = (
             Judge(frames, usable, pairs, [self._maps(*each) for each in corrections]) if pairs else None

@@ -24,7 +24,7 @@ from deepir.recording.responses import refine_responses
 
 Array = np.ndarray[Any, Any]
 
-FIRST_STRIDE = 2  # pairs of frames, of which one is used for the first estimate
+FIRST_STRIDE = 2  # the first estimate uses every second pair of frames
 #: px of the averaged frames; Gaussian over which changes of brightness are averaged: many pairs allow more than few.
 CHANGE_SIGMA = 2.0
 CUTOFF_PAIRS = 12  # pairs of frames by which the cut-off is chosen

@@ -25,11 +25,6 @@ class Walk:
     slow: np.ndarray  # mean zero
     bad: np.ndarray  # bool
 
-    def left(self, frames: np.ndarray) -> float:
-        """Deviation of what all frames differ from the scenes by, good pixels, in sigmas of the noise."""
-        rest = np.mean(frames - self.scenes, 0)
-        return float(rest[~self.bad].std()) / NOISE
-
 
 @pytest.fixture(scope="session")
 def walk() -> Walk:

@@ -20,10 +20,17 @@ def constant_statistics(burst: Burst, config: Config) -> Result:
     Source: J. G. Harris, Y.-M. Chiang: Nonuniformity correction of infrared image sequences using the
     constant-statistics constraint, IEEE Trans. Image Processing 8 (1999).
     """
-    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels).astype(np.float64)
-    mean, deviation = running_statistics(frames)
-    gain = deviation / deviation.mean()
-    return correct_and_average(burst, config, gain, mean - gain * mean.mean())
+    frames = fill_invalid(burst.frames, burst.valid & ~burst.bad_pixels)
+    return correct_and_average(burst, config, *equalised_statistics(frames))
+
+
+def equalised_statistics(frames: Array) -> tuple[Array, Array]:
+    """Gain and offset (h, w) that give all pixels of frames (N, h, w) the same mean and deviation."""
+    mean, deviation = running_statistics(frames.astype(np.float64))
+    gain = (
+        np.maximum(deviation, np.finfo(np.float32).tiny) / deviation.mean()
+    )  # dead pixels have no deviation
+    return gain, mean - gain * mean.mean()
 
 
 def running_statistics(frames: Array) -> tuple[Array, Array]:
