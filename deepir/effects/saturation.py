@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import DEAD_DEVIATION
@@ -19,6 +20,8 @@ from deepir.registry import register
 SATURATED_SHARE = 0.5  # of the samples of a place of the scene, if it is beyond the range
 REPORTED_SHARE = 0.001  # of all samples; fewer are reported only if they bound the result
 MIN_FRAMES_SEEN = 0.3  # frames that must show a pixel of the scene
+AREA = 7  # px, side of the neighbourhood ...
+AREA_SHARE = 0.75  # ... of which this share is beyond the range, if it is an area
 
 
 @torch.no_grad()
@@ -40,16 +43,23 @@ def mask_stuck_pixels(problem: Problem) -> None:
 
 @torch.no_grad()
 def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
-    """The scene's image, at the bound or beyond where most samples that see it are cut off; and where, 1 or -1."""
+    """The scene's image, at the bound or beyond where most samples that see it are cut off; and where, 1 or -1.
+
+    A pixel that is cut off in all frames has an unknown offset: such pixels bound an area, but no single place.
+    """
     where = torch.zeros_like(image, dtype=torch.int8)
     if problem.ends is None:
         return image, where
-    values = problem.values()
-    _, seen = problem.backproject(values, (problem.precision > 0) & (problem.ends == 0))
+    values, usable = problem.values(), (problem.precision > 0) & (problem.ends == 0)
+    _, seen = problem.backproject(values, usable)
     for sign in (1, -1):
         if (cut := problem.ends == sign).any():
             bound, share = problem.backproject(values, cut)
             most = share > seen.clamp(min=MIN_FRAMES_SEEN)
+            known, known_share = problem.backproject(values, cut & usable.any(0))
+            known_share = known_share > MIN_FRAMES_SEEN
+            area = avg_pool2d(most.float(), AREA, 1, AREA // 2, count_include_pad=False) > AREA_SHARE
+            bound, most = torch.where(known_share, known, bound), most & (known_share | area)
             image = torch.where(most, sign * torch.maximum(sign * image, sign * bound), image)
             where[most] = sign
     return image, where

@@ -27,6 +27,7 @@ class Vignetting(Effect):
         strong_sigma: Standard deviation from which it has to by `strong_evidence`: skies and moving objects look alike.
         strong_evidence: Nats.
         max_sigma: Standard deviation that no lens exceeds: a fall-off of 60 % has 0.08 to 0.15.
+        max_truncated: Share of pixels cut off in all frames. Bright places lack their large offsets, as under a gain.
     """
 
     min_frames: int = 4
@@ -34,6 +35,7 @@ class Vignetting(Effect):
     strong_sigma: float = 0.08
     strong_evidence: float = 150.0
     max_sigma: float = 0.18
+    max_truncated: float = 0.02
 
     def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
         if not self.unknown(problem):
@@ -51,10 +53,16 @@ class Vignetting(Effect):
     def unknown(self, problem: Problem) -> list[Shading]:
         """Shadings of the gain whose standard deviation is to be found; none where too little separates them."""
         offsets, stray, _ = low_order_unknowns(problem)
-        if not offsets or stray or len(problem.data) < self.min_frames:
+        if not offsets or stray or len(problem.data) < self.min_frames or self.is_truncated(problem):
             return []
         parts = gain_and_offset(problem)[0].parts()
         return [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed]
+
+    def is_truncated(self, problem: Problem) -> bool:
+        """Whether the offsets that are seen are a selection."""
+        if problem.ends is None:
+            return False
+        return float((problem.ends != 0).all(0).float().mean()) > self.max_truncated
 
     def is_present(self, problem: Problem) -> bool:
         """Whether the evidence is for a shaded gain."""

@@ -31,6 +31,12 @@ def error(result, truth, where):
     return np.median(np.abs(off - np.median(off)))
 
 
+def error_rms(scene, truth, where):
+    """Standard deviation of the scene's error after one gain and level."""
+    gain, level = np.polyfit(scene[where], truth[where], 1)
+    return np.std(gain * scene[where] + level - truth[where])
+
+
 def test_a_pile_at_the_end_of_the_range_is_cut_off_a_thin_tail_is_not():
     frames = counts()
     assert saturated_samples(frames) is None
@@ -89,6 +95,15 @@ def test_a_pixel_that_is_stuck_at_the_end_is_told_from_what_is_saturated(hot):
     bad = run(frames).bad_pixels
     assert bad[[5, 50, 20], [60, 9, 15]].all()
     assert bad.sum() < 15
+
+
+def test_pixels_of_a_large_offset_that_are_always_cut_off_do_not_spoil_the_rest():
+    """Such pixels bound no single place, and what is left is no sign of a shaded gain."""
+    burst = simulate(settings=Settings(n_frames=6, shape=(80, 96), counts=True, pedestal=15250.0), seed=31)
+    assert (burst.frames >= burst.frames.max()).all(0).mean() > 0.05
+    inner = (slice(2, -2), slice(2, -2))
+    result = run(burst.frames)
+    assert error_rms(result.scene[inner], burst.truth.scene[inner], burst.truth.scene[inner] < 16300) < 6
 
 
 def test_bounds_are_not_compared_with_the_truth():
