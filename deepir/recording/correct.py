@@ -15,53 +15,69 @@ from deepir.calibration import CorrectionMaps
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import stream_frames, write_npz
-from deepir.recording.estimate import AUTO, SensorEstimate, estimate_sensor
+from deepir.recording.estimate import AUTO, SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
+from deepir.recording.segments import Segment, estimate_segments, segment_at
 
 Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
 class CorrectedRecording:
-    """A recording and the estimate of its sensor; iterating gives corrected frames (h, w), float32.
+    """A recording and the estimates of its sensor; iterating gives corrected frames (h, w), float32.
 
     Attributes:
         read: Reads the recorded frames from the start.
-        estimate: Of the sensor, from the keyframes.
-        keyframes: That it was estimated from.
+        segments: The parts of the recording with one fixed pattern each; most have one.
+        keyframes: That the sensor was estimated from.
     """
 
     read: Callable[[], Iterator[Array]]
-    estimate: SensorEstimate
+    segments: list[Segment]
     keyframes: Keyframes
 
     def __len__(self) -> int:
         return self.keyframes.length
 
     def __iter__(self) -> Iterator[Array]:
-        return map(self.correct, self.read())
+        return (self.correct(frame, number) for number, frame in enumerate(self.read()))
 
     @property
     def frames(self) -> Array:
         """All corrected frames, (N, h, w), float32."""
         return np.stack(list(self))
 
+    @property
+    def estimate(self) -> SensorEstimate:
+        """Of the sensor, as it is at the end of the recording."""
+        return next(each.estimate for each in reversed(self.segments) if each.estimate)
+
     @functools.cached_property
     def maps(self) -> CorrectionMaps:
-        """Gain, offset and bad pixels, as `deepir apply` takes them: frame = gain scene + offset."""
-        found = self.estimate
-        return CorrectionMaps(found.gain, found.offset + found.level * (1 - found.gain), found.bad_pixels)
+        """Gain, offset and bad pixels of the same time, as `deepir apply` takes them: frame = gain scene + offset."""
+        return next(each.maps for each in reversed(self.segments) if each.estimate)
 
-    def correct(self, frame: Array) -> Array:
-        """Correct a frame (h, w) of this camera, in the recording's units."""
-        found = self.estimate
-        if found.strength is not None:
-            values = np.ma.filled(frame.astype(np.float32), np.nan)
-            frame = values - np.float32(found.strength(values) - 1) * found.offset
-        return self.maps.correct(frame)
+    def correct(self, frame: Array, number: int | None = None) -> Array:
+        """Correct a frame (h, w) of this camera, in the recording's units.
+
+        Args:
+            frame: Of the recording, or recorded after it.
+            number: In the recording; None: after it.
+        """
+        place = len(self) if number is None else number
+        return segment_at(self.segments, place, frame).correct(frame)
 
     def save_maps(self, path: str | os.PathLike[str]) -> None:
-        """Write gain, offset, bad pixels, and how well each correction serves held-out frames, to an `.npz`."""
+        """Write gain, offset, bad pixels, and how well each correction serves held-out frames, to an `.npz`.
+
+        Where the pattern jumps, `gains` and `offsets` (segments, h, w) and the number of each one's first frame follow.
+        """
+        parts = [each for each in self.segments if each.estimate]
+        over_time = {
+            "gains": np.stack([each.maps.gain for each in parts]).astype(np.float32),
+            "offsets": np.stack([each.maps.offset for each in parts]).astype(np.float32),
+            "first_frames": np.array([each.first for each in parts]),
+        }
         write_npz(
             path,
             {
@@ -71,6 +87,7 @@ class CorrectedRecording:
                 "level": np.array(self.estimate.level),
                 "correction": np.array(self.estimate.kept),
                 **{f"nats_{name}": np.asarray(value) for name, value in self.estimate.nats.items()},
+                **(over_time if len(self.segments) > 1 else {}),
             },
         )
 
@@ -100,4 +117,4 @@ def correct(
     else:
         read = functools.partial(stream_frames, Path(recording), key=key, raw=raw)
     keyframes = choose_keyframes(read())
-    return CorrectedRecording(read, estimate_sensor(keyframes, correction), keyframes)
+    return CorrectedRecording(read, estimate_segments(keyframes, correction), keyframes)

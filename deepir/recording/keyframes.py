@@ -54,9 +54,10 @@ class Keyframes:
     def split(self) -> tuple[Keyframes, Keyframes]:
         """The keyframes to estimate from, and those of some groups that are held out to judge the estimate."""
         held = self.groups % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
-        return self._some(~held), self._some(held)
+        return self.some(~held), self.some(held)
 
-    def _some(self, chosen: Array) -> Keyframes:
+    def some(self, chosen: Array) -> Keyframes:
+        """The keyframes with these numbers, or where this is True, (N,)."""
         parts = ("frames", "numbers", "groups", "spacings")
         return replace(self, **{name: getattr(self, name)[chosen] for name in parts})
 

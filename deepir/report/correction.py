@@ -24,8 +24,8 @@ def write_correction(path: Path, corrected: CorrectedRecording) -> None:
     keyframes = corrected.keyframes
     chosen = [int(place * (len(keyframes.frames) - 1)) for place in SHOWN]
     before = [keyframes.frames[k] for k in chosen]
-    after = [corrected.correct(frame) for frame in before]
-    numbers = [keyframes.numbers[k] for k in chosen]
+    numbers = [int(keyframes.numbers[k]) for k in chosen]
+    after = [corrected.correct(*each) for each in zip(before, numbers, strict=True)]
     estimate = corrected.estimate
     panels = [
         *(_panel(f"frame {number}, recorded", frame) for number, frame in zip(numbers, before, strict=True)),

@@ -77,8 +77,8 @@ def _correct(
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording
-    from deepir.recording.estimate import estimate_sensor
     from deepir.recording.keyframes import choose_keyframes
+    from deepir.recording.segments import estimate_segments
     from deepir.report.correction import write_correction
 
     data, shown = config.data, config.output
@@ -88,11 +88,17 @@ def _correct(
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
     keyframes = choose_keyframes(track(read(), "reading"))
-    estimate = estimate_sensor(keyframes, correction)
-    corrected = CorrectedRecording(read, estimate, keyframes)
+    segments = estimate_segments(keyframes, correction)
+    corrected = CorrectedRecording(read, segments, keyframes)
     corrected.save_maps(maps)
-    typer.echo(_summary(estimate, len(keyframes.frames), len(corrected)))
-    for message in estimate.messages:
+    if len(segments) > 1:
+        typer.echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
+        for each in segments:
+            typer.echo(f"  {each.description}")
+    typer.echo(_summary(corrected.estimate, len(keyframes.frames), len(corrected)))
+    for message in dict.fromkeys(
+        each for part in segments if part.estimate for each in part.estimate.messages
+    ):
         typer.echo(f"deepir: warning: {message}", err=True)
     with ThreadPoolExecutor(1) as beside, writer as write:
         drawn = beside.submit(write_correction, picture, corrected)

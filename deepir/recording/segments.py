@@ -1,0 +1,107 @@
+"""The parts of a recording with one fixed pattern each: a closure of the shutter gives the camera another."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deepir.calibration import CorrectionMaps
+from deepir.errors import DataError
+from deepir.recording.estimate import SensorEstimate, estimate_sensor
+from deepir.recording.keyframes import Keyframes
+from deepir.recording.pattern_jumps import pattern_jumps
+
+Array = np.ndarray[Any, Any]
+
+GRADIENT_STRIDE = 3  # px, between the rows of a frame whose gradients say which pattern it has
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Frames with one fixed pattern.
+
+    Attributes:
+        first, last: numbers of its first and last keyframe.
+        estimate: of the sensor; None where it cannot be estimated, and frames stay as they are.
+        refused: why not; empty with an estimate.
+    """
+
+    first: int
+    last: int
+    estimate: SensorEstimate | None
+    refused: str = ""
+
+    def correct(self, frame: Array) -> Array:
+        """Correct a frame (h, w), in the recording's units; float32."""
+        found = self.estimate
+        if found is None:
+            return np.ma.filled(frame.astype(np.float32), np.nan)
+        if found.strength is not None:
+            values = np.ma.filled(frame.astype(np.float32), np.nan)
+            frame = values - np.float32(found.strength(values) - 1) * found.offset
+        return self.maps.correct(frame)
+
+    @property
+    def description(self) -> str:
+        """Which frames, and what is corrected of them."""
+        what = self.estimate.kept.replace("_", " ") if self.estimate else f"left as recorded: {self.refused}"
+        return f"frames {self.first} to {self.last}: {what}"
+
+    @functools.cached_property
+    def maps(self) -> CorrectionMaps:
+        """Gain, offset and bad pixels, as `deepir apply` takes them: frame = gain scene + offset."""
+        found = self.estimate
+        if found is None:
+            raise DataError(self.refused)
+        return CorrectionMaps(found.gain, found.offset + found.level * (1 - found.gain), found.bad_pixels)
+
+    def roughness(self, frame: Array) -> float:
+        """Mean absolute gradient of a corrected frame: a pattern that is not the frame's adds to it."""
+        return float(np.nanmean(np.abs(np.diff(self.correct(frame)[::GRADIENT_STRIDE], axis=1))))
+
+
+def estimate_segments(keyframes: Keyframes, correction: str) -> list[Segment]:
+    """Find where the pattern jumps, and estimate the sensor of each part.
+
+    Args:
+        keyframes: of a recording.
+        correction: see `estimate_sensor`.
+
+    Raises:
+        ConfigError: There is no such correction.
+        DataError: No part can be corrected; the reason of the first.
+    """
+    ends = [0, *pattern_jumps(keyframes.frames), len(keyframes.frames)]
+    parts = [np.arange(*each) for each in itertools.pairwise(ends)]
+    if len(parts) == 1:
+        return [_segment(keyframes, estimate_sensor(keyframes, correction))]
+    found, refused = [], []
+    for part in parts:
+        some = keyframes.some(part)
+        try:
+            found.append(_segment(some, estimate_sensor(some, correction)))
+        except DataError as error:
+            refused.append(error)
+            found.append(_segment(some, None, str(error)))
+    if len(refused) == len(parts):
+        raise refused[0]
+    return found
+
+
+def _segment(keyframes: Keyframes, estimate: SensorEstimate | None, refused: str = "") -> Segment:
+    return Segment(int(keyframes.numbers[0]), int(keyframes.numbers[-1]), estimate, refused)
+
+
+def segment_at(segments: Sequence[Segment], number: int, frame: Array) -> Segment:
+    """The segment of a frame; of frames between two keyframes of different patterns, that which leaves it smoother."""
+    for here, after in itertools.pairwise(segments):
+        if number <= here.last:
+            return here
+        if number < after.first:
+            return min((here, after), key=lambda each: each.roughness(frame))
+    return segments[-1]

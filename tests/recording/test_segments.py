@@ -1,0 +1,69 @@
+"""A closure of the shutter gives a recording another fixed pattern: each part gets maps of its own."""
+
+import numpy as np
+import pytest
+
+from deepir.errors import DataError
+from deepir.recording.correct import correct
+from deepir.recording.pattern_jumps import pattern_jumps
+from deepir.recording.segments import Segment, segment_at
+
+JUMP = 62  # first frame with the second pattern
+
+
+@pytest.fixture(scope="module")
+def jumping(walk):
+    """The walk, with another pattern from a frame on; and that pattern."""
+    change = 40 * np.random.default_rng(1).standard_normal(walk.gain.shape)
+    frames = walk.frames.astype(np.float32)
+    frames[JUMP:] += change
+    return frames, change
+
+
+def test_a_pattern_that_stays_or_drifts_does_not_jump(walk):
+    frames = walk.frames.astype(np.float32)
+    assert pattern_jumps(frames) == []
+    drift = np.random.default_rng(2).standard_normal(walk.gain.shape)
+    assert pattern_jumps(frames + np.arange(len(frames))[:, None, None] * drift) == []
+
+
+def test_a_jump_is_found_at_its_frame(jumping):
+    frames, _ = jumping
+    (found,) = pattern_jumps(frames)
+    assert abs(found - JUMP) <= 1
+
+
+def test_frames_that_are_all_alike_do_not_jump():
+    assert pattern_jumps(np.full((60, 40, 40), 7.0, np.float32)) == []
+
+
+def test_each_part_is_corrected_with_its_own_pattern(walk, jumping, tmp_path):
+    frames, change = jumping
+    corrected = correct(frames)
+    assert len(corrected.segments) == 2
+    first, second = (each.estimate.offset for each in corrected.segments)
+    assert np.corrcoef((second - first)[~walk.bad], change[~walk.bad])[0, 1] > 0.9
+    errors = np.stack(list(corrected))[::5] - walk.scenes[::5]
+    assert np.std(errors.mean(0)[~walk.bad]) < 0.1 * np.std((frames - walk.scenes).mean(0)[~walk.bad])
+    corrected.save_maps(tmp_path / "maps.npz")
+    with np.load(tmp_path / "maps.npz") as maps:
+        assert maps["offsets"].shape == (2, *walk.gain.shape)
+        assert np.array_equal(maps["offset"], maps["offsets"][-1])
+
+
+def test_between_two_keyframes_the_pattern_that_fits_is_taken(walk):
+    corrected = correct(walk.frames)
+    estimate = corrected.segments[0].estimate
+    parts = [Segment(0, 40, estimate), Segment(50, 119, None, "few frames")]
+    assert segment_at(parts, 45, walk.frames[45]) is parts[0]
+    assert segment_at(parts, 45, corrected.correct(walk.frames[45], 45)) is parts[1]
+    assert segment_at(parts, 39, walk.frames[39]) is parts[0]
+    assert np.array_equal(parts[1].correct(walk.frames[60]), walk.frames[60])
+
+
+def test_a_recording_without_any_part_to_correct_is_refused(walk):
+    still = np.repeat(walk.frames[:1].astype(np.float32), 80, 0)
+    still += np.random.default_rng(3).standard_normal(still.shape)
+    still[40:] += 50 * np.random.default_rng(4).standard_normal(still.shape[1:])
+    with pytest.raises(DataError, match="stands still"):
+        correct(still)
