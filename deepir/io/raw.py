@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
+from deepir.io.containers.planes import stream_planes
 from deepir.io.guards import check_size
 from deepir.io.readers import Array, decoding
 
@@ -20,20 +23,24 @@ def read(path: Path, layout: Raw) -> Array:
         DataError: The file is missing, or does not hold a whole number of such frames.
     """
     with decoding(path):
-        frames = map_frames(path, layout)
-        check_size(path, frames.nbytes, frames.nbytes)
-        return clear_unused_bits(frames, layout)
+        dtype, shape = stored_array(path, layout)
+        size = math.prod(shape) * dtype.itemsize
+        check_size(path, size, size)
+        return clear_unused_bits(
+            np.fromfile(path, dtype, math.prod(shape), offset=layout.offset).reshape(shape), layout
+        )
 
 
 def stream(path: Path, layout: Raw) -> Iterator[Array]:
     """Frame after frame (h, w), as `read` gives them."""
     with decoding(path):
-        frames = map_frames(path, layout)
-    yield from (clear_unused_bits(frame, layout) for frame in frames)
+        dtype, shape = stored_array(path, layout)
+    for frame in stream_planes(path, dtype, layout.offset, shape):
+        yield clear_unused_bits(frame, layout)
 
 
-def map_frames(path: Path, layout: Raw) -> Array:
-    """Memory map (N, h, w) of the samples."""
+def stored_array(path: Path, layout: Raw) -> tuple[np.dtype[Any], tuple[int, int, int]]:
+    """Type and shape (N, h, w) of the samples."""
     dtype = np.dtype("u1" if layout.bits <= 8 else f"{'<' if layout.endian == 'little' else '>'}u2")
     frame = layout.height * layout.width * dtype.itemsize
     stored = path.stat().st_size - layout.offset
@@ -42,8 +49,7 @@ def map_frames(path: Path, layout: Raw) -> Array:
             f"{path}: data.raw does not fit: after {layout.offset} bytes there are {max(stored, 0):,}, and a frame of "
             f"{layout.height} x {layout.width} px of {layout.bits} bits takes {frame:,}"
         )
-    shape = (stored // frame, layout.height, layout.width)
-    return np.memmap(path, dtype, "r", layout.offset, shape)
+    return dtype, (stored // frame, layout.height, layout.width)
 
 
 def clear_unused_bits(samples: Array, layout: Raw) -> Array:

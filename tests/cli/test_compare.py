@@ -35,7 +35,7 @@ import os, signal
 from pathlib import Path
 from deepir.pipeline.reconstruct import joint
 from deepir.registry import register
-from deepir.solve import solve
+from deepir.optim.solve import solve
 
 solve.__kwdefaults__["every"] = 0.0  # seconds between checkpoints: a short run has some
 

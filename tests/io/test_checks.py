@@ -108,3 +108,10 @@ def test_a_sky_below_the_range_is_neither_a_bar_nor_lost():
     lost = np.zeros(frames.shape, bool)
     lost[2, 30:33] = lost[:, 20:26, 30:36] = True
     assert np.array_equal(unrecorded_samples(frames), lost)
+
+
+def test_frames_without_finite_neighbours_are_refused():
+    frames = np.random.default_rng(0).normal(100, 5, (4, 32, 40)).astype(np.float32)
+    frames[:, :, 1::2] = np.nan
+    with pytest.raises(DataError, match="no sample has finite neighbours"):
+        validate(frames, "interlaced.npz")

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import math
-import mmap
 import struct
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.containers import jpeg
+from deepir.io.containers.file_bytes import FileBytes
 from deepir.io.guards import check_size
 from deepir.io.radiometry import Planck, air_transmission
 from deepir.io.readers import Array
@@ -41,7 +41,7 @@ SETTING_OFFSETS = {
 Records = dict[int, bytes]
 
 
-def read_records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[Records, int]:
+def read_records(data: bytes | FileBytes, path: Path, start: int = 0) -> tuple[Records, int]:
     """Records of an FFF.
 
     Args:
@@ -56,16 +56,15 @@ def read_records(data: bytes | mmap.mmap, path: Path, start: int = 0) -> tuple[R
         DataError: The directory or a record lies outside the data.
     """
     order = ">" if data[start + 20 : start + 22] == b"\0\0" else "<"
-    directory, count = struct.unpack_from(f"{order}II", data, start + 24)
+    directory, count = struct.unpack(f"{order}II", data[start + 24 : start + 32])
     directory += start
     end = max(start + HEADER_BYTES, directory + ENTRY_BYTES * count)
     if count > MAX_RECORDS or end > len(data):
         raise DataError(f"{path}: truncated: FLIR's directory of {count} records lies outside the file")
+    entries = data[directory : directory + ENTRY_BYTES * count]
     found: Records = {}
     for k in range(count):
-        kind, _, _, _, offset, length = struct.unpack_from(
-            f"{order}HHIIII", data, directory + ENTRY_BYTES * k
-        )
+        kind, _, _, _, offset, length = struct.unpack_from(f"{order}HHIIII", entries, ENTRY_BYTES * k)
         first, after = start + offset, start + offset + length
         if kind and after > len(data):
             raise DataError(f"{path}: truncated: a record of FLIR's ends beyond the end of the file")

@@ -32,7 +32,8 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
         (N, h, w) bool, finite samples.
 
     Raises:
-        DataError: There are fewer frames, they are smaller than `MIN_FRAME_SIDE`, or one is unusable or out of bounds.
+        DataError: There are fewer frames, they are smaller than `MIN_FRAME_SIDE`, one is unusable or out of bounds, or
+            no sample has finite neighbours.
     """
     count, height, width = frames.shape
     if count < needs:
@@ -46,6 +47,11 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
     for k, why in unusable_frames(frames).items():
         raise DataError(f"{source}: frame {k} is {why}. Leave it out (data.frames)")
     valid = np.isfinite(frames)
+    if not has_neighbours(valid):
+        raise DataError(
+            f"{source}: no sample has finite neighbours, as where every second row or column is NaN. Keep the rows and "
+            "columns that are there (frames[:, ::2, ::2]), or fill in the others"
+        )
     for k in range(count):
         values = frames[k][valid[k]]
         low, high = float(values.min()), float(values.max())
@@ -55,6 +61,11 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
                 "unusual units? Give counts, kelvin or [0, 1]"
             )
     return valid
+
+
+def has_neighbours(valid: Mask) -> bool:
+    """Whether 2 x 2 samples side by side count anywhere; valid: (N, h, w)."""
+    return bool((valid[:, 1:, 1:] & valid[:, 1:, :-1] & valid[:, :-1, 1:] & valid[:, :-1, :-1]).any())
 
 
 def unusable_frames(frames: np.ndarray[Any, Any]) -> dict[int, str]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deepir.io.frames import Frames
-from deepir.io.inspection.checks import unusable_frames
+from deepir.io.inspection.checks import has_neighbours, unusable_frames
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
 from deepir.io.radiometry import ZERO_CELSIUS
 
@@ -58,6 +58,8 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
     if missing := frames.size - finite.size:
         why = "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN or infinite"
         lines.append(f"{missing} sample(s) are {why} ({missing / frames.size:.2%})")
+        if not has_neighbours(np.isfinite(frames)):
+            lines.append("no sample has finite neighbours: keep the rows and columns that are there")
     if stuck := int((frames == 0).all(axis=0).sum()):
         lines.append(f"{stuck} pixel(s) are zero in every frame")
     top = finite.max()

@@ -1,3 +1,7 @@
+import io
+import struct
+import zlib
+
 import numpy as np
 import pytest
 import scipy.io
@@ -40,4 +44,20 @@ def test_a_huge_declared_matrix_is_refused_at_once(tmp_path, burst):
     content[at : at + 8] = (2**31 - 1).to_bytes(4, "little") * 2
     (tmp_path / "a.mat").write_bytes(content)
     with pytest.raises(DataError, match="declares"):
+        read_frames(tmp_path / "a.mat")
+
+
+@pytest.mark.parametrize("kind", [8, 14, 99])
+@pytest.mark.parametrize("compress", [False, True])
+def test_values_of_no_numeric_type_are_damage(tmp_path, burst, kind, compress):
+    """SciPy's reader would end the process."""
+    stored = io.BytesIO()
+    scipy.io.savemat(stored, {"frames": burst.transpose(1, 2, 0)})
+    content = bytearray(stored.getvalue())
+    content[content.find(b"frames\0\0") + 8] = kind
+    if compress:
+        packed = zlib.compress(bytes(content[128:]))
+        content = content[:128] + struct.pack("<II", 15, len(packed)) + packed
+    (tmp_path / "a.mat").write_bytes(content)
+    with pytest.raises(DataError, match="which no number has"):
         read_frames(tmp_path / "a.mat")

@@ -40,11 +40,11 @@ def test_any_order_in_memory_is_read(tmp_path, burst, order):
 
 
 def test_nine_gib_are_streamed(tmp_path):
-    header = {"descr": "|u1", "fortran_order": False, "shape": (9, 2**15, 2**15)}
+    header = {"descr": "|u1", "fortran_order": False, "shape": (9 * 2**10, 2**10, 2**10)}
     with (tmp_path / "a.npy").open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
         file.truncate(file.tell() + 9 * 2**30)  # sparse: takes no room
-    assert next(stream_frames(tmp_path / "a.npy")).shape == (2**15, 2**15)
+    assert next(stream_frames(tmp_path / "a.npy")).shape == (2**10, 2**10)
 
 
 def test_a_break_is_reported_where_it_is_reached(tmp_path, burst):
@@ -53,3 +53,27 @@ def test_a_break_is_reported_where_it_is_reached(tmp_path, burst):
     (tmp_path / "a.cptv").write_bytes(content[:-400])
     with pytest.raises(DataError, match="damaged or truncated"):
         list(stream_frames(tmp_path / "a.cptv"))
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("a.npy", recordings.npy),
+        ("a.tif", recordings.tiff),
+        ("a.seq", recordings.seq),
+        ("a.h5", recordings.hdf5),
+        ("a.raw", lambda path, frames: path.write_bytes(frames.tobytes())),
+    ],
+)
+def test_a_file_that_is_cut_while_it_is_read_is_an_error(tmp_path, name, write):
+    """Neither a signal, as of a memory map, nor zeros."""
+    frames = np.random.default_rng(0).integers(1, 2**14, (40, 128, 160)).astype(np.uint16)
+    write(tmp_path / name, frames)
+    stream = stream_frames(tmp_path / name, raw=Raw(width=160, height=128) if name == "a.raw" else None)
+    next(stream)
+    with (tmp_path / name).open("r+b") as file:
+        file.truncate(frames.nbytes // 3)
+    found = []
+    with pytest.raises(DataError, match=r"truncated|damaged"):
+        found.extend(stream)
+    assert all(np.array_equal(*each) for each in zip(found, frames[1:], strict=False))

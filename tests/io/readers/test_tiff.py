@@ -1,3 +1,5 @@
+import struct
+
 import numpy as np
 import pytest
 import recordings
@@ -72,3 +74,25 @@ def test_a_truncated_tiff_is_not_filled_up_with_zeros(tmp_path, burst):
             (tmp_path / "a.tif").write_bytes(content[:-lost])
             with pytest.raises(DataError, match="truncated"):
                 read_frames(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("cycle", ["next", "SubIFDs"])
+def test_directories_in_a_circle_are_damage(tmp_path, cycle):
+    """A library that follows them would never end."""
+    values = [(256, 32), (257, 24), (258, 16), (259, 1), (262, 1), (273, 8), (277, 1), (278, 24), (279, 1536)]
+    tags = [(tag, 4, 1, value) for tag, value in values] + [(330, 13, 1, 1544 if cycle == "SubIFDs" else 0)]
+    directory = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    following = struct.pack("<I", 1544 if cycle == "next" else 0)
+    (tmp_path / "a.tif").write_bytes(b"II*\0" + struct.pack("<I", 1544) + bytes(1536) + directory + following)
+    with pytest.raises(DataError, match="reached twice"):
+        read_frames(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("options", [{}, {"bigtiff": True}, {"subifds": 1}])
+def test_directories_that_end_are_followed(tmp_path, options):
+    frames = np.arange(20 * 24, dtype=np.uint16).reshape(20, 24)
+    with tifffile.TiffWriter(tmp_path / "a.tif", bigtiff=options.get("bigtiff", False)) as tiff:
+        tiff.write(frames, subifds=options.get("subifds", 0))
+        if "subifds" in options:
+            tiff.write(frames[::2, ::2], subfiletype=1)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames[0], frames)

@@ -47,8 +47,13 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
     with _dataset(path, key) as (data, turned):
         if data.ndim != 3:
             yield _turned(data[()], turned)
-        else:
-            yield from (_turned(data[k], turned) for k in range(len(data)))
+            return
+        stored = path.stat().st_size
+        for number in range(len(data)):
+            frame = data[number]
+            if path.stat().st_size < stored:  # the library would give zeros
+                raise DataError(f"{path}: truncated while it was read, at frame {number} of {len(data)}")
+            yield _turned(frame, turned)
 
 
 @contextmanager

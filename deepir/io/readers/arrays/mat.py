@@ -9,6 +9,7 @@ import numpy as np
 import scipy.io
 
 from deepir.errors import DataError
+from deepir.io.containers.matlab_elements import check_elements
 from deepir.io.containers.named_arrays import choose_array
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
@@ -31,6 +32,7 @@ def read(path: Path, key: str | None) -> Array:
     Raises:
         DataError: It is not an array of numbers, or several are possible.
     """
+    check_elements(path)
     with path.open("rb") as file:
         known = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(file)}
         name = choose_array(

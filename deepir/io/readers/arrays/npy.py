@@ -34,10 +34,9 @@ def read(path: Path, key: str | None) -> Array:
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """A memory map of the stored array."""
+    """Frame after frame (h, w) of an array (N, h, w), else the array."""
     with path.open("rb") as file:
-        _check(file, path, path.stat().st_size, at_once=False)
-    yield np.load(path, mmap_mode="r", allow_pickle=False)
+        yield from stream_frames(file, path, path.stat().st_size)
 
 
 def read_header(stream: IO[bytes], path: Path) -> Header:
@@ -71,13 +70,17 @@ def stream_frames(stream: IO[bytes], path: Path, size: int) -> Iterator[Array]:
     """Frame after frame (h, w) of an array (N, h, w) from a stream, else the array; arguments as in `read_stream`."""
     begin = stream.tell()
     shape, fortran, dtype = _check(stream, path, size, at_once=False)
-    if fortran or len(shape) != 3:
+    plane = tuple(side for side in shape[1:] if side != 1)  # of (N, h, w), (N, 1, h, w) or (N, h, w, 1)
+    if fortran or len(plane) != 2:
         stream.seek(begin)
         yield read_stream(stream, path, size)
         return
-    for _ in range(shape[0]):
-        data = stream.read(shape[1] * shape[2] * dtype.itemsize)
-        yield np.frombuffer(data, dtype).reshape(shape[1:])
+    frame = math.prod(plane) * dtype.itemsize
+    for number in range(shape[0]):
+        data = stream.read(frame)
+        if len(data) < frame:
+            raise DataError(f"{path}: truncated: it ends within frame {number} of {shape[0]}")
+        yield np.frombuffer(data, dtype).reshape(plane)
 
 
 def _check(stream: IO[bytes], path: Path, size: int, *, at_once: bool = True) -> Header:

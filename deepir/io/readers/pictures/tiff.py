@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import struct
 from collections.abc import Iterator
@@ -15,6 +16,8 @@ import tifffile
 
 from deepir.config import schema
 from deepir.errors import ConfigError, DataError
+from deepir.io.containers.planes import stream_planes
+from deepir.io.containers.tiff_directories import check_directories
 from deepir.io.guards import check_size, to_grey
 from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array
@@ -48,12 +51,15 @@ def read(path: Path, key: str | None) -> Array:
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Page after page (h, w); if all are contiguous, a memory map (N, h, w)."""
+    """Page after page (h, w)."""
     with _open(path) as tiff:
         for part in _series(tiff, path):
             if part.dataoffset is not None:
                 dtype = part.dtype.newbyteorder(tiff.byteorder)
-                yield _stack(np.memmap(path, dtype, "r", part.dataoffset, part.shape), part.axes, path)
+                page = part.keyframe.shape  # the last axes of the series
+                whole = (math.prod(part.shape) // math.prod(page), *page)
+                for plane in stream_planes(path, dtype, part.dataoffset, whole):
+                    yield _stack(plane, part.keyframe.axes, path)
             else:
                 yield from (_stack(page.asarray(), part.axes, path) for page in part.pages)
 
@@ -71,6 +77,7 @@ def radiometry(path: Path) -> Radiometry | None:
 
 
 def _open(path: Path) -> tifffile.TiffFile:
+    check_directories(path)
     # OME metadata may name other files, which would be opened: read this file's own pages only.
     return tifffile.TiffFile(path, is_ome=False)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Iterator
 from pathlib import Path
 
 from deepir.io.containers import fff
+from deepir.io.containers.file_bytes import FileBytes
 from deepir.io.guards import stack_frames
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
@@ -30,13 +30,13 @@ def read(path: Path, key: str | None) -> Array:
 
 def radiometry(path: Path) -> Radiometry | None:
     """Radiometry of the first frame."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with FileBytes(path) as data:
         return fff.read_radiometry(fff.read_records(data, path)[0])
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame (h, w)."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with FileBytes(path) as data:
         start = 0
         while start != -1:
             found, end = fff.read_records(data, path, start)

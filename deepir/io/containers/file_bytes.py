@@ -1,0 +1,51 @@
+"""The bytes of a file, read where they are asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from deepir.errors import DataError
+
+SEARCH_BYTES = 2**20  # read at once while bytes are sought
+
+
+class FileBytes:
+    """A file as `bytes`, as far as slices, `len` and `find` go; a context manager.
+
+    Unlike a memory map it may lie on a file that is cut meanwhile: that is a `DataError`, and no signal.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = path.open("rb")
+        self._size = path.stat().st_size
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(self._size)
+        self._file.seek(start)
+        found = self._file.read(max(0, stop - start))
+        if len(found) < stop - start:
+            raise DataError(f"{self.path}: truncated while it was read")
+        return found
+
+    def find(self, what: bytes, start: int) -> int:
+        """First place at or after `start` where these bytes are; -1: nowhere."""
+        while start < self._size:
+            at = self[start : start + SEARCH_BYTES].find(what)
+            if at >= 0:
+                return start + at
+            start += SEARCH_BYTES - len(what) + 1
+        return -1
