@@ -19,6 +19,7 @@ from deepir.cli.commands.compare import batch, compare
 from deepir.cli.commands.correct import correct
 from deepir.cli.commands.demo import demo
 from deepir.cli.commands.listing import list_components
+from deepir.cli.commands.live import live
 from deepir.cli.commands.run import resume, run
 from deepir.cli.commands.simulate import simulate
 from deepir.cli.commands.train import train
@@ -30,6 +31,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.command()(correct)
+app.command()(live)
 app.command()(run)
 app.command()(demo)
 app.command()(capture)

@@ -41,7 +41,7 @@ def stream(path: Path, layout: Raw) -> Iterator[Array]:
 
 def stored_array(path: Path, layout: Raw) -> tuple[np.dtype[Any], tuple[int, int, int]]:
     """Type and shape (N, h, w) of the samples."""
-    dtype = np.dtype("u1" if layout.bits <= 8 else f"{'<' if layout.endian == 'little' else '>'}u2")
+    dtype = sample_type(layout)
     frame = layout.height * layout.width * dtype.itemsize
     stored = path.stat().st_size - layout.offset
     if stored <= 0 or stored % frame:
@@ -50,6 +50,11 @@ def stored_array(path: Path, layout: Raw) -> tuple[np.dtype[Any], tuple[int, int
             f"{layout.height} x {layout.width} px of {layout.bits} bits takes {frame:,}"
         )
     return dtype, (stored // frame, layout.height, layout.width)
+
+
+def sample_type(layout: Raw) -> np.dtype[Any]:
+    """Type of a stored sample, byte order included."""
+    return np.dtype("u1" if layout.bits <= 8 else f"{'<' if layout.endian == 'little' else '>'}u2")
 
 
 def clear_unused_bits(samples: Array, layout: Raw) -> Array:

@@ -22,7 +22,7 @@ from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels
 from deepir.recording.held_out import HeldOutFrames
 from deepir.recording.keyframes import Keyframes, spread
-from deepir.recording.offset import SeparatedOffset, separate_offset
+from deepir.recording.offset import SeparatedOffset, fine_offset, separate_offset
 from deepir.recording.responses import noise_deviation, refine_responses
 
 Array = np.ndarray[Any, Any]
@@ -88,10 +88,7 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO) -> SensorEstim
     limits = _limits(keyframes.frames)
     frames, usable = estimated.frames, _usable(estimated.frames, limits)
     if len(frames) < MIN_KEYFRAMES:
-        raise DataError(
-            f"{len(keyframes.frames)} of {keyframes.length} frame(s) show anything new, too few. "
-            "Record for some seconds while the camera moves"
-        )
+        raise _too_few(keyframes)
     level = _median(frames, usable)
     frames = np.where(usable, frames, np.float32(level))
     offset = gradient_consensus(frames, usable).astype(np.float32)
@@ -122,6 +119,32 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO) -> SensorEstim
     offset = offset - offset[~bad].mean()
     strength = None if gains is None else PatternStrength.of_frames(offset, estimated.frames, usable)
     return SensorEstimate(np.where(bad, 1, gain), offset, bad, level, strength, kept, nats, tuple(messages))
+
+
+def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
+    """The fine offset and bad pixels alone: at once, from few frames, without displacements, and not judged.
+
+    Raises:
+        DataError: As `estimate_sensor`.
+    """
+    frames, usable = keyframes.frames, _usable(keyframes.frames, _limits(keyframes.frames))
+    if len(frames) < MIN_KEYFRAMES:
+        raise _too_few(keyframes)
+    level = _median(frames, usable)
+    frames = np.where(usable, frames, np.float32(level))
+    consensus = gradient_consensus(frames, usable).astype(np.float32)
+    _demand_motion(frames, consensus, keyframes.pairs)
+    bad = defective_pixels(frames, usable, consensus)
+    offset = fine_offset(consensus, ~bad)
+    offset = offset - offset[~bad].mean()
+    return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, ())
+
+
+def _too_few(keyframes: Keyframes) -> DataError:
+    return DataError(
+        f"{len(keyframes.frames)} of {keyframes.length} frame(s) show anything new, too few. "
+        "Record for some seconds while the camera moves"
+    )
 
 
 def _choice(nats: dict[str, float]) -> str:

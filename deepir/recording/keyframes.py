@@ -7,7 +7,8 @@ evenly spread.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any
@@ -81,54 +82,109 @@ def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
     """
     stream = _distinct(iter(recording))
     head = list(islice(stream, SHORT + 1))
-    shown = [frame for frame in head if frame is not None]
-    spacing, typical = motion_spacing(np.stack([coarse(frame) for frame in shown[:WINDOW]]))
     if len(head) <= SHORT:
+        shown = [frame for frame in head if frame is not None]
+        spacing, _ = motion_spacing(np.stack([coarse(frame) for frame in shown[:WINDOW]]))
         kept = [(number, frame, spacing) for number, frame in enumerate(head) if frame is not None]
-        groups = np.arange(len(kept)) // GROUP_SIZE
-        return _keyframes(kept, groups, len(head))
-    return _chosen(chain(head, stream), [coarse(frame) for frame in shown[:WINDOW]], spacing, typical)
+        return _keyframes(kept, np.arange(len(kept)) // GROUP_SIZE, len(head))
+    collector = KeyframeCollector()
+    for frame in chain(head, stream):
+        collector.add(frame)
+    found = collector.keyframes()
+    assert found is not None  # the first frame is one
+    return found()
 
 
-def _chosen(frames: Iterable[Array | None], recent: list[Array], spacing: int, typical: float) -> Keyframes:
-    """Groups of frames of a long recording.
+class KeyframeCollector:
+    """Chooses keyframes among frames that come one after the other.
 
     Args:
-        frames: Of the recording; None in place of one that repeats the frame before it.
-        recent: The first of them, averaged.
-        spacing: Of the first group, see `motion_spacing`.
-        typical: Change over the window, same place.
+        latest: True: of too many groups the latest are kept. False: every second one, again and again.
     """
-    groups: list[list[tuple[int, Array, int]]] = []
-    every, opened, opening, last, number = 1, 0, -WINDOW, None, -1
-    for number, frame in enumerate(frames):
+
+    def __init__(self, *, latest: bool = False) -> None:
+        self.length = 0
+        self._latest = latest
+        self._head: list[tuple[int, Array, Array]] = []  # until the motion is measured
+        self._recent: list[Array] = []  # the last frames, averaged
+        self._measured = False
+        self._groups: list[list[tuple[int, Array, int]]] = []
+        self._every, self._opened, self._opening = 1, 0, -WINDOW
+        self._last: Array | None = None
+        self._spacing, self._typical = 1, 0.0
+        self._taken = 0
+
+    @property
+    def taken(self) -> int:
+        """Keyframes chosen since the start, those that were dropped included."""
+        return self._taken
+
+    def forget(self, number: int) -> None:
+        """Drop the keyframes before a frame."""
+        self._groups = [[each for each in group if each[0] >= number] for group in self._groups]
+        self._groups = [group for group in self._groups if group]
+
+    def add(self, frame: Array | None) -> None:
+        """The next frame (h, w); None in place of one that repeats the frame before it."""
+        self.length += 1
+        number = self.length - 1
         if frame is None:
-            continue
+            return
         small = coarse(frame)
+        self._recent = [*self._recent[-WINDOW + 1 :], small]
+        if self._measured:
+            self._consider(number, frame, small)
+            return
+        self._head.append((number, frame, small))
+        if len(self._head) == WINDOW:
+            self._measured = True
+            self._spacing, self._typical = motion_spacing(np.stack(self._recent))
+            for each in self._head:
+                self._consider(*each)
+            self._head = []
+
+    def keyframes(self) -> Callable[[], Keyframes] | None:
+        """What gives those chosen so far, also in another thread, as it copies all; None without a frame."""
+        groups = self._groups
+        if not self._measured:  # few frames: all that differ
+            shown = [(number, frame, 1) for number, frame, _ in self._head]
+            groups = [shown[k : k + GROUP_SIZE] for k in range(0, len(shown), GROUP_SIZE)]
+        places = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
+        kept = [each for group in groups for each in group]
+        return functools.partial(_keyframes, kept, places, self.length) if kept else None
+
+    def _consider(self, number: int, frame: Array, small: Array) -> None:
+        """Add a frame to the last group, or begin one with it, if it is time."""
+        if self._groups and len(self._groups[-1]) < GROUP_SIZE:
+            if number - self._groups[-1][-1][0] >= self._spacing:
+                self._groups[-1].append((number, frame, self._spacing))
+                self._taken += 1
+            return
+        stands = (
+            self._last is not None and float(np.abs(self._last - small).mean()) < LEAST_CHANGE * self._typical
+        )
+        if stands or number - self._opening < GROUP_SIZE * self._spacing:
+            return
         if number >= WINDOW:
-            recent = [*recent[1:], small]
-        if groups and len(groups[-1]) < GROUP_SIZE:
-            if number - groups[-1][-1][0] >= spacing:
-                groups[-1].append((number, frame, spacing))
-            continue
-        stands = last is not None and float(np.abs(last - small).mean()) < LEAST_CHANGE * typical
-        if stands or number - opening < GROUP_SIZE * spacing:
-            continue
-        if number >= WINDOW:
-            spacing, typical = motion_spacing(np.stack(recent))
-        last, opening = small, number
-        if opened % every == 0:
-            groups.append([(number, frame, spacing)])
-        opened += 1
-        if len(groups) > MAX_GROUPS:
-            groups, every = groups[::2], 2 * every
-    places = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
-    return _keyframes([each for group in groups for each in group], places, number + 1)
+            self._spacing, self._typical = motion_spacing(np.stack(self._recent))
+        self._last, self._opening = small, number
+        if self._opened % self._every == 0:
+            self._groups.append([(number, frame, self._spacing)])
+            self._taken += 1
+        self._opened += 1
+        if len(self._groups) > MAX_GROUPS:
+            if self._latest:
+                del self._groups[0]
+            else:
+                self._groups, self._every = self._groups[::2], 2 * self._every
 
 
 def _keyframes(kept: list[tuple[int, Array, int]], groups: Array, length: int) -> Keyframes:
+    frames = np.empty((len(kept), *kept[0][1].shape), np.float32)
+    for copy, (_, frame, _) in zip(frames, kept, strict=True):  # one by one: other threads go on in between
+        copy[:] = np.ma.filled(frame.astype(np.float32), np.nan)
     return Keyframes(
-        frames=np.stack([np.ma.filled(frame.astype(np.float32), np.nan) for _, frame, _ in kept]),
+        frames=frames,
         numbers=np.array([number for number, _, _ in kept]),
         groups=groups,
         spacings=np.array([spacing for _, _, spacing in kept]),

@@ -108,6 +108,16 @@ def separate_offset(
     return SeparatedOffset(fine, offset, offset - _shared_with(corrected.mean(0), offset, known), found)
 
 
+def fine_offset(consensus: Array, known: Array) -> Array:
+    """The part of a consensus (h, w) that is the sensor's in any case: columns, and what is finer than 4 px.
+
+    Args:
+        consensus: whose gradients frames share.
+        known: (h, w) bool, pixels that respond to the scene.
+    """
+    return np.asarray(consensus - slow_part(consensus - _columns(consensus, known), known, SLOW_SIGMA))
+
+
 def _columns(pattern: Array, known: Array) -> Array:
     """The detail of the mean of each column, (1, w): mostly the sensor's. Of rows a scene has some, as a horizon."""
     counts = known.sum(0)

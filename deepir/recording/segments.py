@@ -60,9 +60,12 @@ class Segment:
             raise DataError(self.refused)
         return CorrectionMaps(found.gain, found.offset + found.level * (1 - found.gain), found.bad_pixels)
 
-    def roughness(self, frame: Array) -> float:
-        """Mean absolute gradient of a corrected frame: a pattern that is not the frame's adds to it."""
-        return float(np.nanmean(np.abs(np.diff(self.correct(frame)[::GRADIENT_STRIDE], axis=1))))
+
+def roughness(frame: Array) -> float:
+    """Mean absolute gradient of a frame (h, w): a pattern that is not the frame's adds to it."""
+    return float(
+        np.nanmean(np.abs(np.diff(np.ma.filled(frame[::GRADIENT_STRIDE].astype(np.float32), np.nan), axis=1)))
+    )
 
 
 def estimate_segments(keyframes: Keyframes, correction: str) -> list[Segment]:
@@ -103,5 +106,5 @@ def segment_at(segments: Sequence[Segment], number: int, frame: Array) -> Segmen
         if number <= here.last:
             return here
         if number < after.first:
-            return min((here, after), key=lambda each: each.roughness(frame))
+            return min((here, after), key=lambda each: roughness(each.correct(frame)))
     return segments[-1]

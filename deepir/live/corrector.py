@@ -1,0 +1,146 @@
+"""Correct frames as they come: `corrected = corrector(frame)`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deepir.calibration import CorrectionMaps
+from deepir.live.estimation import ENDED, Beside, Estimator
+from deepir.recording.keyframes import KeyframeCollector
+from deepir.recording.segments import Segment, roughness
+
+Array = np.ndarray[Any, Any]
+
+FIRST_KEYFRAMES = 12  # before the first estimate
+GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
+MAX_NEW_KEYFRAMES = 32  # ... but no more than these
+CHECK_EVERY = 8  # frames, of which one is checked
+#: Roughness of a frame with a new estimate, relative to that with the one before, above which it is rejected.
+MAX_ROUGHNESS_RATIO = 1.02
+
+
+@dataclass(frozen=True)
+class Status:
+    """How far a corrector is.
+
+    Attributes:
+        frames: Seen so far.
+        keyframes: Chosen so far; none while the camera stands still.
+        estimates: Of the sensor that were taken.
+        rejected: Estimates that would have left newer frames rougher.
+        correcting: Whether frames are corrected now.
+        estimating: Whether an estimate is under way.
+        message: Why the last estimate was not possible; empty if it was.
+    """
+
+    frames: int = 0
+    keyframes: int = 0
+    estimates: int = 0
+    rejected: int = 0
+    correcting: bool = False
+    estimating: bool = False
+    message: str = ""
+
+
+class Corrector:
+    """Corrects frames (h, w) of one camera with the newest estimate of its sensor; a context manager.
+
+    Keyframes are chosen while the camera moves, and none while it stands still, so that no scene is taken for the
+    pattern. The first estimate is a quick one, of the fine offset. An estimate is taken if a frame that it has not seen
+    is smoother with it. Frames that it leaves rougher, as after a closure of the shutter, pass uncorrected.
+
+    Args:
+        maps: Of the same camera, to begin with.
+        estimator: What estimates the sensor; a process of its own unless given.
+    """
+
+    def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
+        self._start = maps
+        self._estimator = estimator or Beside()
+        self.reset()
+
+    def __enter__(self) -> Corrector:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def reset(self) -> None:
+        """Forget all but the maps of the beginning."""
+        self._collector = KeyframeCollector(latest=True)
+        self._segment: Segment | None = None
+        self._fits, self._quick, self._due = True, True, FIRST_KEYFRAMES
+        self._before: Array | None = None
+        self._frames = self._estimates = self._rejected = 0
+        self._message = ""
+
+    def close(self) -> None:
+        """End what estimates."""
+        self._estimator.close()
+
+    def __call__(self, frame: Array) -> Array:
+        """The corrected frame (h, w), float32, in the frame's units."""
+        if (found := self._estimator.poll()) is not None:
+            self._take(found, frame)
+        self._collect(frame)
+        corrected = self._correct(frame)
+        if self._frames % CHECK_EVERY == 0 and corrected is not None:
+            self._fits = roughness(corrected) <= roughness(frame)
+        self._frames += 1
+        return np.asarray(frame, np.float32) if corrected is None or not self._fits else corrected
+
+    @property
+    def maps(self) -> CorrectionMaps | None:
+        """Those that frames are corrected with; None as long as there are none."""
+        return self._segment.maps if self._segment else self._start
+
+    @property
+    def status(self) -> Status:
+        """How far it is."""
+        return Status(
+            self._frames,
+            self._collector.taken,
+            self._estimates,
+            self._rejected,
+            self.maps is not None and self._fits,
+            self._estimator.busy(),
+            self._message,
+        )
+
+    def _collect(self, frame: Array) -> None:
+        """Consider a frame as a keyframe, and begin an estimate when there are enough."""
+        repeats = self._before is not None and np.array_equal(frame, self._before)
+        self._before = frame
+        self._collector.add(None if repeats else frame)
+        taken = self._collector.taken
+        if taken >= self._due and not self._estimator.busy():
+            keyframes = self._collector.keyframes()
+            if keyframes is not None:
+                quick, self._quick = self._quick and self.maps is None, False
+                self._estimator.submit(keyframes, quick=quick)
+                self._due = taken + (0 if quick else min(MAX_NEW_KEYFRAMES, round((GROWTH - 1) * taken)))
+
+    def _take(self, found: Segment, frame: Array) -> None:
+        """Take an estimate if it serves the newest frame."""
+        self._message = found.refused
+        if found.estimate is None:
+            if found.refused != ENDED:  # the camera stood still: begin again
+                self._collector.forget(found.last + 1)
+            self._due = self._collector.taken + FIRST_KEYFRAMES
+            return
+        self._collector.forget(found.first)  # another pattern
+        now = self._correct(frame)
+        before = frame if now is None or not self._fits else now
+        if roughness(found.correct(frame)) > MAX_ROUGHNESS_RATIO * roughness(before) and now is not None:
+            self._rejected += 1
+            return
+        self._segment, self._fits = found, True
+        self._estimates += 1
+
+    def _correct(self, frame: Array) -> Array | None:
+        if self._segment is not None:
+            return self._segment.correct(frame)
+        return None if self._start is None else self._start.correct(frame)

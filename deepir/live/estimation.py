@@ -1,0 +1,171 @@
+"""Estimates of the sensor in a process of its own, so that frames go on meanwhile.
+
+The parent sends keyframes through a pipe, and gets a pickled `Segment` back. A process that ends by itself is started
+again with the next keyframes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import IO, Any, Protocol
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.recording.estimate import AUTO, estimate_fine_offset
+from deepir.recording.keyframes import Keyframes
+from deepir.recording.segments import Segment, estimate_segments
+
+NICENESS = 5  # of the process, where systems have it: frames come first
+ENDED = "the estimating process ended by itself; it is started again"
+
+
+class Estimator(Protocol):
+    """What estimates the sensor for a `Corrector`."""
+
+    def busy(self) -> bool:
+        """Whether an estimate is under way."""
+
+    def submit(self, keyframes: Callable[[], Keyframes], *, quick: bool) -> None:
+        """Begin an estimate, only when not busy; `quick`: of the fine offset alone."""
+
+    def poll(self) -> Segment | None:
+        """The newest estimate, once; None if there is none."""
+
+    def close(self) -> None:
+        """End it, an estimate under way too."""
+
+
+def newest_segment(keyframes: Keyframes, *, quick: bool) -> Segment:
+    """The estimate of the sensor at the end of the keyframes; a `Segment` without one if it is not possible."""
+    first, last = int(keyframes.numbers[0]), int(keyframes.numbers[-1])
+    try:
+        if quick:
+            return Segment(first, last, estimate_fine_offset(keyframes))
+        return estimate_segments(keyframes, AUTO)[-1]
+    except DataError as error:
+        return Segment(first, last, None, str(error))
+
+
+class Here:
+    """Estimates at once, in this process: frames wait."""
+
+    def __init__(self) -> None:
+        self._found: Segment | None = None
+
+    def busy(self) -> bool:
+        """Never."""
+        return False
+
+    def submit(self, keyframes: Callable[[], Keyframes], *, quick: bool) -> None:
+        """Estimate."""
+        self._found = newest_segment(keyframes(), quick=quick)
+
+    def poll(self) -> Segment | None:
+        """The estimate, once."""
+        found, self._found = self._found, None
+        return found
+
+    def close(self) -> None:
+        """Nothing is under way."""
+
+
+class Beside:
+    """Estimates in a process of its own."""
+
+    def __init__(self) -> None:
+        self._process = self._start()
+        self._sender = ThreadPoolExecutor(1)
+        self._pending: Future[Segment] | None = None
+
+    def busy(self) -> bool:
+        """Whether an estimate is under way."""
+        return self._pending is not None and not self._pending.done()
+
+    def submit(self, keyframes: Callable[[], Keyframes], *, quick: bool) -> None:
+        """Begin an estimate."""
+        self._pending = self._sender.submit(self._estimate, keyframes, quick)
+
+    def poll(self) -> Segment | None:
+        """The estimate, once it is there."""
+        if self._pending is None or self.busy():
+            return None
+        found, self._pending = self._pending.result(), None
+        return found
+
+    def close(self) -> None:
+        """End the process."""
+        self._end()
+        self._sender.shutdown()
+
+    def _end(self) -> None:
+        self._process.kill()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError):  # what it has not read is lost
+                assert pipe is not None
+                pipe.close()
+        self._process.wait()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "deepir.live.estimation"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def _estimate(self, chosen: Callable[[], Keyframes], quick: bool) -> Segment:
+        """Send keyframes, frame by frame, and wait for the estimate."""
+        keyframes = chosen()
+        if self._process.poll() is not None:
+            self._end()
+            self._process = self._start()
+        to, back = self._process.stdin, self._process.stdout
+        assert to is not None
+        assert back is not None
+        try:
+            rest = {name: value for name, value in vars(keyframes).items() if name != "frames"}
+            pickle.dump((keyframes.frames.shape, rest, quick), to)
+            for frame in keyframes.frames:
+                to.write(np.ascontiguousarray(frame, np.float32).data)
+            to.flush()
+            found: Segment = pickle.load(back)
+        except (OSError, EOFError, ValueError, pickle.UnpicklingError):  # ValueError: closed meanwhile
+            return Segment(int(keyframes.numbers[0]), int(keyframes.numbers[-1]), None, ENDED)
+        return found
+
+
+def serve(requests: IO[bytes], answers: IO[bytes]) -> None:
+    """Answer requests until there are no more."""
+    while True:
+        try:
+            shape, rest, quick = pickle.load(requests)
+        except EOFError:
+            return
+        frames = np.empty(shape, np.float32)
+        for frame in frames:
+            frame[:] = np.frombuffer(requests.read(frame.nbytes), np.float32).reshape(frame.shape)
+        pickle.dump(newest_segment(Keyframes(frames, **rest), quick=quick), answers)
+        answers.flush()
+
+
+def main() -> None:
+    """The process: requests come by standard input, answers leave by what was standard output."""
+    import torch
+
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    torch.set_num_threads(max(1, (os.cpu_count() or 1) - 1))
+    answers: Any = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints does not disturb
+    serve(sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()

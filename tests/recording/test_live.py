@@ -1,0 +1,131 @@
+"""Frames are corrected as they come, better while the camera moves, and never by what it stood still before."""
+
+import io
+import time
+
+import numpy as np
+import pytest
+
+from deepir.calibration import CorrectionMaps
+from deepir.config.schema import Raw
+from deepir.live.corrector import FIRST_KEYFRAMES, Corrector
+from deepir.live.estimation import ENDED, Beside, Here
+from deepir.live.sources import Paced, camera_frames, stream_raw
+from deepir.recording.keyframes import WINDOW
+
+
+@pytest.fixture
+def corrector():
+    with Corrector(estimator=Here()) as made:
+        yield made
+
+
+def left(frames, scenes, walk):
+    """Deviation of the pattern that is left."""
+    return np.std(np.mean(np.asarray(frames, np.float64) - scenes, 0)[~walk.bad])
+
+
+def test_the_pattern_goes_while_the_camera_moves(walk, corrector):
+    corrected = [corrector(frame) for frame in walk.frames]
+    assert all(frame.dtype == np.float32 for frame in corrected)
+    assert np.array_equal(corrected[0], walk.frames[0])
+    assert corrector.status.estimates >= 2
+    assert corrector.status.correcting
+    assert left(corrected[-20:], walk.scenes[-20:], walk) < 0.3 * left(
+        walk.frames[-20:], walk.scenes[-20:], walk
+    )
+
+
+def test_nothing_is_learned_while_the_camera_stands_still(walk, corrector):
+    rng = np.random.default_rng(0)
+    still = walk.frames[0] + 3 * rng.standard_normal((300, *walk.gain.shape))
+    for frame in still.astype(np.float32):
+        assert corrector(frame) is not None
+    assert corrector.status.estimates == 0
+    assert corrector.maps is None
+    assert "stands still" in corrector.status.message
+
+
+def test_maps_of_an_earlier_day_are_taken_at_once(walk):
+    maps = CorrectionMaps(walk.gain, walk.fine + walk.slow + 8000 * (1 - walk.gain), walk.bad)
+    with Corrector(maps, estimator=Here()) as corrector:
+        assert np.array_equal(corrector(walk.frames[0]), maps.correct(walk.frames[0]))
+        assert corrector.status.correcting
+
+
+def test_frames_that_maps_do_not_fit_pass_as_they_are(walk):
+    """As after a closure of the shutter, or with the maps of another camera."""
+    wrong = 300 * np.random.default_rng(1).standard_normal(walk.gain.shape)
+    with Corrector(CorrectionMaps(np.ones_like(wrong), wrong, walk.bad), estimator=Here()) as corrector:
+        assert np.array_equal(corrector(walk.frames[0]), walk.frames[0])
+        assert not corrector.status.correcting
+
+
+def test_reset_forgets_what_was_learned(walk, corrector):
+    for frame in walk.frames[: WINDOW + 10]:
+        corrector(frame)
+    corrector.reset()
+    assert corrector.status == Corrector(estimator=Here()).status
+
+
+class Waiting(Here):
+    """Gives its estimate late."""
+
+    def poll(self):
+        return None
+
+
+def test_frames_do_not_wait_for_an_estimate(walk):
+    with Corrector(estimator=Waiting()) as corrector:
+        for frame in walk.frames[: WINDOW + 10]:
+            assert np.array_equal(corrector(frame), frame)
+
+
+def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_replaced(walk):
+    with Corrector(estimator=Beside()) as corrector:
+        corrector._estimator._process.kill()
+        corrector._estimator._process.wait()
+        for frame in walk.frames:
+            corrector(frame)
+        assert corrector.status.keyframes >= FIRST_KEYFRAMES
+        until = time.monotonic() + 60
+        while corrector.status.estimates == 0 and time.monotonic() < until:
+            corrector(walk.frames[-1])
+            time.sleep(0.05)
+        assert corrector.status.estimates == 1
+        assert corrector.status.message != ENDED
+
+
+class Unplugged:
+    def __init__(self, frames):
+        self.frames = list(frames)
+
+    def read(self):
+        return self.frames.pop(0) if self.frames else None
+
+
+def test_a_camera_that_falls_silent_is_an_error(walk, monkeypatch):
+    monkeypatch.setattr("deepir.live.sources.FRAME_TIMEOUT", 0.05)
+    frames = camera_frames(Unplugged(walk.frames[:2]))
+    assert len([next(frames), next(frames)]) == 2
+    with pytest.raises(Exception, match="no frame for"):
+        next(frames)
+
+
+def test_raw_frames_come_from_a_stream(walk):
+    frames = walk.frames[:3]
+    stream = io.BytesIO(b"head" + frames.astype(">u2").tobytes() + b"half a frame")
+    layout = Raw(width=frames.shape[2], height=frames.shape[1], endian="big", offset=4)
+    assert np.array_equal(list(stream_raw(stream, layout)), frames)
+
+
+def test_a_recording_is_played_at_its_rate_and_late_frames_are_dropped():
+    played = Paced(range(12), rate=100.0)
+    begun, shown = time.monotonic(), []
+    for number in played:
+        shown.append(number)
+        if number == 2:
+            time.sleep(0.05)
+    assert time.monotonic() - begun >= 0.09
+    assert played.dropped >= 3
+    assert len(shown) + played.dropped == 12
