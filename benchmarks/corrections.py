@@ -79,18 +79,18 @@ def drive() -> Iterator[str]:
     seconds = time.perf_counter() - begun
     others = np.setdiff1d(np.arange(len(raw)), corrected.keyframes.numbers)
 
-    def likeness(correct: Callable[[np.ndarray], np.ndarray]) -> list[float]:
-        return [alike(correct(raw[k]), calibrated[k]) for k in others]
+    def likeness(correct: Callable[[np.ndarray, int], np.ndarray]) -> list[float]:
+        return [alike(correct(raw[k], int(k)), calibrated[k]) for k in others]
 
     yield "Likeness with the calibrated frames: the median (least) of frames that are no keyframes.\n"
     yield "| method | likeness | worse than raw | seconds |\n|---|---|---|---|"
-    before = likeness(lambda frame: frame)
+    before = likeness(lambda frame, number: frame)
     yield f"| raw | {np.median(before):.3f} ({min(before):.2f}) | | |"
     for name, rival in RIVALS.items():
         begun = time.perf_counter()
         gain, offset = rival(raw)
         took = time.perf_counter() - begun
-        yield _row(name, likeness(lambda frame, g=gain, o=offset: (frame - o) / g), before, took)
+        yield _row(name, likeness(lambda frame, number, g=gain, o=offset: (frame - o) / g), before, took)
     yield _row(f"correct ({corrected.estimate.kept})", likeness(corrected.correct), before, seconds)
 
 
@@ -126,9 +126,11 @@ def _simulated_row(kind: str, camera: str, recording: Recording) -> str:
     except DeepIRError as error:
         return f"| {kind} | {camera} | {' | '.join(cells)} | refused: {str(error)[:40]} | | |"
     seconds = time.perf_counter() - begun
-    after = np.stack([corrected.correct(frame) for frame in recording.frames[::JUDGED]])
+    numbers = range(0, len(recording.frames), JUDGED)
+    after = np.stack([corrected.correct(recording.frames[k], k) for k in numbers])
     cells.append(f"**{left(after, judged)}**")
-    what = corrected.estimate.kept.replace("_", " ")
+    parts = f", {len(corrected.segments)} segments" if len(corrected.segments) > 1 else ""
+    what = corrected.estimate.kept.replace("_", " ") + parts
     return f"| {kind} | {camera} | {' | '.join(cells)} | {what} | {seconds:.1f} |"
 
 

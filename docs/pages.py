@@ -33,6 +33,7 @@ SECTIONS = {
     "Use": [
         "tutorial",
         "whole-recordings",
+        "live",
         "gallery",
         "cli",
         "configuration",
@@ -51,7 +52,7 @@ SECTIONS = {
 REFERENCE = {
     "Running": ["api", "runner", "config", "burst", "result", "storage", "errors"],
     "Solving": ["problem", "schedule", "optim", "pipeline", "closed_form", "registered_average"],
-    "Estimating": ["effects", "estimation", "diagnostics", "multiview", "recording"],
+    "Estimating": ["effects", "estimation", "diagnostics", "multiview", "recording", "live"],
     "Operators": ["operators"],
     "Fields": ["fields"],
     "Priors": ["priors", "denoisers", "likelihoods"],
