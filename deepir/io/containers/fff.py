@@ -27,6 +27,7 @@ CAMERA_RECORD = 32  # kind of the record with calibration and settings
 HEADER_BYTES = 64  # length of the file header
 ENTRY_BYTES = 32  # length of an entry of the directory
 PIXELS_OFFSET = 32  # bytes before the pixels of a raw plane
+MISSING_PADDING = 4  # bytes that the last record of a recording may be short of: they hold no pixels
 CAMERA_RECORD_BYTES = 0x310  # least length of a camera record
 MAX_RECORDS = 1000  # records of a directory; more mean damage
 #: Byte offsets of the user's settings in the camera record.
@@ -53,7 +54,7 @@ def read_records(data: bytes | FileBytes, path: Path, start: int = 0) -> tuple[R
         The records by their kind, and the first byte after the FFF.
 
     Raises:
-        DataError: The directory or a record lies outside the data.
+        DataError: The directory or a record lies outside the data, the padding of the last one aside.
     """
     order = ">" if data[start + 20 : start + 22] == b"\0\0" else "<"
     directory, count = struct.unpack(f"{order}II", data[start + 24 : start + 32])
@@ -66,7 +67,7 @@ def read_records(data: bytes | FileBytes, path: Path, start: int = 0) -> tuple[R
     for k in range(count):
         kind, _, _, _, offset, length = struct.unpack_from(f"{order}HHIIII", entries, ENTRY_BYTES * k)
         first, after = start + offset, start + offset + length
-        if kind and after > len(data):
+        if kind and after > len(data) + MISSING_PADDING:
             raise DataError(f"{path}: truncated: a record of FLIR's ends beyond the end of the file")
         if kind in (RAW_RECORD, CAMERA_RECORD):
             found.setdefault(kind, data[first:after])
@@ -88,7 +89,7 @@ def read_raw_plane(found: Records, path: Path) -> Array:
     width, height = struct.unpack_from(f"{order}HH", record, 2)
     packed = record[PIXELS_OFFSET:]
     if packed.startswith(b"\x89PNG"):
-        plane = png.decode(packed, path).byteswap()  # FLIR's PNGs are little-endian, against the standard
+        plane = _in_order(png.decode(packed, path))
     elif packed.startswith(jpeg.JPEG_SIGNATURE):
         plane = _jpeg_ls(packed, path)
     else:
@@ -132,6 +133,19 @@ def read_radiometry(found: Records) -> Planck | None:
 def byte_order(record: bytes) -> str:
     """Byte order of a record, which begins with the number 2."""
     return "<" if record[:2] == b"\2\0" else ">"
+
+
+def _in_order(plane: Array) -> Array:
+    """The counts (h, w) of a PNG in the order of bytes that makes them smoother.
+
+    Most cameras write little-endian counts, against the standard, some do not. The median in the camera's record does
+    not say which: on some it is a level that the user has set.
+    """
+
+    def variation(counts: Array) -> float:
+        return float(np.abs(np.diff(counts.astype(np.float32))).mean()) if counts.shape[1] > 1 else 0.0
+
+    return min((plane.byteswap(), plane), key=variation)
 
 
 def _jpeg_ls(packed: bytes, path: Path) -> Array:

@@ -1,5 +1,8 @@
 """FLIR's records, in pictures and in recordings."""
 
+import struct
+from pathlib import Path
+
 import imagecodecs
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ import recordings
 
 from deepir.errors import DataError
 from deepir.io import read_frames
+from deepir.io.containers import fff
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -70,3 +74,26 @@ def test_real_pictures_hold_the_counts_that_flyr_finds(data, name, mean):
     """Means of the raw planes as flyr 5.1.0 reads them."""
     read = read_frames(data / "radiometric_jpg" / f"flir_{name}_cc0.jpg")
     assert read.frames.mean(dtype=np.float64) == pytest.approx(mean, rel=1e-9)
+
+
+def test_the_whole_frames_of_a_recording_that_is_cut_are_read(tmp_path, burst, caplog):
+    content = b"".join(recordings.fff(frame) for frame in burst)
+    (tmp_path / "a.seq").write_bytes(content[:-100])
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.seq").frames, burst[:-1])
+    assert "its last frame is cut off; the 2 whole ones are read" in caplog.text
+
+
+def test_a_break_in_the_midst_of_a_recording_is_damage(tmp_path, burst):
+    parts = [recordings.fff(frame) for frame in burst]
+    (tmp_path / "a.seq").write_bytes(parts[0] + parts[1][:80] + parts[2])
+    with pytest.raises(DataError):
+        read_frames(tmp_path / "a.seq")
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_pngs_are_read_in_either_order_of_bytes(swapped):
+    plane = np.random.default_rng(0).integers(12000, 13000, (20, 24)).astype(np.uint16)
+    stored = plane.byteswap() if swapped else plane
+    packed = imagecodecs.png_encode(stored)
+    record = struct.pack("<HHH", 2, 24, 20) + bytes(26) + packed
+    np.testing.assert_array_equal(fff.read_raw_plane({fff.RAW_RECORD: record}, Path("a.jpg")), plane)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from deepir.io.containers.file_bytes import FileBytes
 from deepir.io.guards import stack_frames
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
+
+log = logging.getLogger("deepir")
 
 SUFFIXES = (".seq", ".csq", ".fff")
 
@@ -35,10 +38,18 @@ def radiometry(path: Path) -> Radiometry | None:
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame (h, w)."""
+    """Frame after frame (h, w); of a recording whose last frame is cut off, the whole ones, with a warning."""
     with FileBytes(path) as data:
-        start = 0
+        start, count = 0, 0
         while start != -1:
-            found, end = fff.read_records(data, path, start)
-            yield fff.read_raw_plane(found, path)
+            try:
+                found, end = fff.read_records(data, path, start)
+                plane = fff.read_raw_plane(found, path)
+            except Exception:
+                if not count or data.find(fff.FFF_MAGIC, start + len(fff.FFF_MAGIC)) != -1:
+                    raise
+                log.warning("%s: its last frame is cut off; the %d whole ones are read", path, count)
+                return
+            yield plane
+            count += 1
             start = data.find(fff.FFF_MAGIC, end)
