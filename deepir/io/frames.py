@@ -15,6 +15,7 @@ from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import raw as headerless
 from deepir.io import readers
+from deepir.io.inspection.fill_values import lost_samples
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 from deepir.io.readers.pictures import folder
@@ -65,6 +66,8 @@ def read_frames(
     stored = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
     frames = to_float32(select_frames(stored, select, source))
+    if (lost := lost_samples(frames, stored.dtype)) is not None:
+        frames[lost] = np.nan
     kelvin = readers.radiometry(file) if raw is None else None
     return Frames(frames, source, stored.dtype.name, digest(file), kelvin, unselected_pairs(stored, select))
 

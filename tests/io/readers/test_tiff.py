@@ -6,7 +6,7 @@ import recordings
 import tifffile
 
 from deepir.errors import DataError
-from deepir.io import read_frames
+from deepir.io import read_frames, stream_frames
 
 
 def test_pages_appended_one_by_one_are_one_burst(tmp_path, burst):
@@ -96,3 +96,15 @@ def test_directories_that_end_are_followed(tmp_path, options):
         if "subifds" in options:
             tiff.write(frames[::2, ::2], subfiletype=1)
     np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames[0], frames)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int16, np.uint16])
+def test_samples_of_the_value_that_gdals_tag_names_are_lost(tmp_path, burst, kind):
+    frames = burst.astype(kind)
+    frames[1, 3:6, 4:9] = 77
+    options = {"metadata": None, "photometric": "minisblack", "extratags": [(42113, "s", 0, "77", False)]}
+    tifffile.imwrite(tmp_path / "a.tif", frames, **options)
+    found = read_frames(tmp_path / "a.tif").frames
+    assert np.array_equal(np.isnan(found), frames == 77)
+    streamed = [np.ma.getmaskarray(each) for each in stream_frames(tmp_path / "a.tif")]
+    assert np.array_equal(streamed, frames == 77)

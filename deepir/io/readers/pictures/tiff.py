@@ -23,6 +23,7 @@ from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = (".tif", ".tiff")
+GDAL_NODATA = 42113  # the tag of the value of lost samples, a text
 PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture
 
 # Python prints messages of a library's logger that nobody handles; ours become errors instead.
@@ -43,7 +44,7 @@ def read(path: Path, key: str | None) -> Array:
     with _open(path) as tiff:
         series = _series(tiff, path)
         check_size(path, sum(p.nbytes for p in series), path.stat().st_size, compressed=True)
-        stacks = [_stack(part.asarray(), part.axes, path) for part in series]
+        stacks = [_stack(part.asarray(), part.axes, path, nodata=_nodata(part)) for part in series]
     sizes = {stack.shape[1:] for stack in stacks}
     if len(sizes) > 1:
         raise DataError(f"{path}: its pages differ in size: {' and '.join(map(str, sorted(sizes)))}")
@@ -59,9 +60,10 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
                 page = part.keyframe.shape  # the last axes of the series
                 whole = (math.prod(part.shape) // math.prod(page), *page)
                 for plane in stream_planes(path, dtype, part.dataoffset, whole):
-                    yield _stack(plane, part.keyframe.axes, path)
+                    yield _stack(plane, part.keyframe.axes, path, nodata=_nodata(part))
             else:
-                yield from (_stack(page.asarray(), part.axes, path) for page in part.pages)
+                for page in part.pages:
+                    yield _stack(page.asarray(), part.axes, path, nodata=_nodata(part))
 
 
 def radiometry(path: Path) -> Radiometry | None:
@@ -123,8 +125,21 @@ def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
         raise DataError(f"{path}: truncated: only {len(tiff.pages)} of its pages can be found")
 
 
-def _stack(pixels: Array, axes: str, path: Path) -> Array:
+def _nodata(part: Any) -> float | None:
+    """The value of lost samples that GDAL's tag names."""
+    tag = part.keyframe.tags.get(GDAL_NODATA)
+    try:
+        return None if tag is None else float(str(tag.value).strip("\0 "))
+    except ValueError:
+        return None
+
+
+def _stack(pixels: Array, axes: str, path: Path, *, nodata: float | None = None) -> Array:
+    """Frames (N, h, w) of the axes of a series; masked where samples are lost."""
     # Samples in separate planes are frames: the default of tifffile for a burst of three or four.
     if axes.endswith("S"):
         pixels = to_grey(pixels, path)
-    return pixels.reshape(-1, *pixels.shape[-2:])
+    frames = pixels.reshape(-1, *pixels.shape[-2:])
+    if nodata is None or math.isnan(nodata) or not (lost := frames == nodata).any():
+        return frames
+    return np.ma.masked_array(frames, lost)

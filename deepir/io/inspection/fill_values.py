@@ -1,0 +1,49 @@
+"""Values that stand for lost samples, as mapping software writes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+#: Of GDAL, Pix4D, ENVI, NetCDF and others, for floats and signed integers.
+FILL_VALUES = (
+    -9999.0,
+    -99999.0,
+    -32768.0,
+    -10000.0,
+    -32767.0,
+    -3.4028234663852886e38,
+    1e20,
+    9.969209968386869e36,
+)
+SAMPLES = 100_000  # that the range of the others is measured of
+
+Frames = np.ndarray[Any, np.dtype[np.float32]]
+
+
+def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dtype[np.bool_]] | None:
+    """Samples that hold a fill value, further away from all others than their range.
+
+    Args:
+        frames: (N, h, w), float32.
+        stored: Type that they were stored in: unsigned counts have no fill values.
+
+    Returns:
+        (N, h, w) bool; None if there are none.
+    """
+    if stored.kind == "u":
+        return None
+    found = None
+    for value in FILL_VALUES:
+        if not (lost := frames == np.float32(value)).any() or lost.all():
+            continue
+        others = frames[~lost]
+        others = others[:: max(1, len(others) // SAMPLES)]
+        others = others[np.isfinite(others) & ~np.isin(others, np.array(FILL_VALUES, np.float32))]
+        if not len(others):
+            continue
+        low, high = float(others.min()), float(others.max())
+        if min(abs(value - low), abs(value - high)) > high - low:
+            found = lost if found is None else found | lost
+    return found

@@ -1,0 +1,38 @@
+"""Values that stand for lost samples are no temperatures."""
+
+import numpy as np
+import pytest
+
+from deepir.io import read_frames
+from deepir.io.inspection.fill_values import FILL_VALUES, lost_samples
+
+
+@pytest.fixture
+def celsius():
+    return np.random.default_rng(0).uniform(-20, 40, (3, 24, 32)).astype(np.float32)
+
+
+@pytest.mark.parametrize("value", FILL_VALUES)
+def test_a_fill_value_far_from_all_else_is_lost(tmp_path, celsius, value):
+    celsius[:, :4] = value
+    np.savez(tmp_path / "a.npz", frames=celsius)
+    found = read_frames(tmp_path / "a.npz").frames
+    assert np.isnan(found[:, :4]).all()
+    assert np.isfinite(found[:, 4:]).all()
+
+
+def test_a_value_within_the_range_of_the_others_is_a_value():
+    frames = np.random.default_rng(0).integers(-12000, 12000, (3, 24, 32)).astype(np.float32)
+    frames[0, :2] = -9999
+    assert lost_samples(frames, np.dtype(np.int16)) is None
+
+
+def test_unsigned_counts_have_no_fill_value(celsius):
+    assert lost_samples(np.where(celsius < 0, np.float32(1e20), celsius), np.dtype(np.uint16)) is None
+
+
+def test_two_fill_values_are_both_lost(celsius):
+    celsius[0, 0], celsius[1, 1] = -9999, -32768
+    lost = lost_samples(celsius, celsius.dtype)
+    assert lost is not None
+    assert lost.sum() == 64
