@@ -5,7 +5,7 @@ import pytest
 import recordings
 
 from deepir.errors import DataError
-from deepir.io import read_frames
+from deepir.io import read_frames, stream_frames
 
 h5py = pytest.importorskip("h5py")
 
@@ -67,3 +67,20 @@ def test_without_the_library_the_extra_is_named(tmp_path, burst, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(DataError, match=r"a\.h5: this needs h5py.*pip install 'deepir\[hdf5\]'"):
         read_frames(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(("unit", "zero"), [("K", 250.0), ("degC", -23.15), ("counts", None)])
+def test_scale_offset_and_fill_value_of_the_cf_conventions_are_taken(tmp_path, burst, unit, zero):
+    frames = burst.astype(np.int16)
+    frames[0, :3] = -32768
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        data = file.create_dataset("brightness", data=frames)
+        data.attrs.update({"_FillValue": np.int16(-32768), "scale_factor": 0.01, "units": unit})
+        data.attrs["add_offset"] = zero or 0.0
+    found = read_frames(tmp_path / "a.nc")
+    assert np.array_equal(np.isnan(found.frames), frames == -32768)
+    assert [np.ma.count_masked(each) for each in stream_frames(tmp_path / "a.nc")] == [72, 0, 0]
+    if zero is None:
+        assert found.radiometry is None
+    else:
+        np.testing.assert_allclose(found.radiometry.kelvin(frames[1]), 0.01 * frames[1] + 250, atol=1e-4)

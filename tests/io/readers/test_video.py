@@ -64,3 +64,10 @@ def test_without_the_library_the_extra_is_named(tmp_path, burst, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(DataError, match=r"a\.mkv: this needs av.*pip install 'deepir\[video\]'"):
         read_frames(tmp_path / "a.mkv")
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14])
+def test_counts_of_fewer_bits_than_sixteen_are_not_stretched(tmp_path, burst, bits):
+    frames = burst % 2**bits
+    recordings.film(tmp_path / "a.mkv", frames, stored=f"gray{bits}le")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mkv").frames, frames)

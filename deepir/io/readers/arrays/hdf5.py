@@ -13,11 +13,19 @@ from deepir.errors import DataError
 from deepir.io.containers.named_arrays import choose_array
 from deepir.io.extras import import_optional
 from deepir.io.guards import check_size
+from deepir.io.radiometry import ZERO_CELSIUS, Linear, Radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = (".h5", ".hdf5", ".mat")
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of an HDF5 file
 MATLAB_SIGNATURE = b"MATLAB 7.3 MAT-file"  # first bytes of MATLAB's user block before it
+UNITS = {
+    "K": 0.0,
+    "kelvin": 0.0,
+    "degC": ZERO_CELSIUS,
+    "degree_Celsius": ZERO_CELSIUS,
+    "celsius": ZERO_CELSIUS,
+}
 MAX_GROUP_DEPTH = 8  # levels of groups that are searched
 MAX_ARRAYS = 10_000  # arrays and groups that are listed
 
@@ -39,21 +47,37 @@ def read(path: Path, key: str | None) -> Array:
     """
     with _dataset(path, key) as (data, turned):
         check_size(path, data.nbytes, path.stat().st_size, compressed=True)
-        return _turned(data[()], turned)
+        return _turned(_known(data[()], data.attrs), turned)
+
+
+def radiometry(path: Path) -> Radiometry | None:
+    """Kelvin by the scale and offset of the conventions for climate and forecast (CF), of the only recording."""
+    try:
+        with _dataset(path, None) as (data, _):
+            unit = data.attrs.get("units", "")
+            unit = unit.decode() if isinstance(unit, bytes) else str(unit)
+            scale, zero = (
+                _number(data.attrs, *each) for each in (("scale_factor", 1.0), ("add_offset", 0.0))
+            )
+    except DataError:  # several arrays, or none
+        return None
+    if unit not in UNITS or not scale > 0:
+        return None
+    return Linear(scale, zero + UNITS[unit])
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame (h, w) of the same array."""
     with _dataset(path, key) as (data, turned):
         if data.ndim != 3:
-            yield _turned(data[()], turned)
+            yield _turned(_known(data[()], data.attrs), turned)
             return
         stored = path.stat().st_size
         for number in range(len(data)):
             frame = data[number]
             if path.stat().st_size < stored:  # the library would give zeros
                 raise DataError(f"{path}: truncated while it was read, at frame {number} of {len(data)}")
-            yield _turned(frame, turned)
+            yield _turned(_known(frame, data.attrs), turned)
 
 
 @contextmanager
@@ -72,6 +96,19 @@ def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
             compressed = data.chunks is not None
             check_size(path, data.nbytes, path.stat().st_size, compressed=compressed, at_once=False)
             yield data, matlab
+
+
+def _known(array: Array, attributes: Any) -> Array:
+    """Masked where samples hold the fill value that the file names."""
+    for name in ("_FillValue", "missing_value"):
+        if name in attributes and (lost := array == np.asarray(attributes[name]).ravel()[0]).any():
+            array = np.ma.masked_array(array, np.ma.getmaskarray(array) | lost)
+    return array
+
+
+def _number(attributes: Any, name: str, default: float) -> float:
+    value = np.asarray(attributes.get(name, default)).ravel()
+    return float(value[0]) if value.size and value.dtype.kind in "uif" else default
 
 
 def _turned(array: Array, matlab: bool) -> Array:

@@ -17,6 +17,8 @@ from deepir.io.readers import Array
 GENERIC = True
 #: Difference of the channels, as a share of the range, that a lossy codec may give a grey film.
 GREY_TOLERANCE = 0.02
+#: Formats of grey films of 9 to 16 bits that keep their counts; in others they are stretched to 16.
+DEEP_GREY = tuple(f"gray{bits}le" for bits in (9, 10, 12, 14, 16))
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
 
 
@@ -48,7 +50,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             deep = any(component.bits > 8 for component in frame.format.components)
             grey = "gray16le" if deep else "gray"
             if len(frame.format.components) == 1 and not frame.format.has_palette:
-                yield frame.to_ndarray(format=grey)
+                yield frame.to_ndarray(format=frame.format.name if frame.format.name in DEEP_GREY else grey)
                 continue
             is_yuv = frame.format.name.startswith(("yuv4", "yuvj4")) and not deep
             pixels = None if is_yuv else frame.to_ndarray(format="rgb48le" if deep else "rgb24")
