@@ -149,6 +149,17 @@ def dji_jpeg(path, frames):
     path.write_bytes(jpeg_with(0xE3, parts, frames.shape[1:]))
 
 
+def infiray_jpeg(path, frames):
+    """The first frame as InfiRay's IJPEG: a picture of 16 bits, then kelvin x 64, of a picture twice as large."""
+    planes = bytes(frames[0].nbytes) + frames[0].astype("<u2").tobytes()
+    parts = [(b"\xff\xe2", b"\0\1\0\0IJPEG".ljust(64, b"\0"))]
+    parts += [(b"\xff\xe3", planes[at : at + 65000]) for at in range(0, len(planes), 65000)]
+    stored = io.BytesIO()
+    Image.fromarray(np.kron(frames[0] >> 8, np.ones((2, 2))).astype(np.uint8)).save(stored, format="JPEG")
+    segments = b"".join(marker + struct.pack(">H", len(part) + 2) + part for marker, part in parts)
+    path.write_bytes(stored.getvalue()[:2] + segments + stored.getvalue()[2:])
+
+
 def cptv(path, frames, bits=16):
     """Differences along a line that runs there and back, of the differences from frame to frame."""
 

@@ -63,6 +63,7 @@ FILES = {
     "flir_sequence, csq": recordings.csq,
     "cptv": recordings.cptv,
     "dji_jpeg": dji,
+    "infiray_jpeg": lambda path, frames: recordings.infiray_jpeg(path, np.resize(frames, (1, 120, 160))),
     "video, mkv": recordings.film,
 }
 NEEDS = {"hdf5": "h5py", "video": "av"}

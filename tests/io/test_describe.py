@@ -102,3 +102,10 @@ def test_frames_that_show_nothing_are_named_and_are_no_noise():
     said = text(frames)
     assert "frame 2 shows nothing: it is 0 everywhere" in said
     assert said.splitlines()[-2:] == whole.splitlines()[-2:]
+
+
+def test_repeated_frames_do_not_hide_the_motion():
+    """A camera of 9 Hz that is read at 27."""
+    lines = describe(burst_of(np.repeat(simulated(3), 3, axis=0)))
+    assert "8 frame(s) repeat the one before them; a run leaves them out" in lines
+    assert lines[-1].startswith("motion: yes")

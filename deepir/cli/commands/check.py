@@ -56,11 +56,13 @@ def _burst(data: Data) -> list[str]:
     import numpy as np
 
     from deepir.errors import DataError
-    from deepir.io import describe, read_frames, validate
+    from deepir.io import crop, describe, read_frames, validate
     from deepir.io.inspection.checks import unusable_frames
     from deepir.io.radiometry import resolve_radiometry
 
     frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
+    if data.crop is not None:
+        frames = replace(frames, frames=crop(frames.frames, data.crop))
     kelvin = resolve_radiometry(frames.radiometry, data.radiometry)
     lines = describe(replace(frames, radiometry=kelvin))
     lines = [f"data: {frames.source}", *(f"  {line}" for line in lines)]

@@ -30,5 +30,10 @@ def choose_array(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | N
     pictures = [name for name, shape in shapes.items() if len(shape) in (2, 3) and sorted(shape)[-2] > 1]
     if len(pictures) != 1:
         listing = ", ".join(f"{name} {shape}" for name, shape in sorted(shapes.items()))
-        raise DataError(f"{path}: which array is meant? Give its key (data.key). Arrays: {listing or 'none'}")
+        single = [shapes[name] for name in pictures if len(shapes[name]) == 2]
+        each = len(single) > 2 and len(single) == len(pictures) and len(set(single)) == 1
+        advice = "They look like a frame each: join them, as numpy.stack does, and save one. " if each else ""
+        raise DataError(
+            f"{path}: which array is meant? Give its key (data.key). {advice}Arrays: {listing or 'none'}"
+        )
     return pictures[0]

@@ -38,6 +38,10 @@ def describe(burst: Frames) -> list[str]:
     if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
         frames = np.delete(frames, rows, axis=1)
+    repeats = [k for k in range(1, len(frames)) if np.array_equal(frames[k], frames[k - 1], equal_nan=True)]
+    if 0 < len(repeats) < len(frames) - 1:
+        lines.append(f"{len(repeats)} frame(s) repeat the one before them; a run leaves them out")
+        frames = np.delete(frames, repeats, axis=0)
     return lines + _noise_and_motion(frames)
 
 

@@ -84,3 +84,11 @@ def test_scale_offset_and_fill_value_of_the_cf_conventions_are_taken(tmp_path, b
         assert found.radiometry is None
     else:
         np.testing.assert_allclose(found.radiometry.kelvin(frames[1]), 0.01 * frames[1] + 250, atol=1e-4)
+
+
+def test_a_dataset_for_each_frame_is_named(tmp_path, burst):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for number, frame in enumerate(burst):
+            file[f"frame{number:03}"] = frame
+    with pytest.raises(DataError, match="look like a frame each: join them"):
+        read_frames(tmp_path / "a.h5")

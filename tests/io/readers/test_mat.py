@@ -31,7 +31,7 @@ def test_every_numeric_class_is_read(tmp_path, burst, dtype):
 
 def test_cells_and_structures_are_no_frames(tmp_path, burst):
     scipy.io.savemat(tmp_path / "a.mat", {"camera": {"frames": burst}, "notes": np.array([burst], object)})
-    with pytest.raises(DataError, match="which array is meant"):
+    with pytest.raises(DataError, match=r"no array of numbers but camera \(struct\), notes \(cell\); join"):
         read_frames(tmp_path / "a.mat")
     with pytest.raises(DataError, match="no array 'camera'"):
         read_frames(tmp_path / "a.mat", key="camera")
@@ -60,4 +60,10 @@ def test_values_of_no_numeric_type_are_damage(tmp_path, burst, kind, compress):
         content = content[:128] + struct.pack("<II", 15, len(packed)) + packed
     (tmp_path / "a.mat").write_bytes(content)
     with pytest.raises(DataError, match="which no number has"):
+        read_frames(tmp_path / "a.mat")
+
+
+def test_version_4_is_named(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"frame": burst[0].astype(float)}, format="4")
+    with pytest.raises(DataError, match="MATLAB 4"):
         read_frames(tmp_path / "a.mat")

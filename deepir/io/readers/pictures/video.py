@@ -45,6 +45,11 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
         if not container.streams.video:
             raise DataError(f"{path}: a film without pictures")
         context = container.streams.video[0].codec_context
+        if context is None or not context.width:
+            raise DataError(
+                f"{path}: a film of a codec that FFmpeg does not know, such as Y16; record it as FFV1 or raw gray16le "
+                "in Matroska, or read the samples with data.raw"
+            )
         check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
         for frame in container.decode(video=0):
             deep = any(component.bits > 8 for component in frame.format.components)

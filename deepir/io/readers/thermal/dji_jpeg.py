@@ -9,6 +9,7 @@ import numpy as np
 from deepir.errors import DataError
 from deepir.io.containers import jpeg
 from deepir.io.readers import Array
+from deepir.io.readers.thermal import infiray_jpeg
 
 SUFFIXES = (".jpg", ".jpeg")
 APP3 = 0xE3  # marker of the segments with the raw plane
@@ -17,8 +18,12 @@ DETECTOR_SHAPES = ((512, 640), (1024, 1280), (256, 320), (120, 160))  # (h, w) o
 
 
 def sniff(head: bytes, path: Path) -> bool:
-    """A JPEG with APP3 segments as large as a picture."""
-    return head.startswith(jpeg.JPEG_SIGNATURE) and len(_plane(path)) >= MIN_PLANE_BYTES
+    """A JPEG with APP3 segments as large as a picture, and not InfiRay's."""
+    return (
+        head.startswith(jpeg.JPEG_SIGNATURE)
+        and len(_plane(path)) >= MIN_PLANE_BYTES
+        and not infiray_jpeg.sniff(head, path)
+    )
 
 
 def read(path: Path, key: str | None) -> Array:
