@@ -71,3 +71,18 @@ def test_counts_of_fewer_bits_than_sixteen_are_not_stretched(tmp_path, burst, bi
     frames = burst % 2**bits
     recordings.film(tmp_path / "a.mkv", frames, stored=f"gray{bits}le")
     np.testing.assert_array_equal(read_frames(tmp_path / "a.mkv").frames, frames)
+
+
+def test_sixteen_bits_without_a_name_are_not_taken_for_colours(tmp_path, burst):
+    import av
+
+    with av.open(tmp_path / "a.avi", "w") as container:
+        track = container.add_stream("rawvideo", rate=9)
+        track.width, track.height, track.pix_fmt = burst.shape[2], burst.shape[1], "rgb555le"
+        for frame in burst:
+            shown = av.VideoFrame(burst.shape[2], burst.shape[1], "rgb555le")
+            shown.planes[0].update(frame.astype("<u2").tobytes().ljust(shown.planes[0].buffer_size, b"\0"))
+            container.mux(track.encode(shown))
+        container.mux(track.encode())
+    with pytest.raises(DataError, match="16 bits a sample without a name"):
+        read_frames(tmp_path / "a.avi")

@@ -19,6 +19,8 @@ GENERIC = True
 GREY_TOLERANCE = 0.02
 #: Formats of grey films of 9 to 16 bits that keep their counts; in others they are stretched to 16.
 DEEP_GREY = tuple(f"gray{bits}le" for bits in (9, 10, 12, 14, 16))
+#: What uncompressed AVI and MOV of 16 bits are taken for, whatever they hold.
+PACKED_SIXTEEN = ("rgb555le", "rgb555be", "rgb565le", "rgb565be", "bgr555le", "bgr565le")
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
 
 
@@ -57,6 +59,11 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             if len(frame.format.components) == 1 and not frame.format.has_palette:
                 yield frame.to_ndarray(format=frame.format.name if frame.format.name in DEEP_GREY else grey)
                 continue
+            if frame.format.name in PACKED_SIXTEEN:
+                raise DataError(
+                    f"{path}: 16 bits a sample without a name, which FFmpeg takes for colours ({frame.format.name}). "
+                    "If they are grey counts, write them as FFV1 or TIFF, or read them with data.raw"
+                )
             is_yuv = frame.format.name.startswith(("yuv4", "yuvj4")) and not deep
             pixels = None if is_yuv else frame.to_ndarray(format="rgb48le" if deep else "rgb24")
             if (_colour(frame) if pixels is None else _channel_difference(pixels)) <= GREY_TOLERANCE:
