@@ -22,7 +22,7 @@ from deepir.recording.estimate import AUTO, estimate_fine_offset
 from deepir.recording.keyframes import Keyframes
 from deepir.recording.segments import Segment, estimate_segments
 
-NICENESS = 5  # of the process, where systems have it: frames come first
+NICENESS = 10  # of the process, where systems have it: frames come first
 ENDED = "the estimating process ended by itself; it is started again"
 
 
@@ -157,11 +157,8 @@ def serve(requests: IO[bytes], answers: IO[bytes]) -> None:
 
 def main() -> None:
     """The process: requests come by standard input, answers leave by what was standard output."""
-    import torch
-
     if hasattr(os, "nice"):
         os.nice(NICENESS)
-    torch.set_num_threads(max(1, (os.cpu_count() or 1) - 1))
     answers: Any = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints does not disturb
     serve(sys.stdin.buffer, answers)
