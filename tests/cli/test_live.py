@@ -7,6 +7,11 @@ import numpy as np
 import pytest
 import tifffile
 
+from deepir import registry
+from deepir.cameras.camera import Camera
+from deepir.cli.signals import Interrupted
+from deepir.errors import DataError
+
 
 @pytest.fixture
 def recording(folder):
@@ -52,3 +57,28 @@ def test_mistakes_are_one_line(deepir, recording, arguments, words):
     assert (status, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "words"),
+    [(Interrupted(2), 0, "5 frame(s)"), (DataError("unplugged"), 2, "error: unplugged")],
+)
+def test_what_a_camera_gave_until_the_end_is_kept(deepir, recording, monkeypatch, end, status, words):
+    class Fake(Camera):
+        """A camera that is made up."""
+
+        correction = "switch it off"
+
+        def __init__(self):
+            self.coming = iter([*recording, None, end])
+
+        def read(self):
+            frame = next(self.coming)
+            if isinstance(frame, BaseException):
+                raise frame
+            return frame
+
+    monkeypatch.setitem(registry._components["camera"], "fake", Fake)
+    found, _, err = deepir("live", "--camera", "fake", "--fast", "--output", "out.tif")
+    assert (found, words in err, "switch it off" in err) == (status, True, True), err
+    assert np.array_equal(tifffile.imread("out.tif"), recording)

@@ -83,6 +83,12 @@ def live(
                 _play(frames, corrector, output, settings or (), None if fast or camera else rate, stack)
             except Interrupted as error:  # the usual end of a camera: what was recorded is kept
                 status = 0 if camera else error.status
+            except DataError as error:
+                if not corrector.status.frames:
+                    raise
+                _notify(f"error: {error}; what was recorded until then is kept")
+                status = 2
+        _notify(f"{corrector.status.frames} frame(s); {_state(corrector)}")
         if save_maps and corrector.maps is not None:
             corrector.maps.save(save_maps)
     return status
@@ -104,7 +110,10 @@ def _frames(
         options: dict[str, Any] = dict(
             parse_settings(settings, options_schema(lookup("camera", camera, "camera")))
         )
-        return camera_frames(stack.enter_context(make("camera", camera, options, "camera")))
+        opened = stack.enter_context(make("camera", camera, options, "camera"))
+        if opened.correction:
+            _notify(opened.correction)
+        return camera_frames(opened)
     config = recording_config(str(source), settings, ACCEPTED_SETTINGS)
     if source != STANDARD:
         return stream_frames(str(config.data.path), key=config.data.key, raw=config.data.raw)
@@ -144,10 +153,6 @@ def _play(
                 f"{_state(corrector)}; {counted / (now - said):.0f} frames/s, {1000 * delay:.1f} ms{dropped}"
             )
             said, counted = now, 0
-    if write is None:
-        _notify("no frames")
-    else:
-        _notify(f"{corrector.status.frames} frame(s); {_state(corrector)}")
 
 
 def _writer(output: str | None, frame: Array, settings: Sequence[str], stack: ExitStack) -> Write:
