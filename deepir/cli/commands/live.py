@@ -140,11 +140,11 @@ def _play(
     write: Write | None = None
     said, counted = time.monotonic(), 0
     for frame in played:
+        if write is None:
+            write = _writer(output, frame, settings, stack)
         begun = time.perf_counter()
         corrected = corrector(frame)
         delay = time.perf_counter() - begun
-        if write is None:
-            write = _writer(output, frame, settings, stack)
         write(corrected)
         counted += 1
         if (now := time.monotonic()) - said > STATUS_EVERY:
