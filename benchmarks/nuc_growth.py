@@ -19,11 +19,11 @@ FRAMES = {1: 5, 2: 10, 4: 20}
 LARGE = (20, (1024, 1280), 1)
 CODE = """
 import sys, numpy, deepir
-from deepir.runner import peak_memory, run
+from deepir.runner import peak_memory
 import deepir.pipeline.reconstruct, deepir.problems.nuc, deepir.registration
 frames = numpy.load(sys.argv[1])
 before = peak_memory()
-found = run("nuc", frames=frames).metrics
+found = deepir.run("nuc", frames=frames).metrics
 print(found["seconds"], found["evaluations"], found["peak_memory_mb"], found["peak_memory_mb"] - before)
 """
 
