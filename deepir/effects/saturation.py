@@ -20,8 +20,8 @@ from deepir.registry import register
 SATURATED_SHARE = 0.5  # of the samples of a place of the scene, if it is beyond the range
 REPORTED_SHARE = 0.001  # of all samples; fewer are reported only if they bound the result
 MIN_FRAMES_SEEN = 0.3  # frames that must show a pixel of the scene
-AREA = 7  # px, side of the neighbourhood ...
-AREA_SHARE = 0.75  # ... of which this share is beyond the range, if it is an area
+NEIGHBOURHOOD = 7  # px, side of the square around a pixel of the scene
+MIN_SATURATED_SHARE = 0.75  # of its neighbourhood, for a pixel within a saturated area
 
 
 @torch.no_grad()
@@ -56,10 +56,13 @@ def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
         if (cut := problem.ends == sign).any():
             bound, share = problem.backproject(values, cut)
             most = share > seen.clamp(min=MIN_FRAMES_SEEN)
-            known, known_share = problem.backproject(values, cut & usable.any(0))
-            known_share = known_share > MIN_FRAMES_SEEN
-            area = avg_pool2d(most.float(), AREA, 1, AREA // 2, count_include_pad=False) > AREA_SHARE
-            bound, most = torch.where(known_share, known, bound), most & (known_share | area)
+            known, frames_seen = problem.backproject(values, cut & usable.any(0))
+            is_known = frames_seen > MIN_FRAMES_SEEN
+            area = (
+                avg_pool2d(most.float(), NEIGHBOURHOOD, 1, NEIGHBOURHOOD // 2, count_include_pad=False)
+                > MIN_SATURATED_SHARE
+            )
+            bound, most = torch.where(is_known, known, bound), most & (is_known | area)
             image = torch.where(most, sign * torch.maximum(sign * image, sign * bound), image)
             where[most] = sign
     return image, where

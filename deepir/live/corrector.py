@@ -17,7 +17,7 @@ Array = np.ndarray[Any, Any]
 FIRST_KEYFRAMES = 12  # before the first estimate
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
-CHECK_EVERY = 8  # frames, of which one is checked
+CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
 #: Roughness of a frame with a new estimate, relative to that with the one before, above which it is rejected.
 MAX_ROUGHNESS_RATIO = 1.02
 
@@ -70,10 +70,11 @@ class Corrector:
 
     def reset(self) -> None:
         """Forget all but the maps of the beginning."""
+        self._estimator.poll()
+        self._outdated = self._estimator.busy()  # the estimate under way is of what is forgotten
         self._collector = KeyframeCollector(latest=True)
         self._segment: Segment | None = None
         self._fits, self._quick, self._due = True, True, FIRST_KEYFRAMES
-        self._before: Array | None = None
         self._frames = self._estimates = self._rejected = 0
         self._message = ""
 
@@ -84,10 +85,13 @@ class Corrector:
     def __call__(self, frame: Array) -> Array:
         """The corrected frame (h, w), float32, in the frame's units."""
         if (found := self._estimator.poll()) is not None:
-            self._take(found, frame)
+            if self._outdated:
+                self._outdated = False
+            else:
+                self._take(found, frame)
         self._collect(frame)
         corrected = self._correct(frame)
-        if self._frames % CHECK_EVERY == 0 and corrected is not None:
+        if self._frames % CHECK_INTERVAL == 0 and corrected is not None:
             self._fits = roughness(corrected) <= roughness(frame)
         self._frames += 1
         return np.asarray(frame, np.float32) if corrected is None or not self._fits else corrected
@@ -112,9 +116,7 @@ class Corrector:
 
     def _collect(self, frame: Array) -> None:
         """Consider a frame as a keyframe, and begin an estimate when there are enough."""
-        repeats = self._before is not None and np.array_equal(frame, self._before)
-        self._before = frame
-        self._collector.add(None if repeats else frame)
+        self._collector.add(frame)
         taken = self._collector.taken
         if taken >= self._due and not self._estimator.busy():
             keyframes = self._collector.keyframes()

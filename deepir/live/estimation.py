@@ -81,6 +81,7 @@ class Beside:
 
     def __init__(self) -> None:
         self._process = self._start()
+        self._closed = False
         self._sender = ThreadPoolExecutor(1)
         self._pending: Future[Segment] | None = None
 
@@ -101,8 +102,9 @@ class Beside:
 
     def close(self) -> None:
         """End the process."""
+        self._closed = True
         self._end()
-        self._sender.shutdown()
+        self._sender.shutdown(cancel_futures=True)
 
     def _end(self) -> None:
         self._process.kill()
@@ -123,7 +125,7 @@ class Beside:
     def _estimate(self, chosen: Callable[[], Keyframes], quick: bool) -> Segment:
         """Send keyframes, frame by frame, and wait for the estimate."""
         keyframes = chosen()
-        if self._process.poll() is not None:
+        if self._process.poll() is not None and not self._closed:
             self._end()
             self._process = self._start()
         to, back = self._process.stdin, self._process.stdout

@@ -86,13 +86,7 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO) -> SensorEstim
         )
     estimated, held = keyframes.split()
     limits = _limits(keyframes.frames)
-    frames, usable = estimated.frames, _usable(estimated.frames, limits)
-    if len(frames) < MIN_KEYFRAMES:
-        raise _too_few(keyframes)
-    level = _median(frames, usable)
-    frames = np.where(usable, frames, np.float32(level))
-    offset = gradient_consensus(frames, usable).astype(np.float32)
-    _demand_motion(frames, offset, estimated.pairs)
+    frames, usable, level, offset = _consensus(estimated, limits)
     gains = pattern_strengths(frames, usable, offset) if keyframes.eight_bits else None
     if gains is not None:
         frames = (frames - level) / gains[:, None, None] + np.float32(level)
@@ -127,24 +121,26 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
     Raises:
         DataError: As `estimate_sensor`.
     """
-    frames, usable = keyframes.frames, _usable(keyframes.frames, _limits(keyframes.frames))
-    if len(frames) < MIN_KEYFRAMES:
-        raise _too_few(keyframes)
-    level = _median(frames, usable)
-    frames = np.where(usable, frames, np.float32(level))
-    consensus = gradient_consensus(frames, usable).astype(np.float32)
-    _demand_motion(frames, consensus, keyframes.pairs)
+    frames, usable, level, consensus = _consensus(keyframes, _limits(keyframes.frames))
     bad = defective_pixels(frames, usable, consensus)
     offset = fine_offset(consensus, ~bad)
     offset = offset - offset[~bad].mean()
     return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, ())
 
 
-def _too_few(keyframes: Keyframes) -> DataError:
-    return DataError(
-        f"{len(keyframes.frames)} of {keyframes.length} frame(s) show anything new, too few. "
-        "Record for some seconds while the camera moves"
-    )
+def _consensus(keyframes: Keyframes, limits: tuple[float, float]) -> tuple[Array, Array, float, Array]:
+    """Frames with their level in place of unusable samples, which are usable, the level, and the shared offset."""
+    frames, usable = keyframes.frames, _usable(keyframes.frames, limits)
+    if len(frames) < MIN_KEYFRAMES:
+        raise DataError(
+            f"{len(frames)} of {keyframes.length} frame(s) show anything new, too few. "
+            "Record for some seconds while the camera moves"
+        )
+    level = _median(frames, usable)
+    frames = np.where(usable, frames, np.float32(level))
+    offset = gradient_consensus(frames, usable).astype(np.float32)
+    _demand_motion(frames, offset, keyframes.pairs)
+    return frames, usable, level, offset
 
 
 def _choice(nats: dict[str, float]) -> str:

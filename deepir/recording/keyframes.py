@@ -8,7 +8,7 @@ evenly spread.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any
@@ -80,12 +80,12 @@ def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
     Args:
         recording: frames (h, w), of any number type; read one after the other.
     """
-    stream = _distinct(iter(recording))
+    stream = iter(recording)
     head = list(islice(stream, SHORT + 1))
     if len(head) <= SHORT:
-        shown = [frame for frame in head if frame is not None]
-        spacing, _ = motion_spacing(np.stack([coarse(frame) for frame in shown[:WINDOW]]))
-        kept = [(number, frame, spacing) for number, frame in enumerate(head) if frame is not None]
+        shown = [k for k in range(len(head)) if k == 0 or not np.array_equal(head[k], head[k - 1])]
+        spacing, _ = motion_spacing(np.stack([coarse(head[k]) for k in shown[:WINDOW]]))
+        kept = [(k, head[k], spacing) for k in shown]
         return _keyframes(kept, np.arange(len(kept)) // GROUP_SIZE, len(head))
     collector = KeyframeCollector()
     for frame in chain(head, stream):
@@ -110,7 +110,8 @@ class KeyframeCollector:
         self._measured = False
         self._groups: list[list[tuple[int, Array, int]]] = []
         self._every, self._opened, self._opening = 1, 0, -WINDOW
-        self._last: Array | None = None
+        self._last: Array | None = None  # first frame of the last group, averaged
+        self._before: Array | None = None
         self._spacing, self._typical = 1, 0.0
         self._taken = 0
 
@@ -124,11 +125,11 @@ class KeyframeCollector:
         self._groups = [[each for each in group if each[0] >= number] for group in self._groups]
         self._groups = [group for group in self._groups if group]
 
-    def add(self, frame: Array | None) -> None:
-        """The next frame (h, w); None in place of one that repeats the frame before it."""
-        self.length += 1
-        number = self.length - 1
-        if frame is None:
+    def add(self, frame: Array) -> None:
+        """The next frame (h, w); one that repeats the frame before it is no keyframe."""
+        number, repeats = self.length, self._before is not None and np.array_equal(frame, self._before)
+        self.length, self._before = number + 1, frame
+        if repeats:
             return
         small = coarse(frame)
         self._recent = [*self._recent[-WINDOW + 1 :], small]
@@ -217,15 +218,6 @@ def motion_spacing(recent: Array) -> tuple[int, float]:
     noise = min(least, float(np.median(np.abs(recent[1:] - recent[:-1]))))
     enough = noise + CHANGE_WITHIN_SPACING * (most - noise)
     return next(gap for gap, change in changes.items() if change >= enough), most
-
-
-def _distinct(recording: Iterator[Array]) -> Iterator[Array | None]:
-    """The frames; None in place of one that repeats the frame before it."""
-    before: Array | None = None
-    for frame in recording:
-        repeats = before is not None and np.array_equal(frame, before)
-        before = frame
-        yield None if repeats else frame
 
 
 def spread(pairs: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ from deepir.config.schema import Raw
 from deepir.live.corrector import FIRST_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, Beside, Here
 from deepir.live.sources import Paced, camera_frames, stream_raw
-from deepir.recording.keyframes import WINDOW
+from deepir.recording.keyframes import WINDOW, choose_keyframes
 
 
 @pytest.fixture
@@ -66,6 +66,27 @@ def test_reset_forgets_what_was_learned(walk, corrector):
         corrector(frame)
     corrector.reset()
     assert corrector.status == Corrector(estimator=Here()).status
+
+
+def test_an_estimate_of_what_was_forgotten_is_not_taken(walk):
+    class Late(Here):
+        """Is done only after the reset."""
+
+        done = False
+
+        def busy(self):
+            return not self.done
+
+        def poll(self):
+            return super().poll() if self.done else None
+
+    estimator = Late()
+    with Corrector(estimator=estimator) as corrector:
+        estimator.submit(lambda: choose_keyframes(iter(walk.frames)), quick=True)
+        corrector.reset()
+        estimator.done = True
+        corrector(walk.frames[0])
+        assert corrector.maps is None
 
 
 class Waiting(Here):

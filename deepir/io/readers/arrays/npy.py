@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib import format as npy_format
 
 from deepir.errors import DataError
+from deepir.io.containers.planes import read_planes
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
@@ -75,12 +76,7 @@ def stream_frames(stream: IO[bytes], path: Path, size: int) -> Iterator[Array]:
         stream.seek(begin)
         yield read_stream(stream, path, size)
         return
-    frame = math.prod(plane) * dtype.itemsize
-    for number in range(shape[0]):
-        data = stream.read(frame)
-        if len(data) < frame:
-            raise DataError(f"{path}: truncated: it ends within frame {number} of {shape[0]}")
-        yield np.frombuffer(data, dtype).reshape(plane)
+    yield from read_planes(stream, path, dtype, (shape[0], *plane))
 
 
 def _check(stream: IO[bytes], path: Path, size: int, *, at_once: bool = True) -> Header:

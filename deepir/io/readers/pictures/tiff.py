@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ import tifffile
 from deepir.config import schema
 from deepir.errors import ConfigError, DataError
 from deepir.io.containers.planes import stream_planes
-from deepir.io.containers.tiff_directories import check_directories
+from deepir.io.containers.tiff_directories import count_directories
 from deepir.io.guards import check_size, to_grey
 from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array
@@ -79,16 +77,20 @@ def radiometry(path: Path) -> Radiometry | None:
 
 
 def _open(path: Path) -> tifffile.TiffFile:
-    check_directories(path)
+    """A TIFF whose directories are whole: of a broken chain tifffile would only log an error."""
+    directories = count_directories(path)
     # OME metadata may name other files, which would be opened: read this file's own pages only.
-    return tifffile.TiffFile(path, is_ome=False)
+    tiff = tifffile.TiffFile(path, is_ome=False)
+    if len(tiff.pages) < directories:
+        tiff.close()
+        raise DataError(f"{path}: damaged: only {len(tiff.pages)} of its {directories} pages can be found")
+    return tiff
 
 
 def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:
     series = [part for part in tiff.series if not part.keyframe.is_reduced]
     if not series:
         raise DataError(f"{path}: a TIFF without a picture")
-    _check_last(tiff, path)
     for part in series:
         _check(part, path)
     return series
@@ -111,18 +113,6 @@ def _check(part: Any, path: Path) -> None:
         ]
     if not ends or max(ends) > size:
         raise DataError(f"{path}: truncated: its data end beyond the end of the file")
-
-
-def _check_last(tiff: tifffile.TiffFile, path: Path) -> None:
-    """Refuse a broken chain of pages, which tifffile would only log."""
-    layout, page = tiff.tiff, tiff.pages[-1]
-    with path.open("rb") as file:
-        file.seek(page.offset)
-        (tags,) = struct.unpack(layout.tagnoformat, file.read(layout.tagnosize))
-        file.seek(tags * layout.tagsize, os.SEEK_CUR)
-        (following,) = struct.unpack(layout.offsetformat, file.read(layout.offsetsize))
-    if following:
-        raise DataError(f"{path}: truncated: only {len(tiff.pages)} of its pages can be found")
 
 
 def _nodata(part: Any) -> float | None:
