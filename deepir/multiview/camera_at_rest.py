@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.multiview.low_order_pattern import averaged, coarsening
+from deepir.kernels.block_means import block_means
+from deepir.multiview.low_order_pattern import coarsening
 from deepir.multiview.pattern import median_pattern
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, displacements
 
@@ -35,7 +36,7 @@ def is_at_rest(frames: Array, usable: Array) -> bool:
     if np.median(np.abs(texture)) < SCENE_RATIO * np.median(np.abs(detail)):
         return False
     factor, half = coarsening(frames.shape[1:]), len(frames) // 2
-    blocks = np.stack([averaged(*each, factor) for each in zip(frames - detail, usable, strict=True)])
+    blocks = block_means(frames - detail, usable, factor)
     first = np.unique(np.linspace(0, len(frames) - half - 1, PAIRS).round().astype(int))
     shares, quartiles = [], []
     for found in displacements(blocks, [(k, k + half) for k in first]):

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
-from deepir.multiview.low_order_pattern import averaged
+from deepir.kernels.block_means import block_means
 from deepir.multiview.pattern import median_pattern
 from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, sampled
 
@@ -99,8 +99,7 @@ class Judge:
 
     def coarse(self, gain: Array, offset: Array) -> Array:
         """The corrected frames, averaged over blocks."""
-        corrected = (self.frames - offset) / gain
-        return np.stack([averaged(*each, self.factor) for each in zip(corrected, self.usable, strict=True)])
+        return block_means((self.frames - offset) / gain, self.usable, self.factor)
 
     def left(self, gain: Array, offset: Array) -> Left | None:
         """What a correction leaves; None where the frames do not tell."""

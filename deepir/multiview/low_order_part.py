@@ -14,6 +14,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.stats import median_abs_deviation
 
+from deepir.kernels.median_filter import median_filter
+
 Array = np.ndarray[Any, Any]
 
 #: Standard deviation, px, of the Gaussian below which a pattern is slow.
@@ -37,6 +39,6 @@ def slow_part(pattern: Array, usable: Array, sigma: float = SLOW_SIGMA) -> Array
 
 def is_implausible(pattern: Array, usable: Array) -> bool:
     """Whether the slow part of a pattern (h, w) is stronger, by its fine part, than a sensor's."""
-    detail = (pattern - ndimage.median_filter(pattern, FINE_SIDE))[usable]
+    detail = (pattern - median_filter(pattern, FINE_SIDE))[usable]
     fine = float(median_abs_deviation(detail, scale="normal")) if usable.any() else 0.0
     return fine > 0 and float(slow_part(pattern, usable)[usable].std()) > LARGEST_RATIO * fine

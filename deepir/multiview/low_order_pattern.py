@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import ndimage
 
+from deepir.kernels.block_means import block_means
 from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
 
 #: Frames between which displacements are sought, apart in the order of the frames.
@@ -75,14 +76,18 @@ def slow_pattern(
         The pattern in the frames' units; zero where the frames are not related.
     """
     factor = coarsening(frames.shape[1:])
-    coarse = np.stack([averaged(frame, good, factor) for frame, good in zip(frames, usable, strict=True)])
+    coarse = block_means(frames, usable, factor)
     contrast = max(float(np.median(coarse.std((1, 2)))), np.finfo(float).tiny)
     coarse /= contrast
     if pairs is None:
         pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
     grid = _Grid(coarse.shape[1:], change_sigma)
     total = np.zeros(coarse.shape[1:])
-    back = 0.0 if removed is None else averaged(removed, np.ones(removed.shape, bool), factor) / contrast
+    back = (
+        0.0
+        if removed is None
+        else block_means(removed[None], np.ones((1, *removed.shape), bool), factor)[0] / contrast
+    )
     for round_ in range(rounds):
         both = tuple(displacements(coarse + back - total, pairs, both_ways=True))
         ahead = both[::2]
@@ -112,18 +117,6 @@ def coarsening(size: Sequence[int]) -> int:
     return max(1, min(size) // SHORT_SIDE)
 
 
-def averaged(frame: Array, usable: Array, factor: int) -> Array:
-    """Means of the usable of `factor` x `factor` px, from the first on; the frame's median where none is usable."""
-    height, width = (side // factor for side in frame.shape)
-    blocks = (height, factor, width, factor)
-    cut = np.s_[: height * factor, : width * factor]
-    count = usable[cut].reshape(blocks).sum((1, 3))
-    total = np.where(usable, frame, 0.0)[cut].reshape(blocks).sum((1, 3))
-    return np.where(
-        count > 0, total / np.maximum(count, 1), np.median(frame[usable]) if usable.any() else 0.0
-    )
-
-
 class _Grid:
     """Maps (h, w) that are a polynomial and a bilinear interpolation of nodes, both of prior deviation one."""
 
@@ -146,7 +139,7 @@ class _Grid:
         equations = [each for each in (self._equations(frames, one) for one in found) if each is not None]
         unknowns = np.zeros(self.prior.shape[0])
         for _ in range(REWEIGHTINGS):
-            normal, score = self.prior.toarray(), np.zeros_like(unknowns)
+            normal, score, levels = self.prior.toarray(), np.zeros_like(unknowns), []
             for design, change in equations:
                 rest = change - design @ unknowns
                 rest -= np.median(rest)
@@ -154,9 +147,11 @@ class _Grid:
                 weight = 1 / (scale**2 + rest**2) / CORRELATED
                 weighted = design.T.multiply(weight).tocsr()
                 # Each pair has a level of its own: it is eliminated.
-                sums, total = np.asarray(weighted.sum(1)).ravel(), weight.sum()
-                normal += (weighted @ design).toarray() - np.outer(sums, sums) / total
+                sums, total = weighted @ np.ones(len(weight)), weight.sum()
+                normal += (weighted @ design).toarray()
                 score += weighted @ change - sums * (weight @ change) / total
+                levels.append(sums / total**0.5)
+            normal -= np.transpose(levels) @ np.array(levels)
             unknowns = np.linalg.solve(normal, score)
         nodes = unknowns[: len(self.polynomials)] + self.polynomials @ unknowns[len(self.polynomials) :]
         return np.asarray(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from deepir.kernels.median_filter import median_filter
 from deepir.kernels.optical_flow import box_sum, lucas_kanade, sample_bilinear
 
 Array = np.ndarray[Any, Any]
@@ -55,7 +56,7 @@ def optical_flow(first: Pyramid, second: Pyramid) -> Array:
     ):
         flow = np.zeros((2, *here.shape)) if flow is None else _enlarged(flow, here.shape)
         lucas_kanade(here, there, gradient, tensor, damping, RADIUS, ITERATIONS, flow)
-        flow = np.stack([ndimage.median_filter(each, MEDIAN_SIDE) for each in flow])
+        flow = np.stack([median_filter(each, MEDIAN_SIDE) for each in flow])
     assert flow is not None
     return flow
 

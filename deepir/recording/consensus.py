@@ -53,18 +53,21 @@ def gradient_consensus(frames: Array, usable: Array) -> Array:
 
 def _gradient_variances(frames: Array) -> Array:
     """Squared scale of the gradients of each frame, less the median over frames: (N,), float32."""
-    some = frames[:: max(1, len(frames) // FRAMES_OF_SCALE)]
-    common = [np.median(np.diff(some, axis=axis), axis=0) for axis in (1, 2)]
-    found = []
-    for frame in frames:
-        rest = [
-            np.abs(np.diff(frame, axis=axis) - common[axis]).ravel()[::GRADIENT_STRIDE] for axis in (0, 1)
-        ]
-        found.append(float(np.median(np.concatenate(rest))) ** 2)
-    variances = np.array(found)
+    gradients = sampled_gradients(frames, GRADIENT_STRIDE, GRADIENT_STRIDE)
+    common = np.median(gradients[:: max(1, len(frames) // FRAMES_OF_SCALE)], axis=0)
+    variances = np.median(np.abs(gradients - common), axis=1) ** 2
     return np.maximum(variances, max(LEAST_VARIANCE * variances.max(), np.finfo(np.float32).tiny)).astype(
         np.float32
     )
+
+
+def sampled_gradients(frames: Array, stride_down: int, stride_across: int) -> Array:
+    """Every so many of the differences down, then across, of neighbouring pixels: (N, samples)."""
+    flat, width = frames.reshape(len(frames), -1), frames.shape[2]
+    down = np.arange(0, flat.shape[1] - width, stride_down)
+    across = np.arange(0, flat.shape[1] // width * (width - 1), stride_across)
+    across += across // (width - 1)  # the last pixel of a row has none after it
+    return np.concatenate([flat[:, down + width] - flat[:, down], flat[:, across + 1] - flat[:, across]], 1)
 
 
 def _integrated(gradients: list[Array], weights: list[Array]) -> Array:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.kernels.median_filter import median_filter
 
 Array = np.ndarray[Any, Any]
 
@@ -35,7 +35,7 @@ def defective_pixels(frames: Array, usable: Array, offset: Array) -> Array:
     """
     chosen = slice(None, None, max(1, len(frames) // FRAMES))
     some = frames[chosen] - offset
-    around = np.stack([ndimage.median_filter(frame, 3) for frame in some])
+    around = np.stack([median_filter(frame, 3) for frame in some])
     some = np.where(usable[chosen], some, around)
     level = np.median(some, axis=(1, 2), keepdims=True)
     x, y = around - level, some - level
@@ -46,7 +46,7 @@ def defective_pixels(frames: Array, usable: Array, offset: Array) -> Array:
     is_mute = slope + SIGNIFICANCE * error < MUTE_SLOPE
     apart = some - around
     noise = np.median(np.abs(apart - np.median(apart, axis=0)), axis=0)
-    usual = np.maximum(ndimage.median_filter(noise, NEIGHBOURHOOD), np.median(noise))
-    detail = np.abs(offset - ndimage.median_filter(offset, 3))
+    usual = np.maximum(median_filter(noise, NEIGHBOURHOOD), np.median(noise))
+    detail = np.abs(offset - median_filter(offset, 3))
     is_far = detail > OFFSET_DEVIATIONS * MAD_TO_SIGMA * np.median(detail)
     return np.asarray(is_mute | is_far | (noise > NOISE_RATIO * usual) | ~usable.any(0))

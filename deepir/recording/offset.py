@@ -16,8 +16,9 @@ import numpy as np
 from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.kernels.block_means import block_means
 from deepir.multiview.low_order_part import SLOW_SIGMA, slow_part
-from deepir.multiview.low_order_pattern import averaged, coarsening, slow_pattern
+from deepir.multiview.low_order_pattern import coarsening, slow_pattern
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, Displacement, displacements, motion_extent, sampled
 from deepir.recording.keyframes import spread
 from deepir.recording.responses import refine_responses
@@ -140,11 +141,11 @@ def _cutoff(rest: Array, good: Array, shared: Array, pairs: Sequence[tuple[int, 
     low, high = SLOW_SIGMA, TEXTURE_SIGMA * factor
     some = spread(pairs, CUTOFF_PAIRS)
     numbers = sorted({k for pair in some for k in pair})
-    coarse = np.stack([averaged(rest[k], good[k], factor) for k in numbers])
+    coarse = block_means(rest[numbers], good[numbers], factor)
     placed = [(numbers.index(i), numbers.index(j)) for i, j in some]
+    slow = np.stack([slow_part(shared, known, cutoff) for cutoff in (low, high)])
     found = [
-        displacements(coarse + averaged(slow_part(shared, known, cutoff), known, factor), placed)
-        for cutoff in (low, high)
+        displacements(coarse + each, placed) for each in block_means(slow, np.stack([known, known]), factor)
     ]
     ratios = []
     for one, other in zip(*found, strict=True):

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from deepir.recording.consensus import sampled_gradients
+
 Array = np.ndarray[Any, Any]
 
 WINDOW = 12  # keyframes on either side
@@ -39,8 +41,9 @@ def pattern_jumps(frames: Array) -> list[int]:
 
 def _gradients(frames: Array) -> Array:
     """Some of the differences of neighbouring pixels, (N, samples)."""
-    along = [np.diff(frames, axis=axis).reshape(len(frames), -1) for axis in (1, 2)]
-    return np.concatenate([each[:, :: max(1, each.shape[1] // SAMPLES)] for each in along], 1)
+    height, width = frames.shape[1:]
+    counts = (height - 1) * width, height * (width - 1)
+    return sampled_gradients(frames, *(max(1, count // SAMPLES) for count in counts))
 
 
 def _change(gradients: Array, place: int) -> float:

@@ -23,6 +23,7 @@ OFFSET_SAMPLES = 2.0  # samples that the offset found before counts as
 ROUNDS = 2  # of correcting the frames that predict
 EDGE_ERROR = 1.0  # px, error of a displacement
 LEAST_DISPLACEMENT = 2.0  # px
+FRAMES_OF_NOISE = 8  # frames that the noise is measured in
 NOISE_FACTOR = 1.5  # scale of a residual, in sigmas of a frame's noise: the prediction has noise too
 
 
@@ -46,7 +47,7 @@ def refine_responses(
         with_gain: whether gains are estimated.
     """
     for _ in range(ROUNDS):
-        corrected = ((frames - level - offset) / gain + level).astype(np.float32)
+        corrected = _corrected(frames, gain, offset, level)
         noise = NOISE_FACTOR * noise_deviation(corrected)
         sums = np.zeros((5, *offset.shape))
         for each in displacements:
@@ -62,11 +63,24 @@ def refine_responses(
     return gain, offset
 
 
+def _corrected(frames: Array, gain: Array, offset: Array, level: float) -> Array:
+    """Frames without gain and offset, float32."""
+    corrected = np.empty_like(frames)
+    weight, bias = (1 / gain).astype(np.float32), (level - (level + offset) / gain).astype(np.float32)
+
+    def rows(first: int, last: int) -> None:
+        np.multiply(frames[first:last], weight, out=corrected[first:last])
+        corrected[first:last] += bias
+
+    parallel_for(rows, len(frames))
+    return corrected
+
+
 def noise_deviation(frames: Array) -> float:
     """Robust standard deviation of a sample's noise, from second differences of frames (N, h, w)."""
-    mixed = frames[:, 1:, 1:] - frames[:, :-1, 1:] - frames[:, 1:, :-1] + frames[:, :-1, :-1]
-    some = np.abs(mixed[:: max(1, len(frames) // 8)])
-    return max(MAD_TO_SIGMA * float(np.nanmedian(some)) / 2, float(np.finfo(np.float32).tiny))
+    some = frames[:: max(1, len(frames) // FRAMES_OF_NOISE)]
+    mixed = some[:, 1:, 1:] - some[:, :-1, 1:] - some[:, 1:, :-1] + some[:, :-1, :-1]
+    return max(MAD_TO_SIGMA * float(np.nanmedian(np.abs(mixed))) / 2, float(np.finfo(np.float32).tiny))
 
 
 def _add(frames: Array, displacement: Displacement, noise: float, level: float, sums: Array) -> None:
