@@ -8,6 +8,7 @@ the folder of real data (default ../shared/data); without it only the simulated 
 from __future__ import annotations
 
 import argparse
+import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,13 +17,12 @@ from typing import Any
 
 import numpy as np
 from recordings import DATA, alike, left
+from rivals import OVER_TIME, Maps
 from written import write
 
 import deepir
-from deepir.baselines.online import gain_and_offset, normalise
-from deepir.baselines.temporal.constant_statistics import equalised_statistics
-from deepir.baselines.temporal.galms import learn_correction
-from deepir.baselines.temporal.multiview_tv import median_offset, recursive_offset
+from deepir.baselines.online import last_of
+from deepir.baselines.temporal.multiview_tv import median_offset
 from deepir.errors import DeepIRError
 from deepir.simulate.recording import Recording, RecordingSettings, simulate_recording
 from deepir.simulate.recording.settings import RECORDING_KINDS
@@ -37,21 +37,15 @@ CAMERAS: dict[str, dict[str, Any]] = {
 }
 SEED = 22  # no setting was chosen by its recordings
 JUDGED = 4  # frames, of which one is judged
-RATE, RADIUS, GATE = 0.2, 3.0, 0.01  # as the defaults of `galms`
-
-Maps = tuple[np.ndarray | float, np.ndarray]
 
 
-def galms(frames: np.ndarray) -> Maps:
-    scaled, low, span = normalise(frames)
-    return gain_and_offset(*learn_correction(scaled, RATE, RADIUS, GATE), low, span)
+def _after_all(method: Callable[[np.ndarray], Iterator[Maps]], frames: np.ndarray) -> Maps:
+    return last_of(method(frames))
 
 
 RIVALS: dict[str, Callable[[np.ndarray], Maps]] = {
-    "galms": galms,
-    "constant_statistics": equalised_statistics,
+    **{name: functools.partial(_after_all, method) for name, method in OVER_TIME.items()},
     "multiview_tv": lambda frames: (1.0, median_offset(frames)),
-    "multiview_tv_recursive": lambda frames: (1.0, recursive_offset(frames)),
 }
 
 

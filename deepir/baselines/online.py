@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
+from typing import TypeVar
 
 import numpy as np
 
 from deepir.baselines.average import Array
+
+State = TypeVar("State")
 
 #: Limits of the training input, in ranges of the frames; stuck pixels beyond them would diverge.
 INPUT_LIMITS = (-1.0, 2.0)
@@ -35,6 +39,11 @@ def frame_sequence(n_frames: int, passes: int) -> Iterator[int]:
     yield 0
     for k in range(passes):
         yield from range(1, n_frames) if k % 2 == 0 else range(n_frames - 2, -1, -1)
+
+
+def last_of(states: Iterator[State]) -> State:
+    """The state of an online method after all frames."""
+    return deque(states, maxlen=1).pop()
 
 
 def gain_and_offset(weight: Array, bias: Array, low: float, span: float) -> tuple[Array, Array]:

@@ -68,11 +68,17 @@ def learn_correction(frames: Array, motion: Array, rate: float, passes: int = 1)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     for before, now in itertools.pairwise(frame_sequence(len(frames), passes)):
         step = np.linalg.inv(motion[before]) @ motion[now]
-        target = warp_bilinear(weight * frames[before] + bias, step)
-        error = np.nan_to_num(target - (weight * frames[now] + bias))
-        weight += rate * error * frames[now]
-        bias += rate * error
+        weight, bias = updated(weight, bias, frames[before], frames[now], step, rate)
     return weight, bias
+
+
+def updated(
+    weight: Array, bias: Array, before: Array, now: Array, step: Array, rate: float
+) -> tuple[Array, Array]:
+    """Weight and bias after a frame `now`, which the frame `before`, pulled by `step`, predicts."""
+    target = warp_bilinear(weight * before + bias, step)
+    error = np.nan_to_num(target - (weight * now + bias))
+    return weight + rate * error * now, bias + rate * error
 
 
 def warp_bilinear(frame: Array, step: Array) -> Array:

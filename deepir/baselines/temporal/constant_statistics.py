@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from deepir.baselines.average import Array, correct_and_average, fill_invalid
+from deepir.baselines.online import last_of
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -26,17 +29,22 @@ def constant_statistics(burst: Burst, config: Config) -> Result:
 
 def equalised_statistics(frames: Array) -> tuple[Array, Array]:
     """Gain and offset (h, w) that give all pixels of frames (N, h, w) the same mean and deviation."""
-    mean, deviation = running_statistics(frames.astype(np.float64))
+    return equalised(*last_of(running_statistics(frames)))
+
+
+def equalised(mean: Array, deviation: Array) -> tuple[Array, Array]:
+    """Gain and offset (h, w) that give all pixels the same of these."""
     gain = (
         np.maximum(deviation, np.finfo(np.float32).tiny) / deviation.mean()
     )  # dead pixels have no deviation
     return gain, mean - gain * mean.mean()
 
 
-def running_statistics(frames: Array) -> tuple[Array, Array]:
-    """Mean and mean absolute deviation of each pixel, (h, w), by the paper's recursion over frames (N, h, w)."""
-    mean, deviation = frames[0].copy(), np.zeros(frames.shape[1:])
+def running_statistics(frames: Array) -> Iterator[tuple[Array, Array]]:
+    """Mean and mean absolute deviation of each pixel, (h, w), after each of frames (N, h, w): the paper's recursion."""
+    mean, deviation = frames[0].astype(np.float64), np.zeros(frames.shape[1:])
+    yield mean, deviation
     for n, frame in enumerate(frames[1:], 2):
-        mean += (frame - mean) / n
-        deviation += (np.abs(frame - mean) - deviation) / n
-    return mean, deviation
+        mean = mean + (frame - mean) / n
+        deviation = deviation + (np.abs(frame - mean) - deviation) / n
+        yield mean, deviation

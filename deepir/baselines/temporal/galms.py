@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Annotated
 
 import numpy as np
@@ -9,7 +10,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from deepir.baselines.average import Array, correct_and_average, fill_invalid
-from deepir.baselines.online import INPUT_LIMITS, frame_sequence, gain_and_offset, normalise
+from deepir.baselines.online import INPUT_LIMITS, frame_sequence, gain_and_offset, last_of, normalise
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register
@@ -61,10 +62,16 @@ def learn_correction(
     Returns:
         Weight and bias, (h, w).
     """
-    frames = frames.clip(*INPUT_LIMITS)
+    return last_of(corrections_over_time(frames, frame_sequence(len(frames), passes), rate, radius, gate))
+
+
+def corrections_over_time(
+    frames: Array, numbers: Iterable[int], rate: float, radius: float, gate: float
+) -> Iterator[tuple[Array, Array]]:
+    """Weight and bias after each of the frames of these `numbers`, as in `learn_correction`."""
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     last = np.full(frames.shape[1:], np.inf)
-    for frame in (frames[k] for k in frame_sequence(len(frames), passes)):
+    for frame in (frames[k].clip(*INPUT_LIMITS) for k in numbers):
         corrected = weight * frame + bias
         target = ndimage.gaussian_filter(corrected, radius)
         variance = ndimage.gaussian_filter(frame**2, radius) - ndimage.gaussian_filter(frame, radius) ** 2
@@ -72,6 +79,6 @@ def learn_correction(
         last = np.where(learns, target, last)
         step = learns * rate / (1 + EDGE_SENSITIVITY**2 * variance.clip(min=0))
         error = target - corrected
-        weight += step * error * frame
-        bias += step * error
-    return weight, bias
+        weight = weight + step * error * frame
+        bias = bias + step * error
+        yield weight, bias

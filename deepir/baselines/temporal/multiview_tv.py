@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
 from deepir.baselines.average import average
+from deepir.baselines.online import last_of
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.multiview.pattern import poisson
@@ -45,6 +47,11 @@ def median_offset(frames: np.ndarray) -> np.ndarray:
 
 def recursive_offset(frames: np.ndarray) -> np.ndarray:
     """Offset (h, w), mean zero, after one step for each frame of (N, h, w), of length `1 / sqrt(k + 1)`."""
+    return last_of(offsets_over_time(frames))
+
+
+def offsets_over_time(frames: np.ndarray) -> Iterator[np.ndarray]:
+    """Offset (h, w) after each frame of (N, h, w), as in `recursive_offset`."""
     offset = np.zeros(frames.shape[1:])
     typical = float(np.median(np.abs(np.diff(frames[0], axis=-1)))) or 1.0
     for k, frame in enumerate(frames):
@@ -53,7 +60,7 @@ def recursive_offset(frames: np.ndarray) -> np.ndarray:
             gradient = np.diff(frame - offset, axis=axis)
             slope += _adjoint(gradient / np.hypot(gradient, TV_SMOOTHING * typical), axis)
         offset += STEP_LENGTH * typical / np.sqrt(k + 1) * slope / 4
-    return offset - offset.mean()
+        yield offset - offset.mean()
 
 
 def _adjoint(edges: np.ndarray, axis: int) -> np.ndarray:
