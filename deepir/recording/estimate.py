@@ -23,6 +23,7 @@ from deepir.recording.defective_pixels import defective_pixels
 from deepir.recording.held_out import HeldOutFrames
 from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.offset import SeparatedOffset, fine_offset, separate_offset
+from deepir.recording.pattern_shares import scale_parts, shrink_offset
 from deepir.recording.responses import noise_deviation, refine_responses
 
 Array = np.ndarray[Any, Any]
@@ -56,6 +57,7 @@ class SensorEstimate:
         strength: of the pattern in a frame, where an automatic gain control changes it; else None.
         kept: what the correction consists of, one of `CORRECTIONS`.
         nats: of each candidate on held-out frames, less is better; empty where it was not judged.
+        shares: of the offset's columns, rows, pixels and blobs that other frames hold; empty where it was not judged.
         messages: for the user.
     """
 
@@ -66,15 +68,17 @@ class SensorEstimate:
     strength: PatternStrength | None
     kept: str
     nats: dict[str, float]
+    shares: dict[str, float]
     messages: tuple[str, ...]
 
 
-def estimate_sensor(keyframes: Keyframes, correction: str = AUTO) -> SensorEstimate:
+def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: bool = True) -> SensorEstimate:
     """Estimate gain, offset and bad pixels.
 
     Args:
         keyframes: of a recording.
         correction: one of `CORRECTIONS`; "auto": the one that serves held-out frames best.
+        shrink: whether the parts of the offset are scaled by the shares of them that held-out frames hold.
 
     Raises:
         ConfigError: There is no such correction.
@@ -110,13 +114,20 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO) -> SensorEstim
             f"the correction '{correction}' cannot be estimated from this recording; {'; '.join(messages)}"
         )
     gain, offset = candidates[kept]
-    offset = offset - offset[~bad].mean()
+    gain, offset = np.where(bad, 1, gain), offset - offset[~bad].mean()
     strength = None if gains is None else PatternStrength.of_frames(offset, estimated.frames, usable)
-    return SensorEstimate(np.where(bad, 1, gain), offset, bad, level, strength, kept, nats, tuple(messages))
+    shares: dict[str, float] = {}
+    if shrink and kept != "none":
+        offset, shares = (
+            _shrunk(gain, offset, ~bad, level, held.frames, _usable(held.frames, limits), strength)
+            if len(held.frames)
+            else _shrunk_by_others(offset, frames, usable, ~bad, estimated.groups)
+        )
+    return SensorEstimate(gain, offset, bad, level, strength, kept, nats, shares, tuple(messages))
 
 
 def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
-    """The fine offset and bad pixels alone: at once, from few frames, without displacements, and not judged.
+    """The fine offset and bad pixels alone: at once, from few frames, without displacements.
 
     Raises:
         DataError: As `estimate_sensor`.
@@ -124,8 +135,41 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
     frames, usable, level, consensus = _consensus(keyframes, _limits(keyframes.frames))
     bad = defective_pixels(frames, usable, consensus)
     offset = fine_offset(consensus, ~bad)
-    offset = offset - offset[~bad].mean()
-    return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, ())
+    offset, shares = _shrunk_by_others(offset - offset[~bad].mean(), frames, usable, ~bad, keyframes.groups)
+    return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, shares, ())
+
+
+def _shrunk(
+    gain: Array,
+    offset: Array,
+    known: Array,
+    level: float,
+    held: Array,
+    usable: Array,
+    strength: PatternStrength | None,
+) -> tuple[Array, dict[str, float]]:
+    """An offset (h, w), its parts scaled by the shares of them that held-out frames (N, h, w) have."""
+    frames = np.where(usable, held, np.nan)
+    if strength is not None:
+        frames = frames / np.array([strength(each) for each in frames], np.float32)[:, None, None]
+    scaled, shares = shrink_offset(offset / gain, known, (frames - level) / gain)
+    return gain * scaled, shares
+
+
+def _shrunk_by_others(
+    offset: Array, frames: Array, usable: Array, known: Array, groups: Array
+) -> tuple[Array, dict[str, float]]:
+    """A fine offset (h, w), scaled by the mean shares that each group of frames holds of what the others give."""
+    found = []
+    for group in np.unique(groups):
+        here = groups == group
+        if here.all():
+            return offset, {}
+        others = fine_offset(gradient_consensus(frames[~here], usable[~here]), known)
+        seen = np.where(usable[here], frames[here], np.nan)
+        found.append(shrink_offset(others, known, seen)[1])
+    shares = {name: float(np.mean([each[name] for each in found])) for name in found[0]}
+    return scale_parts(offset, known, shares), shares
 
 
 def _consensus(keyframes: Keyframes, limits: tuple[float, float]) -> tuple[Array, Array, float, Array]:

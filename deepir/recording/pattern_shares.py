@@ -1,0 +1,106 @@
+"""How much of an estimated pattern is in frames that it was not estimated from.
+
+The error of an estimate comes from the scenes of its frames, and is in no others. So the slope of the gradients of
+other frames over those of the estimate is the share of it that is the sensor's: one for a good estimate, zero for one
+that is all scene. Each part of an offset is scaled by its share, as in empirical Bayes shrinkage.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.recording.consensus import sampled_gradients
+
+Array = np.ndarray[Any, Any]
+
+PARTS = ("columns", "rows", "pixels", "blobs")
+LINE_SIGMA = 16.0  # px; Gaussian below which columns and rows are not lines, but slow
+BLOB_SIGMAS = (
+    2.0,
+    8.0,
+)  # px; Gaussians between which the pattern's blobs are: finer are pixels, broader is slow
+REWEIGHTINGS = 8  # by Cauchy's likelihood: the scene's gradients have heavy tails
+MAX_GRADIENTS = 40_000  # of a frame along each axis that are looked at
+RIDGE = 1e-6  # squared signal-to-noise ratios, added to the normal matrix's diagonal: a part may be zero
+
+
+def shrink_offset(offset: Array, known: Array, frames: Array) -> tuple[Array, dict[str, float]]:
+    """Scale columns, rows, pixels and blobs of an offset by the shares of them that frames hold.
+
+    What is slow stays, as gradients do not tell it from the scenes'.
+
+    Args:
+        offset: (h, w), frames' units.
+        known: (h, w) bool, pixels that respond to the scene.
+        frames: (N, h, w), of scenes that the offset was not estimated from; NaN where a sample does not count.
+
+    Returns:
+        The offset, (h, w), and the share of each of `PARTS`, between 0 and 1.
+    """
+    found = shares(frames, _parts(offset, known), known).clip(0, 1)
+    each = dict(zip(PARTS, found.tolist(), strict=True))
+    return scale_parts(offset, known, each), each
+
+
+def scale_parts(offset: Array, known: Array, by: dict[str, float]) -> Array:
+    """An offset (h, w) whose parts are scaled; arguments as in `shrink_offset`."""
+    less = 1 - np.array([by[name] for name in PARTS])
+    return np.asarray(offset - np.tensordot(less, _parts(offset, known), 1))
+
+
+def share_removed(before: Array, after: Array, bad: Array) -> float:
+    """How much of what a correction has taken off a frame was in it: the correction makes it better from 0.5 on.
+
+    The scene's gradients weigh by their size, not by what is left of them: a cautious answer, too small for a pattern
+    that is as strong as the scene's gradients.
+
+    Args:
+        before: frame, (h, w).
+        after: the same frame, corrected.
+        bad: (h, w) bool, pixels that do not count.
+    """
+    removed = before - after
+    return float(shares(before[None], removed[None], ~bad & np.isfinite(removed), reweightings=1)[0])
+
+
+def shares(frames: Array, parts: Array, known: Array, *, reweightings: int = REWEIGHTINGS) -> Array:
+    """Slopes (K,) of the gradients of frames (N, h, w) over those of parts (K, h, w), by robust least squares."""
+    stride = max(1, known.size // MAX_GRADIENTS)
+    design = sampled_gradients(np.where(known, parts, np.nan), stride, stride)
+    good = np.isfinite(design).all(0)
+    design, steps = design[:, good], sampled_gradients(frames, stride, stride)[:, good]
+    slopes: Array = np.zeros(len(parts))
+    tiny = float(np.finfo(np.float32).tiny)
+    for _ in range(reweightings):
+        normal, score = RIDGE * np.eye(len(parts)), np.zeros(len(parts))
+        for frame in steps:
+            seen = np.isfinite(frame)
+            step, each = frame[seen], design[:, seen]
+            rest = step - slopes @ each
+            scale = max(MAD_TO_SIGMA * float(np.median(np.abs(rest))), tiny) if rest.size else 1.0
+            weighted = each / (scale**2 + rest**2)
+            normal += weighted @ each.T
+            score += weighted @ step
+        slopes = np.linalg.solve(normal, score)
+    return slopes
+
+
+def _parts(offset: Array, known: Array) -> Array:
+    """Columns, rows, pixels and blobs, (4, h, w)."""
+    inside = np.where(known, offset, 0.0)
+
+    def lines(values: Array, axis: int) -> Array:
+        profile = values.sum(axis) / np.maximum(known.sum(axis), 1)
+        return np.expand_dims(profile - ndimage.gaussian_filter1d(profile, LINE_SIGMA), axis)
+
+    columns = lines(inside, 0)
+    rows = lines(np.where(known, inside - columns, 0.0), 1)
+    rest = np.where(known, offset - columns - rows, 0.0)
+    share = ndimage.gaussian_filter(known.astype(float), BLOB_SIGMAS[0])
+    smooth = ndimage.gaussian_filter(rest, BLOB_SIGMAS[0]) / np.maximum(share, np.finfo(float).tiny)
+    blobs = smooth - ndimage.gaussian_filter(smooth, BLOB_SIGMAS[1])
+    return np.stack(np.broadcast_arrays(columns, rows, np.where(known, rest - smooth, 0.0), blobs))
