@@ -34,6 +34,7 @@ SECTIONS = {
         "tutorial",
         "whole-recordings",
         "live",
+        "raw-cameras",
         "gallery",
         "cli",
         "configuration",
