@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from deepir.io.output.recording import Array, Write
     from deepir.live.corrector import Corrector
     from deepir.live.page.session import Session
+    from deepir.live.playback import Moment
 
 #: Keys, of a recording.
 ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")
@@ -99,8 +100,8 @@ def live(
                     config = recording_config(source, settings or (), ACCEPTED_SETTINGS) if source else None
                     opened = open_page(corrector, source or str(camera), config, (host, port), record_to)
                     session = shown.enter_context(opened)
-                for count in _play(frames, corrector, output, settings or (), session, stack):
-                    pass
+                for moment in _play(frames, corrector, output, settings or (), session, stack):
+                    count = moment.number
             except Interrupted as error:  # the usual end of a camera: what was recorded is kept
                 status, ended = 0 if camera else error.status, ""
             except DataError as error:
@@ -156,8 +157,8 @@ def _play(
     settings: Sequence[str],
     session: Session | None,
     stack: ExitStack,
-) -> Iterator[int]:
-    """Correct, write and show all frames, and say every second how it goes; after each, their number so far."""
+) -> Iterator[Moment]:
+    """Correct, write and show frame after frame, and say every second how it goes."""
     from deepir.live.playback import play
 
     write: Write | None = None
@@ -172,7 +173,7 @@ def _play(
             said = now
             dropped = f", {moment.dropped} dropped" if moment.dropped else ""
             _notify(f"{moment.status}; {moment.rate:.0f} frames/s, {1000 * moment.delay:.1f} ms{dropped}")
-        yield moment.number
+        yield moment
 
 
 def _writer(output: str | None, frame: Array, settings: Sequence[str], stack: ExitStack) -> Write:
