@@ -152,11 +152,11 @@ def test_a_viewer_who_does_not_read_stalls_nothing_and_fills_no_queue(live, view
         live.show()
         longest = max(longest, time.perf_counter() - begun)
         assert looking.ask()[1]["number"] == live.session.newest.number
-    assert longest < 0.2
-    time.sleep(0.3)
-    written = len(made)
-    time.sleep(0.2)
-    assert len(made) == written < 150  # what the system's buffers take
+    assert longest < 1.0
+    written = 0
+    while written < (written := len(made)):
+        time.sleep(0.5)
+    assert written < 150  # what the system's buffers take
 
 
 def test_a_viewer_who_is_cut_off_leaves_the_others_alone(live, viewer):
@@ -236,6 +236,7 @@ def test_the_values_at_a_point_are_those_of_the_frames(live, viewer):
     assert (spot["x"], spot["y"], status["unit"]) == (79, 0, "counts")
     assert spot["raw"] == moment.raw[0, 79]
     assert spot["corrected"] == moment.corrected[0, 79]
+    assert status["kelvin"] == pytest.approx([200 + 0.01 * limit for limit in status["limits"]])
     assert spot["kelvin"] == pytest.approx(200 + 0.01 * float(moment.corrected[0, 79]))
 
 

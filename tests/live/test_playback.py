@@ -21,7 +21,7 @@ def test_the_rate_is_that_of_the_frames_and_drops_are_counted(frames):
     *_, last = play(Paced(late(), 100.0), Corrector(estimator=Here()))
     assert last.dropped >= 5
     assert last.number + last.dropped == 20
-    assert 20 < last.rate < 110
+    assert 5 < last.rate < 150
     assert 0 < last.delay < 0.1
     assert np.array_equal(last.raw, frames[19])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS
@@ -66,9 +67,7 @@ def answer(session: Session, wish: Wish) -> tuple[list[bytes], dict[str, Any]]:
         return [], status
     status |= vars(moment.status) | {"state": moment.status.state, "number": moment.number}
     status |= {"rate": moment.rate, "delay": 1000 * moment.delay, "dropped": moment.dropped}
-    status["unit"] = unit_metadata(session.radiometry).get(
-        "unit", "counts" if moment.raw.dtype.kind in "iu" else ""
-    )
+    status["unit"] = _unit(moment, session)
     if wish.point:
         status["spot"] = _spot(moment, session, *wish.point)
     pictures = []
@@ -76,7 +75,8 @@ def answer(session: Session, wish: Wish) -> tuple[list[bytes], dict[str, Any]]:
         shown = [moment.corrected, moment.raw] if wish.raw else [moment.corrected]
         made = [jpeg(frame, wish.palette, wish.tones) for frame in shown]
         pictures = [picture for picture, _ in made]
-        status["limits"] = made[0][1]
+        limits = made[0][1]
+        status |= {"limits": limits, "kelvin": limits and _kelvin(limits, session)}
     return pictures, to_json_types(status)
 
 
@@ -85,5 +85,16 @@ def _spot(moment: Moment, session: Session, x: float, y: float) -> dict[str, Any
     height, width = moment.raw.shape
     row, column = int(y * height), int(x * width)
     raw, corrected = (frame[row, column] for frame in (moment.raw, moment.corrected))
-    kelvin = session.radiometry.kelvin(corrected) if session.radiometry else None
-    return {"x": column, "y": row, "raw": raw, "corrected": corrected, "kelvin": kelvin}
+    found = {"x": column, "y": row, "raw": raw, "corrected": corrected}
+    return found | {"kelvin": _kelvin(corrected, session)}
+
+
+def _unit(moment: Moment, session: Session) -> str:
+    """Of the values; empty where it is not known."""
+    whole = "counts" if moment.raw.dtype.kind in "iu" else ""
+    return str(unit_metadata(session.radiometry).get("unit", whole))
+
+
+def _kelvin(values: Any, session: Session) -> Any:
+    """The temperature of values, if it is known."""
+    return session.radiometry.kelvin(np.asarray(values)) if session.radiometry else None

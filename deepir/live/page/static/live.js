@@ -8,7 +8,8 @@ let socket = null;
 let seen = 0; // number of the frame that is shown; 0 asks for it again
 let order = null;
 let parts = []; // pictures whose status has not come yet
-let limits = null;
+let limits = null; // values, and kelvin if they are known, that the palette begins and ends with
+let kelvin = null;
 let now = { number: 0 };
 
 /** What each state means, and what to do. */
@@ -59,7 +60,7 @@ async function take(part) {
   if (pictures.length) {
     await showPictures(pictures);
     seen = status.number;
-    limits = status.limits;
+    ({ limits, kelvin } = status);
   }
   tell(status);
   ask();
@@ -81,8 +82,10 @@ function tell(status) {
   text(record, status.recording ? "Stop" : "Record");
   allow(!status.ended && status.number > 0);
   figures(status);
-  text(find("#low"), limits ? valued(limits[0]) : "dark");
-  text(find("#high"), limits ? valued(limits[1]) : "bright");
+  ["#low", "#high"].forEach((name, end) => {
+    const words = kelvin ? degrees(kelvin[end]) : limits ? valued(limits[end]) : ["dark", "bright"][end];
+    text(find(name), words);
+  });
   if (status.spot && point()) read(status.spot);
 }
 
@@ -130,10 +133,13 @@ function valued(value) {
   return `${said(value ?? NaN, digits)} ${now.unit}`.trim();
 }
 
-function read({ x, y, raw, corrected, kelvin }) {
-  const degrees = kelvin === null ? [] : [`${said(kelvin - ZERO_CELSIUS, 1)} °C`];
-  const words = [`x ${x}, y ${y}`, ...degrees, `corrected ${valued(corrected)}`, `raw ${valued(raw)}`];
-  text(find("#bubble"), degrees[0] ?? valued(corrected));
+const degrees = (kelvin) => `${said(kelvin - ZERO_CELSIUS, 1)} °C`;
+
+function read(spot) {
+  const warm = spot.kelvin === null ? [] : [degrees(spot.kelvin)];
+  const { x, y, raw, corrected } = spot;
+  const words = [`x ${x}, y ${y}`, ...warm, `corrected ${valued(corrected)}`, `raw ${valued(raw)}`];
+  text(find("#bubble"), warm[0] ?? valued(corrected));
   text(find("#reading"), words.join(" · "));
 }
 
