@@ -10,7 +10,7 @@ setup: .venv/.done  ## make .venv with the tested versions
 
 .venv/.done: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare,docs,hdf5,video]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare,docs,hdf5,video,live]'
 	@touch $@
 
 demo: setup  ## correct a simulated burst; results and pictures in runs/demo/

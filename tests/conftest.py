@@ -1,7 +1,11 @@
 """Shared by all tests."""
 
+import shutil
+
 import pytest
 import torch
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 # The tests share the cores among processes: threads that wait for each other take them away.
 torch.set_num_threads(1)
@@ -20,6 +24,18 @@ def burst():
 
     camera = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0, motion="shift", dead_pixels=0.0)
     return simulate(None, camera, seed=3)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless Chromium; the test is skipped where there is none."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here: apt-get install chromium")
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install 'deepir[dev]'")
+    with api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
 
 
 @pytest.fixture

@@ -32,6 +32,8 @@ class Status:
         estimates: Of the sensor that were taken.
         rejected: Estimates that would have left newer frames rougher.
         correcting: Whether frames are corrected now.
+        fits: False where the maps left the last frames rougher, so that they pass as they are.
+        holding: Whether the corrector learns nothing further.
         estimating: Whether an estimate is under way.
         message: Why the last estimate was not possible; empty if it was.
     """
@@ -41,8 +43,25 @@ class Status:
     estimates: int = 0
     rejected: int = 0
     correcting: bool = False
+    fits: bool = True
+    holding: bool = False
     estimating: bool = False
     message: str = ""
+
+    @property
+    def state(self) -> str:
+        """What it does, in a few words."""
+        if not self.fits:
+            return "uncorrected: the maps do not fit"
+        if self.holding:
+            return "holding"
+        if self.correcting:
+            return "correcting"
+        return "learning" if self.keyframes else "waiting for motion"
+
+    def __str__(self) -> str:
+        line = f"{self.state}, {self.estimates} estimate(s), {self.keyframes} keyframes"
+        return line + (f" ({self.message})" if self.message else "")
 
 
 class Corrector:
@@ -55,6 +74,9 @@ class Corrector:
     Args:
         maps: Of the same camera, to begin with.
         estimator: What estimates the sensor; a process of its own unless given.
+
+    Attributes:
+        hold: True: nothing further is learned; no keyframes are chosen and no estimates are taken.
     """
 
     def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
@@ -69,7 +91,8 @@ class Corrector:
         self.close()
 
     def reset(self) -> None:
-        """Forget all but the maps of the beginning."""
+        """Forget all but the maps of the beginning, and learn anew."""
+        self.hold = False
         self._estimator.poll()
         self._outdated = self._estimator.busy()  # the estimate under way is of what is forgotten
         self._collector = KeyframeCollector(latest=True)
@@ -84,12 +107,8 @@ class Corrector:
 
     def __call__(self, frame: Array) -> Array:
         """The corrected frame (h, w), float32, in the frame's units."""
-        if (found := self._estimator.poll()) is not None:
-            if self._outdated:
-                self._outdated = False
-            else:
-                self._take(found, frame)
-        self._collect(frame)
+        if not self.hold:
+            self._learn(frame)
         corrected = self._correct(frame)
         if self._frames % CHECK_INTERVAL == 0 and corrected is not None:
             self._fits = roughness(corrected) <= roughness(frame)
@@ -110,12 +129,19 @@ class Corrector:
             self._estimates,
             self._rejected,
             self.maps is not None and self._fits,
+            self._fits,
+            self.hold,
             self._estimator.busy(),
             self._message,
         )
 
-    def _collect(self, frame: Array) -> None:
-        """Consider a frame as a keyframe, and begin an estimate when there are enough."""
+    def _learn(self, frame: Array) -> None:
+        """Take an estimate that is done, consider the frame as a keyframe, and begin an estimate if it is time."""
+        if (found := self._estimator.poll()) is not None:
+            if self._outdated:
+                self._outdated = False
+            else:
+                self._take(found, frame)
         self._collector.add(frame)
         taken = self._collector.taken
         if taken >= self._due and not self._estimator.busy():

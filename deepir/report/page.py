@@ -29,7 +29,13 @@ def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str,
     style = _read("page.css")
     script = "".join(map(_read, ("page.js", *scripts)))
     policy = f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}"
-    parts = {"policy": policy, "style": style, "body": _read(body), "script": script, "data": _json(data)}
+    parts = {
+        "policy": policy,
+        "style": style,
+        "body": _read(body),
+        "script": script,
+        "data": json_for_html(data),
+    }
     page = _read("page.html")
     for name, text in parts.items():
         page = page.replace(f"%{name}%", text)
@@ -45,6 +51,6 @@ def _digest(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
-def _json(data: Mapping[str, Any]) -> str:
+def json_for_html(data: Mapping[str, Any]) -> str:
     """JSON that cannot end the element it stands in: no `<`."""
     return json.dumps(to_json_types(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

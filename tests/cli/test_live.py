@@ -1,6 +1,9 @@
 """`deepir live`: recordings, standard input and output, and mistakes."""
 
 import io
+import re
+import socket
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +12,7 @@ import tifffile
 
 from deepir import registry
 from deepir.cameras.camera import Camera
+from deepir.cli import live_page
 from deepir.cli.signals import Interrupted
 from deepir.errors import DataError
 
@@ -57,6 +61,44 @@ def test_mistakes_are_one_line(deepir, recording, arguments, words):
     assert (status, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
+
+
+def test_the_page_shows_the_last_frame_until_ctrl_c(deepir, recording, monkeypatch):
+    pytest.importorskip("uvicorn", reason="no uvicorn: pip install 'deepir[live]'")
+    shown = {}
+
+    def keep(session, ended):
+        shown.update(frame=session.newest.raw, ended=ended, tones=session.tones)
+        page.sleep = interrupt
+        return keep_page(session, ended)
+
+    def interrupt(seconds):
+        raise Interrupted(2)
+
+    page = SimpleNamespace(sleep=None)
+    monkeypatch.setattr(live_page, "time", page)
+    keep_page = live_page.keep_page
+    monkeypatch.setattr(live_page, "keep_page", keep)
+    status, _, err = deepir("live", "drive.npy", "--fast", "--page", "--port", 0, "output.tones=clahe")
+    assert status == 0, err
+    assert re.search(r"shown at http://127\.0\.0\.1:\d+/\n", err)
+    assert np.array_equal(shown["frame"], recording[-1])
+    assert (shown["ended"], shown["tones"]) == ("the recording has ended", "clahe")
+
+
+def test_a_port_that_is_taken_is_one_line(deepir, recording):
+    pytest.importorskip("uvicorn", reason="no uvicorn: pip install 'deepir[live]'")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        status, _, err = deepir("live", "drive.npy", "--page", "--port", taken.getsockname()[1])
+    assert (status, err.count("\n")) == (2, 1)
+    assert "choose another with --port" in err
+
+
+def test_a_page_without_its_libraries_is_one_line(deepir, recording, monkeypatch):
+    monkeypatch.setitem(sys.modules, "starlette", None)
+    status, _, err = deepir("live", "drive.npy", "--page")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "pip install 'deepir[live]'" in err
 
 
 @pytest.mark.parametrize(

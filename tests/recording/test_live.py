@@ -11,7 +11,9 @@ from deepir.config.schema import Raw
 from deepir.live.corrector import FIRST_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, Beside, Here
 from deepir.live.sources import Paced, camera_frames, stream_raw
+from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import WINDOW, choose_keyframes
+from deepir.recording.segments import Segment
 
 
 @pytest.fixture
@@ -87,6 +89,32 @@ def test_an_estimate_of_what_was_forgotten_is_not_taken(walk):
         estimator.done = True
         corrector(walk.frames[0])
         assert corrector.maps is None
+
+
+def test_nothing_further_is_learned_while_it_holds(walk, corrector):
+    for frame in walk.frames[:WINDOW]:
+        corrector(frame)
+    taken = corrector.status.keyframes
+    corrector.hold = True
+    for frame in walk.frames[WINDOW:]:
+        corrector(frame)
+    assert corrector.status.keyframes == taken > 0
+    assert corrector.status.estimates == 0
+    assert corrector.status.state == "holding"
+
+
+def test_an_estimate_that_is_done_while_it_holds_is_taken_afterwards(walk):
+    maps = CorrectionMaps(walk.gain, walk.fine + walk.slow + 8000 * (1 - walk.gain), walk.bad)
+    estimator = Here()
+    with Corrector(maps, estimator=estimator) as corrector:
+        corrector.hold = True
+        estimate = SensorEstimate(walk.gain, walk.fine + walk.slow, walk.bad, 8000.0, None, "gain", {}, ())
+        estimator._found = Segment(0, 10, estimate)
+        corrector(walk.frames[0])
+        assert corrector.status.estimates == 0
+        corrector.hold = False
+        corrector(walk.frames[1])
+        assert corrector.status.estimates == 1
 
 
 class Waiting(Here):

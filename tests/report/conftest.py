@@ -1,6 +1,4 @@
-"""A run made up, and a browser to look at its report with."""
-
-import shutil
+"""A run made up, and its report in a browser."""
 
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ from deepir.io.radiometry import Linear
 from deepir.result import neutral
 
 SIZE = (48, 64)
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @pytest.fixture
@@ -44,18 +41,6 @@ def example(result):
 @pytest.fixture
 def config():
     return load("nuc", ["data.path=camera.npz"])
-
-
-@pytest.fixture(scope="session")
-def browser():
-    """A headless Chromium; the test is skipped where there is none."""
-    if CHROMIUM is None:
-        pytest.skip("no Chromium here: apt-get install chromium")
-    api = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install 'deepir[dev]'")
-    with api.sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield found
-        found.close()
 
 
 @pytest.fixture

@@ -16,8 +16,11 @@ from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins, rec
 if TYPE_CHECKING:
     from deepir.io.output.recording import Array, Write
     from deepir.live.corrector import Corrector
+    from deepir.live.page.session import Session
+    from deepir.live.playback import Moment
 
-ACCEPTED_SETTINGS = ("data.key", "data.raw", "output.palette", "output.tones")  # keys, of a recording
+#: Keys, of a recording.
+ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")
 STATUS_EVERY = 1.0  # s between two lines of status
 STANDARD = "-"  # in place of a file: standard input or output
 
@@ -52,16 +55,28 @@ def live(
     save_maps: Annotated[
         Path | None, typer.Option(help="Write the newest maps here at the end.", show_default=False)
     ] = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Show the frames in the browser, with controls, until Ctrl-C.")
+    ] = False,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0: any that is free.")] = 8265,
+    host: Annotated[
+        str,
+        typer.Option(help="Address of this machine for the page; 0.0.0.0: for others in the network too."),
+    ] = "127.0.0.1",
+    record_to: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="For recordings that are started on the page.")
+    ] = Path(),
     overwrite: Overwrite = False,
     plugin: Plugins = None,
 ) -> int:
-    """Correct frames as they come, better and better while the camera moves: deepir live drive.avi --output live.mp4.
+    """Correct frames as they come, better and better while the camera moves: deepir live drive.avi --page.
 
-    Settings of a recording: data.key, data.raw, output.palette, output.tones; of a camera: its driver's, such as
-    device=/dev/video2.
+    Settings of a recording: data.key, data.raw, data.radiometry, output.palette, output.tones; of a camera: its
+    driver's, such as device=/dev/video2.
     """
     load_plugins(plugin)
     from deepir.calibration import read_maps
+    from deepir.cli.live_page import keep_page, open_page
     from deepir.cli.signals import Interrupted, Interruptible
     from deepir.errors import ConfigError, DataError
     from deepir.live.corrector import Corrector
@@ -75,32 +90,40 @@ def live(
         if each and each != STANDARD and Path(each).exists() and not overwrite:
             raise DataError(f"{each} exists; replace it with --overwrite, or give another name")
     start = read_maps(maps) if maps else None
-    status = 0
-    with Corrector(start, estimator=Here() if fast else Beside()) as corrector:
+    status, count, ended = 0, 0, "the recording has ended"
+    session: Session | None = None
+    with Corrector(start, estimator=Here() if fast else Beside()) as corrector, ExitStack() as shown:
         with Interruptible(), ExitStack() as stack:
             try:
-                frames = _frames(source, camera, settings or (), stack)
-                _play(frames, corrector, output, settings or (), None if fast or camera else rate, stack)
+                frames = _frames(source, camera, settings or (), None if fast else rate, stack)
+                if page:
+                    config = recording_config(source, settings or (), ACCEPTED_SETTINGS) if source else None
+                    opened = open_page(corrector, source or str(camera), config, (host, port), record_to)
+                    session = shown.enter_context(opened)
+                for moment in _play(frames, corrector, output, settings or (), session, stack):
+                    count = moment.number
             except Interrupted as error:  # the usual end of a camera: what was recorded is kept
-                status = 0 if camera else error.status
+                status, ended = 0 if camera else error.status, ""
             except DataError as error:
-                if not corrector.status.frames:
+                if not count:
                     raise
                 _notify(f"error: {error}; what was recorded until then is kept")
-                status = 2
-        _notify(f"{corrector.status.frames} frame(s); {_state(corrector)}")
+                status, ended = 2, str(error)
+        _notify(f"{count} frame(s); {corrector.status}")
         if save_maps and corrector.maps is not None:
             corrector.maps.save(save_maps)
+        if session and ended:
+            keep_page(session, ended)
     return status
 
 
 def _frames(
-    source: str | None, camera: str | None, settings: Sequence[str], stack: ExitStack
-) -> Iterator[Array]:
-    """The frames of a camera, of standard input or of a recording."""
+    source: str | None, camera: str | None, settings: Sequence[str], rate: float | None, stack: ExitStack
+) -> Iterable[Array]:
+    """The frames of a camera, of standard input or of a recording; at a rate unless it is None, or a camera's."""
     from deepir.errors import ConfigError
     from deepir.io import stream_frames
-    from deepir.live.sources import camera_frames, stream_raw
+    from deepir.live.sources import Paced, camera_frames, stream_raw
 
     if camera is not None:
         from deepir.config.components import make, options_schema
@@ -116,13 +139,15 @@ def _frames(
         return camera_frames(opened)
     config = recording_config(str(source), settings, ACCEPTED_SETTINGS)
     if source != STANDARD:
-        return stream_frames(str(config.data.path), key=config.data.key, raw=config.data.raw)
-    if config.data.raw is None:
+        frames = stream_frames(str(config.data.path), key=config.data.key, raw=config.data.raw)
+    elif config.data.raw is None:
         raise ConfigError(
             "frames on standard input have no header: give their size, for example "
             "data.raw.width=640 data.raw.height=512"
         )
-    return stream_raw(sys.stdin.buffer, config.data.raw)
+    else:
+        frames = stream_raw(sys.stdin.buffer, config.data.raw)
+    return Paced(frames, rate) if rate else frames
 
 
 def _play(
@@ -130,29 +155,25 @@ def _play(
     corrector: Corrector,
     output: str | None,
     settings: Sequence[str],
-    rate: float | None,
+    session: Session | None,
     stack: ExitStack,
-) -> None:
-    """Correct and write all frames, and say every second how it goes."""
-    from deepir.live.sources import Paced
+) -> Iterator[Moment]:
+    """Correct, write and show frame after frame, and say every second how it goes."""
+    from deepir.live.playback import play
 
-    played = Paced(frames, rate) if rate else frames
     write: Write | None = None
-    said, counted = time.monotonic(), 0
-    for frame in played:
+    said = time.monotonic()
+    for moment in play(frames, corrector):
         if write is None:
-            write = _writer(output, frame, settings, stack)
-        begun = time.perf_counter()
-        corrected = corrector(frame)
-        delay = time.perf_counter() - begun
-        write(corrected)
-        counted += 1
+            write = _writer(output, moment.raw, settings, stack)
+        write(moment.corrected)
+        if session:
+            session.show(moment)
         if (now := time.monotonic()) - said > STATUS_EVERY:
-            dropped = f", {played.dropped} dropped" if isinstance(played, Paced) else ""
-            _notify(
-                f"{_state(corrector)}; {counted / (now - said):.0f} frames/s, {1000 * delay:.1f} ms{dropped}"
-            )
-            said, counted = now, 0
+            said = now
+            dropped = f", {moment.dropped} dropped" if moment.dropped else ""
+            _notify(f"{moment.status}; {moment.rate:.0f} frames/s, {1000 * moment.delay:.1f} ms{dropped}")
+        yield moment
 
 
 def _writer(output: str | None, frame: Array, settings: Sequence[str], stack: ExitStack) -> Write:
@@ -182,18 +203,6 @@ def standard_output() -> IO[bytes]:
 def _send(stream: IO[bytes], frame: Array) -> None:
     stream.write(frame.tobytes())
     stream.flush()
-
-
-def _state(corrector: Corrector) -> str:
-    """What it does, in a few words."""
-    now = corrector.status
-    if now.correcting:
-        state = f"correcting, {now.estimates} estimate(s)"
-    elif now.keyframes == 0:
-        state = "waiting for motion"
-    else:
-        state = "uncorrected: the maps do not fit" if corrector.maps else "learning"
-    return f"{state}, {now.keyframes} keyframes" + (f" ({now.message})" if now.message else "")
 
 
 def _notify(line: str) -> None:

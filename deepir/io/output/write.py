@@ -9,7 +9,7 @@ import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -67,17 +67,21 @@ def write_tiff(
     path: PathLike, frames: np.ndarray[Any, Any], metadata: Mapping[str, Any] | None = None
 ) -> None:
     """Write (h, w) or (N, h, w) as float32 TIFF; ImageDescription holds `metadata` as JSON."""
+    with atomic_file(path) as temporary:
+        save_tiff(temporary, frames, metadata or {})
+
+
+def save_tiff(file: Path | IO[bytes], frames: np.ndarray[Any, Any], metadata: Mapping[str, Any]) -> None:
+    """The same into an open file."""
     import tifffile
 
-    description = json.dumps(to_json_types(metadata or {}), allow_nan=False)
-    with atomic_file(path) as temporary:
-        tifffile.imwrite(
-            temporary,
-            np.asarray(frames, np.float32),
-            photometric="minisblack",
-            description=description,
-            metadata=None,
-        )
+    tifffile.imwrite(
+        file,
+        np.asarray(frames, np.float32),
+        photometric="minisblack",
+        description=json.dumps(to_json_types(metadata), allow_nan=False),
+        metadata=None,
+    )
 
 
 def write_preview(

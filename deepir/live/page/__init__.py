@@ -1,0 +1,1 @@
+"""A page in the browser that shows corrected frames as they come."""

@@ -1,0 +1,141 @@
+"""What the server answers: the page, its files, the pictures, and snapshots."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from pydantic import ValidationError
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS
+from deepir.io.radiometry import unit_metadata
+from deepir.live.page.pictures import png, swatch, tiff
+from deepir.live.page.session import Session
+from deepir.live.page.views import Wish, answer
+from deepir.live.playback import Moment
+from deepir.report.page import WEB_FOLDER, json_for_html
+
+STATIC = Path(__file__).parent / "static"
+#: What the page loads, and its type: what it shares with the reports, and its own.
+FILES = {
+    WEB_FOLDER / "page.css": "text/css",
+    WEB_FOLDER / "page.js": "text/javascript",
+    STATIC / "live.css": "text/css",
+    STATIC / "picture.js": "text/javascript",
+    STATIC / "live.js": "text/javascript",
+}
+LOOK_INTERVAL = 0.005  # s between two looks for a new frame, while a viewer waits for one
+STATUS_INTERVAL = 0.25  # s after which a viewer hears how it goes without a new frame
+POLICY_VIOLATION = 1008  # why a socket is closed (RFC 6455)
+
+
+def make_app(session: Session) -> Starlette:
+    """The application that shows a session."""
+    app = Starlette(
+        routes=[
+            Route("/", _page),
+            Route("/palettes/{name}.png", _palette),
+            Route("/snapshot.tif", _values),
+            Route("/snapshot.png", _picture),
+            WebSocketRoute("/watch", _watch),
+            *(Route(f"/{path.name}", _file(path, kind)) for path, kind in FILES.items()),
+        ]
+    )
+    app.state.session = session
+    return app
+
+
+async def _watch(socket: WebSocket) -> None:
+    """Answer one wish of a viewer after the other: a slow one asks less often, and nothing waits in a queue.
+
+    Pictures are made here, in the one thread of the server: many viewers share it, and leave the other cores alone.
+    """
+    session: Session = socket.app.state.session
+    await socket.accept()
+    try:
+        while True:
+            wish = Wish.model_validate_json(await socket.receive_text())
+            if wish.order:
+                session.order(wish.order)
+            await _news(session, wish.seen)
+            pictures, status = answer(session, wish)
+            for picture in pictures:
+                await socket.send_bytes(picture)
+            await socket.send_text(json.dumps(status, allow_nan=False))
+    except WebSocketDisconnect:
+        return
+    except (ValidationError, KeyError):  # KeyError: bytes in place of text
+        await socket.close(POLICY_VIOLATION)
+
+
+async def _news(session: Session, seen: int) -> None:
+    """Wait for a frame that a viewer has not seen, but not for long."""
+    loop = asyncio.get_running_loop()
+    until = loop.time() + STATUS_INTERVAL
+    while (session.newest is None or session.newest.number == seen) and loop.time() < until:
+        await asyncio.sleep(LOOK_INTERVAL)
+
+
+def _page(request: Request) -> Response:
+    """The page, and what can be chosen on it."""
+    session: Session = request.app.state.session
+    data = {
+        "title": session.title,
+        "palettes": list(PALETTES),
+        "tones": list(TONE_MAPPINGS),
+        "palette": session.palette,
+        "tone": session.tones,
+    }
+    page = (STATIC / "index.html").read_text(encoding="utf-8")
+    return HTMLResponse(page.replace("%data%", json_for_html(data)))
+
+
+def _file(path: Path, kind: str) -> Callable[[Request], Response]:
+    return lambda request: Response(path.read_bytes(), media_type=kind)
+
+
+def _palette(request: Request) -> Response:
+    return Response(swatch(_known(request.path_params["name"], PALETTES)), media_type="image/png")
+
+
+def _values(request: Request) -> Response:
+    """The newest corrected frame as TIFF."""
+    session: Session = request.app.state.session
+    moment = _newest(session)
+    metadata = unit_metadata(session.radiometry) | {"frame": moment.number}
+    return _download(tiff(moment.corrected, metadata), f"frame-{moment.number}.tif", "image/tiff")
+
+
+def _picture(request: Request) -> Response:
+    """The newest corrected frame as PNG, in the palette and the tones of the query."""
+    moment = _newest(request.app.state.session)
+    palette = _known(request.query_params.get("palette"), PALETTES)
+    tones = _known(request.query_params.get("tones"), TONE_MAPPINGS)
+    return _download(png(moment.corrected, palette, tones), f"frame-{moment.number}.png", "image/png")
+
+
+def _known(name: str | None, names: Collection[str]) -> str:
+    """A name that is one of some; else the answer is 404."""
+    if name is None or name not in names:
+        raise HTTPException(404)
+    return name
+
+
+def _newest(session: Session) -> Moment:
+    if session.newest is None:
+        raise HTTPException(404, "no frame has come yet")
+    return session.newest
+
+
+def _download(content: bytes, name: str, kind: str) -> Response:
+    return Response(
+        content, media_type=kind, headers={"Content-Disposition": f'attachment; filename="{name}"'}
+    )

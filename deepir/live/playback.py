@@ -1,0 +1,59 @@
+"""Frames corrected one after the other, and how fast."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deepir.live.corrector import Corrector, Status
+from deepir.live.sources import Paced
+
+Array = np.ndarray[Any, Any]
+
+RATE_OVER = 30  # frames, over which the rate is measured
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A frame, and how far the corrector is with it.
+
+    Attributes:
+        number: Of the frame, from 1.
+        raw: (h, w), as it came.
+        corrected: (h, w), float32.
+        status: Of the corrector.
+        rate: Frames a second.
+        delay: Of the correction, s.
+        dropped: Frames that came too late, so far.
+    """
+
+    number: int
+    raw: Array
+    corrected: Array
+    status: Status
+    rate: float
+    delay: float
+    dropped: int
+
+
+def play(frames: Iterable[Array], corrector: Corrector) -> Iterator[Moment]:
+    """Correct frames as they come.
+
+    Args:
+        frames: (h, w) each.
+        corrector: Of their camera.
+    """
+    times: deque[float] = deque(maxlen=RATE_OVER + 1)
+    for number, frame in enumerate(frames, 1):
+        begun = time.perf_counter()
+        corrected = corrector(frame)
+        now = time.perf_counter()
+        times.append(now)
+        rate = (len(times) - 1) / (now - times[0]) if len(times) > 1 else 0.0
+        dropped = frames.dropped if isinstance(frames, Paced) else 0
+        yield Moment(number, frame, corrected, corrector.status, rate, now - begun, dropped)
