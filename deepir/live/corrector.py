@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, Beside, Estimator
 from deepir.recording.keyframes import KeyframeCollector
-from deepir.recording.segments import Segment, roughness
+from deepir.recording.pattern_shares import fits, is_better
+from deepir.recording.segments import Segment
 
 Array = np.ndarray[Any, Any]
 
@@ -18,8 +20,7 @@ FIRST_KEYFRAMES = 12  # before the first estimate
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
 CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
-#: Roughness of a frame with a new estimate, relative to that with the one before, above which it is rejected.
-MAX_ROUGHNESS_RATIO = 1.02
+CHECKS = 3  # of which most say whether the maps fit
 
 
 @dataclass(frozen=True)
@@ -30,9 +31,9 @@ class Status:
         frames: Seen so far.
         keyframes: Chosen so far; none while the camera stands still.
         estimates: Of the sensor that were taken.
-        rejected: Estimates that would have left newer frames rougher.
+        rejected: Estimates that would have left more pattern in newer frames.
         correcting: Whether frames are corrected now.
-        fits: False where the maps left the last frames rougher, so that they pass as they are.
+        fits: False where the last frames do not have the maps' pattern, so that they pass as they are.
         holding: Whether the corrector learns nothing further.
         estimating: Whether an estimate is under way.
         message: Why the last estimate was not possible; empty if it was.
@@ -69,7 +70,7 @@ class Corrector:
 
     Keyframes are chosen while the camera moves, and none while it stands still, so that no scene is taken for the
     pattern. The first estimate is a quick one, of the fine offset. An estimate is taken if a frame that it has not seen
-    is smoother with it. Frames that it leaves rougher, as after a closure of the shutter, pass uncorrected.
+    has most of the pattern. Frames that have not, as after a closure of the shutter, pass uncorrected.
 
     Args:
         maps: Of the same camera, to begin with.
@@ -97,7 +98,8 @@ class Corrector:
         self._outdated = self._estimator.busy()  # the estimate under way is of what is forgotten
         self._collector = KeyframeCollector(latest=True)
         self._segment: Segment | None = None
-        self._fits, self._quick, self._due = True, True, FIRST_KEYFRAMES
+        self._checks: deque[bool] = deque(maxlen=CHECKS)  # whether the maps fitted the last frames
+        self._quick, self._due = self._start is None, FIRST_KEYFRAMES
         self._frames = self._estimates = self._rejected = 0
         self._message = ""
 
@@ -111,7 +113,7 @@ class Corrector:
             self._learn(frame)
         corrected = self._correct(frame)
         if self._frames % CHECK_INTERVAL == 0 and corrected is not None:
-            self._fits = roughness(corrected) <= roughness(frame)
+            self._check(frame, corrected)
         self._frames += 1
         return np.asarray(frame, np.float32) if corrected is None or not self._fits else corrected
 
@@ -119,6 +121,16 @@ class Corrector:
     def maps(self) -> CorrectionMaps | None:
         """Those that frames are corrected with; None as long as there are none."""
         return self._segment.maps if self._segment else self._start
+
+    @property
+    def _fits(self) -> bool:
+        """Whether the maps fit, as most of the last checks say."""
+        return 2 * sum(self._checks) >= len(self._checks)
+
+    @property
+    def _bad_pixels(self) -> Array:
+        assert self.maps is not None
+        return self.maps.bad_pixels
 
     @property
     def status(self) -> Status:
@@ -147,9 +159,18 @@ class Corrector:
         if taken >= self._due and not self._estimator.busy():
             keyframes = self._collector.keyframes()
             if keyframes is not None:
-                quick, self._quick = self._quick and self.maps is None, False
+                quick, self._quick = self._quick, False
                 self._estimator.submit(keyframes, quick=quick)
                 self._due = taken + (0 if quick else min(MAX_NEW_KEYFRAMES, round((GROWTH - 1) * taken)))
+
+    def _check(self, frame: Array, corrected: Array) -> None:
+        """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
+        fitted = self._fits
+        self._checks.append(fits(np.asarray(frame, np.float32), corrected, self._bad_pixels))
+        if fitted and not self._fits and not self.hold:
+            self._collector.forget(self._frames - CHECKS * CHECK_INTERVAL)
+            self._outdated = self._estimator.busy()
+            self._quick, self._due = True, self._collector.taken + FIRST_KEYFRAMES
 
     def _take(self, found: Segment, frame: Array) -> None:
         """Take an estimate if it serves the newest frame."""
@@ -160,13 +181,20 @@ class Corrector:
             self._due = self._collector.taken + FIRST_KEYFRAMES
             return
         self._collector.forget(found.first)  # another pattern
-        now = self._correct(frame)
-        before = frame if now is None or not self._fits else now
-        if roughness(found.correct(frame)) > MAX_ROUGHNESS_RATIO * roughness(before) and now is not None:
+        if not self._serves(found, np.asarray(frame, np.float32)):
             self._rejected += 1
             return
-        self._segment, self._fits = found, True
+        self._segment = found
+        self._checks.clear()
         self._estimates += 1
+
+    def _serves(self, found: Segment, frame: Array) -> bool:
+        """Whether an estimate leaves less pattern in a frame than there is now."""
+        corrected = found.correct(frame)
+        now = self._correct(frame) if self._fits else None
+        if now is None:
+            return fits(frame, corrected, found.maps.bad_pixels)
+        return is_better(now, corrected, found.maps.bad_pixels | self._bad_pixels)
 
     def _correct(self, frame: Array) -> Array | None:
         if self._segment is not None:

@@ -8,7 +8,7 @@ does not help them is left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -68,8 +68,8 @@ class SensorEstimate:
     strength: PatternStrength | None
     kept: str
     nats: dict[str, float]
-    shares: dict[str, float]
-    messages: tuple[str, ...]
+    shares: dict[str, float] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
 
 
 def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: bool = True) -> SensorEstimate:
@@ -136,7 +136,7 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
     bad = defective_pixels(frames, usable, consensus)
     offset = fine_offset(consensus, ~bad)
     offset, shares = _shrunk_by_others(offset - offset[~bad].mean(), frames, usable, ~bad, keyframes.groups)
-    return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, shares, ())
+    return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, shares)
 
 
 def _shrunk(

@@ -15,10 +15,9 @@ from deepir.errors import DataError
 from deepir.recording.estimate import SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes
 from deepir.recording.pattern_jumps import pattern_jumps
+from deepir.recording.pattern_shares import is_better
 
 Array = np.ndarray[Any, Any]
-
-GRADIENT_STRIDE = 3  # px, between the rows of a frame whose gradients say which pattern it has
 
 
 @dataclass(frozen=True)
@@ -61,13 +60,6 @@ class Segment:
         return CorrectionMaps(found.gain, found.offset + found.level * (1 - found.gain), found.bad_pixels)
 
 
-def roughness(frame: Array) -> float:
-    """Mean absolute gradient of a frame (h, w): a pattern that is not the frame's adds to it."""
-    return float(
-        np.nanmean(np.abs(np.diff(np.ma.filled(frame[::GRADIENT_STRIDE].astype(np.float32), np.nan), axis=1)))
-    )
-
-
 def estimate_segments(keyframes: Keyframes, correction: str) -> list[Segment]:
     """Find where the pattern jumps, and estimate the sensor of each part.
 
@@ -106,5 +98,13 @@ def segment_at(segments: Sequence[Segment], number: int, frame: Array) -> Segmen
         if number <= here.last:
             return here
         if number < after.first:
-            return min((here, after), key=lambda each: roughness(each.correct(frame)))
+            return _fitting(here, after, frame)
     return segments[-1]
+
+
+def _fitting(here: Segment, after: Segment, frame: Array) -> Segment:
+    """The one of two segments whose correction leaves less pattern in a frame."""
+    bad = np.zeros(frame.shape, bool)
+    for each in (here, after):
+        bad |= each.estimate.bad_pixels if each.estimate else False
+    return after if is_better(here.correct(frame), after.correct(frame), bad) else here

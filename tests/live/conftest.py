@@ -47,7 +47,7 @@ class Knowing(Here):
     def __init__(self, pattern):
         super().__init__()
         self.estimate = SensorEstimate(
-            np.ones_like(pattern), pattern, np.zeros(pattern.shape, bool), 8000.0, None, "offset", {}, ()
+            np.ones_like(pattern), pattern, np.zeros(pattern.shape, bool), 8000.0, None, "offset", {}
         )
 
     def submit(self, keyframes, *, quick):

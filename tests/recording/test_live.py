@@ -108,7 +108,7 @@ def test_an_estimate_that_is_done_while_it_holds_is_taken_afterwards(walk):
     estimator = Here()
     with Corrector(maps, estimator=estimator) as corrector:
         corrector.hold = True
-        estimate = SensorEstimate(walk.gain, walk.fine + walk.slow, walk.bad, 8000.0, None, "gain", {}, ())
+        estimate = SensorEstimate(walk.gain, walk.fine + walk.slow, walk.bad, 8000.0, None, "gain", {})
         estimator._found = Segment(0, 10, estimate)
         corrector(walk.frames[0])
         assert corrector.status.estimates == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.recording.pattern_shares import PARTS, share_removed, shares, shrink_offset
+from deepir.recording.pattern_shares import PARTS, fits, is_better, shares, shrink_offset
 
 
 def detail(scene):
@@ -16,10 +16,11 @@ def test_frames_hold_all_of_the_sensors_pattern_and_nothing_of_another_scene(wal
     frames = (walk.frames[60::8] - 8000) / walk.gain
     parts = np.stack([walk.fine, detail(walk.scenes[0])])
 
-    found = shares(frames, parts, ~walk.bad)
+    found, errors = shares(frames, parts, ~walk.bad)
 
     assert found[0] == pytest.approx(1, abs=0.05)
     assert abs(found[1]) < 0.2
+    assert (errors < 0.05).all()
 
 
 def test_rows_that_no_other_frame_has_are_taken_out(walk):
@@ -37,11 +38,20 @@ def test_rows_that_no_other_frame_has_are_taken_out(walk):
 def test_a_correction_that_does_not_fit_is_known_from_one_frame(walk):
     frame, other = walk.frames[70].astype(float), np.random.default_rng(2).permutation(walk.fine)
 
-    assert share_removed(frame, frame - walk.fine, walk.bad) > 0.8
-    assert share_removed(frame, frame - other, walk.bad) < 0.4
+    assert fits(frame, frame - walk.fine, walk.bad)
+    assert not fits(frame, frame - other, walk.bad)
+    assert is_better(frame - other, frame - walk.fine, walk.bad)
+    assert not is_better(frame - walk.fine, frame - 0.7 * walk.fine, walk.bad)
+
+
+def test_a_pattern_that_one_frame_does_not_tell_is_kept(walk):
+    frame, faint = walk.frames[70].astype(float), 1e-3 * np.random.default_rng(2).permutation(walk.fine)
+
+    assert fits(frame, frame - faint, walk.bad)
 
 
 def test_a_pattern_of_zero_has_no_share(walk):
-    assert np.isfinite(
-        shares(walk.frames[:2].astype(float), np.zeros((1, *walk.fine.shape)), ~walk.bad)
-    ).all()
+    found, errors = shares(walk.frames[:2].astype(float), np.zeros((1, *walk.fine.shape)), ~walk.bad)
+
+    assert found == 0
+    assert errors > 100
