@@ -72,6 +72,9 @@ bench-switches: setup  ## what a network's switches gain in time, and cost in qu
 bench-problems: setup  ## every problem with several priors: one table
 	$(BIN)/python benchmarks/problems.py --output docs/bench-problems.md
 
+bench-live: setup  ## live correction: delay, memory, quality over time: half an hour
+	$(BIN)/python benchmarks/live.py --output docs/bench-live.md --plot docs/images/live-quality.png
+
 bench-effects: setup  ## what each effect is worth: one left out at a time
 	$(BIN)/python benchmarks/effects.py --output docs/bench-effects.md
 
@@ -85,4 +88,4 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-effects clean
+.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-live bench-effects clean

@@ -87,6 +87,7 @@ class CorrectedRecording:
                 "level": np.array(self.estimate.level),
                 "correction": np.array(self.estimate.kept),
                 **{f"nats_{name}": np.asarray(value) for name, value in self.estimate.nats.items()},
+                **{f"share_{name}": np.asarray(value) for name, value in self.estimate.shares.items()},
                 **(over_time if len(self.segments) > 1 else {}),
             },
         )

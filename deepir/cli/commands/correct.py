@@ -119,6 +119,9 @@ def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:
     ]
     if gains:
         line += f"; on held-out frames it is likelier (nats) than {', '.join(gains)}"
+    if estimate.shares:
+        held = ", ".join(f"{100 * share:.0f} % of its {name}" for name, share in estimate.shares.items())
+        line += f"; other frames have {held}"
     if estimate.strength is not None:
         line += "; the pattern has a strength of its own in each frame, as of an automatic gain control"
     return f"{line}; {int(estimate.bad_pixels.sum())} bad pixels"
