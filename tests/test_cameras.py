@@ -120,6 +120,9 @@ def flirpy(monkeypatch):
         def setup_video(self, number):
             module.told.append("video")
 
+        def get_camera_serial(self):
+            return 4711
+
         def get_ffc_mode(self):
             return module.mode
 

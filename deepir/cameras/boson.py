@@ -30,6 +30,7 @@ class Boson(Camera):
                 if self.camera.conn is None:
                     raise OSError("it does not answer on any serial port")
                 self.camera.setup_video(number)
+                self.identity = f"boson {self.camera.get_camera_serial()}"
                 self.before = self.camera.get_ffc_mode()
                 self.camera.set_ffc_manual()
         except Exception as error:  # serial ports, OpenCV and flirpy raise anything

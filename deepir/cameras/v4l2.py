@@ -31,6 +31,7 @@ class V4L2(Camera):
     )
 
     def __init__(self, *, device: str = "/dev/video0", mode: list[int] | None = None) -> None:
+        self.identity = _identity(device)
         self.device, self.av = device, import_optional("av", "camera", device)
         if mode is not None and len(mode) != 2:
             raise ValueError(f"mode is a width and a height, not {mode}")
@@ -67,6 +68,13 @@ class V4L2(Camera):
     def close(self) -> None:
         """Close the device."""
         self.container.close()
+
+
+def _identity(device: str) -> str:
+    """The name that udev gives a device by its maker, product and serial number; empty if it has none."""
+    target = Path(device).resolve()
+    links = Path("/dev/v4l/by-id").glob("*")
+    return next((f"v4l2 {each.name}" for each in sorted(links) if each.resolve() == target), "")
 
 
 def _reason(error: Any) -> str:

@@ -91,6 +91,11 @@ class Corrector:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def begin(self, maps: CorrectionMaps | None) -> None:
+        """Forget all, and begin with other maps."""
+        self._start = maps
+        self.reset()
+
     def reset(self) -> None:
         """Forget all but the maps of the beginning, and learn anew."""
         self.hold = False

@@ -11,10 +11,12 @@ import pytest
 import tifffile
 
 from deepir import registry
+from deepir.calibration import CorrectionMaps
 from deepir.cameras.camera import Camera
 from deepir.cli import live_page
 from deepir.cli.signals import Interrupted
 from deepir.errors import DataError
+from deepir.live import kept_maps
 
 
 @pytest.fixture
@@ -124,3 +126,34 @@ def test_what_a_camera_gave_until_the_end_is_kept(deepir, recording, monkeypatch
     found, _, err = deepir("live", "--camera", "fake", "--fast", "--output", "out.tif")
     assert (found, words in err, "switch it off" in err) == (status, True, True), err
     assert np.array_equal(tifffile.imread("out.tif"), recording)
+
+
+def test_the_maps_of_a_camera_are_kept_for_the_next_time(deepir, recording, monkeypatch, tmp_path):
+    class Fake(Camera):
+        """A camera with a serial number."""
+
+        identity = "fake / 4711"
+
+        def __init__(self):
+            self.coming = iter(recording)
+
+        def read(self):
+            frame = next(self.coming, None)
+            if frame is None:
+                raise Interrupted(2)
+            return frame
+
+    maps = CorrectionMaps(
+        np.ones(recording.shape[1:]), np.zeros(recording.shape[1:]), np.zeros(recording.shape[1:], bool)
+    )
+    monkeypatch.setattr(kept_maps, "user_data_path", lambda name: tmp_path / name)
+    monkeypatch.setitem(registry._components["camera"], "fake", Fake)
+    assert "begins with" not in deepir("live", "--camera", "fake", "--fast")[2]
+
+    kept_maps.KeptMaps(Fake.identity).save(maps)
+
+    assert (tmp_path / "deepir" / "cameras" / "fake_4711.npz").exists()
+    assert "begins with the camera's maps of 2" in deepir("live", "--camera", "fake", "--fast")[2]
+    wider = CorrectionMaps(*(np.pad(each, 1) for each in (maps.gain, maps.offset, maps.bad_pixels)))
+    kept_maps.KeptMaps(Fake.identity).save(wider)  # of another mode
+    assert "begins with" not in deepir("live", "--camera", "fake", "--fast")[2]

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Any
+from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
@@ -76,30 +76,37 @@ def live(
     """
     load_plugins(plugin)
     from deepir.calibration import read_maps
+    from deepir.cli.live_camera import camera_frames, keep, open_camera
     from deepir.cli.live_page import keep_page, open_page
     from deepir.cli.signals import Interrupted, Interruptible
     from deepir.errors import ConfigError, DataError
     from deepir.live.corrector import Corrector
     from deepir.live.estimation import Beside, Here
+    from deepir.live.kept_maps import KeptMaps
 
     if (source is None) == (camera is None):
         raise ConfigError(
             "give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2"
         )
-    for each in (output, save_maps):
-        if each and each != STANDARD and Path(each).exists() and not overwrite:
-            raise DataError(f"{each} exists; replace it with --overwrite, or give another name")
+    _check_targets((output, save_maps), overwrite=overwrite)
     start = read_maps(maps) if maps else None
     status, count, ended = 0, 0, "the recording has ended"
     session: Session | None = None
+    kept: KeptMaps | None = None
     with Corrector(start, estimator=Here() if fast else Beside()) as corrector, ExitStack() as shown:
         with Interruptible(), ExitStack() as stack:
             try:
-                frames = _frames(source, camera, settings or (), None if fast else rate, stack)
+                if camera:
+                    opened = open_camera(camera, settings or (), stack)
+                    kept = KeptMaps(opened.identity) if opened.identity else None
+                    frames = camera_frames(opened, kept if start is None else None, corrector)
+                else:
+                    frames = _frames(str(source), settings or (), None if fast else rate)
                 if page:
                     config = recording_config(source, settings or (), ACCEPTED_SETTINGS) if source else None
-                    opened = open_page(corrector, source or str(camera), config, (host, port), record_to)
-                    session = shown.enter_context(opened)
+                    session = shown.enter_context(
+                        open_page(corrector, source or str(camera), config, (host, port), record_to)
+                    )
                 for moment in _play(frames, corrector, output, settings or (), session, stack):
                     count = moment.number
             except Interrupted as error:  # the usual end of a camera: what was recorded is kept
@@ -112,32 +119,29 @@ def live(
         _notify(f"{count} frame(s); {corrector.status}")
         if save_maps and corrector.maps is not None:
             corrector.maps.save(save_maps)
+        if kept:
+            keep(corrector, kept)
         if session and ended:
             keep_page(session, ended)
     return status
 
 
-def _frames(
-    source: str | None, camera: str | None, settings: Sequence[str], rate: float | None, stack: ExitStack
-) -> Iterable[Array]:
-    """The frames of a camera, of standard input or of a recording; at a rate unless it is None, or a camera's."""
+def _check_targets(targets: Sequence[str | Path | None], *, overwrite: bool) -> None:
+    """Raise `DataError` if a file is there that would be written."""
+    from deepir.errors import DataError
+
+    for each in targets:
+        if each and each != STANDARD and Path(each).exists() and not overwrite:
+            raise DataError(f"{each} exists; replace it with --overwrite, or give another name")
+
+
+def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterable[Array]:
+    """The frames of standard input or of a recording; at a rate unless it is None."""
     from deepir.errors import ConfigError
     from deepir.io import stream_frames
-    from deepir.live.sources import Paced, camera_frames, stream_raw
+    from deepir.live.sources import Paced, stream_raw
 
-    if camera is not None:
-        from deepir.config.components import make, options_schema
-        from deepir.config.overrides import parse_settings
-        from deepir.registry import lookup
-
-        options: dict[str, Any] = dict(
-            parse_settings(settings, options_schema(lookup("camera", camera, "camera")))
-        )
-        opened = stack.enter_context(make("camera", camera, options, "camera"))
-        if opened.correction:
-            _notify(opened.correction)
-        return camera_frames(opened)
-    config = recording_config(str(source), settings, ACCEPTED_SETTINGS)
+    config = recording_config(source, settings, ACCEPTED_SETTINGS)
     if source != STANDARD:
         frames = stream_frames(str(config.data.path), key=config.data.key, raw=config.data.raw)
     elif config.data.raw is None:
