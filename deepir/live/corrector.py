@@ -20,6 +20,9 @@ FIRST_KEYFRAMES = 12  # before the first estimate
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
 CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
+FADE_LENGTH = (
+    15  # frames over which new maps take the place of former ones, so that the picture does not jump
+)
 CHECKS = 3  # of which most say whether the maps fit
 
 
@@ -103,6 +106,8 @@ class Corrector:
         self._outdated = self._estimator.busy()  # the estimate under way is of what is forgotten
         self._collector = KeyframeCollector(latest=True)
         self._segment: Segment | None = None
+        self._former: Segment | None = None
+        self._faded = 0  # frames since the newest estimate
         self._checks: deque[bool] = deque(maxlen=CHECKS)  # whether the maps fitted the last frames
         self._quick, self._due = self._start is None, FIRST_KEYFRAMES
         self._frames = self._estimates = self._rejected = 0
@@ -120,6 +125,7 @@ class Corrector:
         if self._frames % CHECK_INTERVAL == 0 and corrected is not None:
             self._check(frame, corrected)
         self._frames += 1
+        self._faded += 1
         return np.asarray(frame, np.float32) if corrected is None or not self._fits else corrected
 
     @property
@@ -189,6 +195,7 @@ class Corrector:
         if not self._serves(found, np.asarray(frame, np.float32)):
             self._rejected += 1
             return
+        self._former, self._faded = self._segment if self._fits else None, 0
         self._segment = found
         self._checks.clear()
         self._estimates += 1
@@ -202,6 +209,11 @@ class Corrector:
         return is_better(now, corrected, found.maps.bad_pixels | self._bad_pixels)
 
     def _correct(self, frame: Array) -> Array | None:
-        if self._segment is not None:
-            return self._segment.correct(frame)
-        return None if self._start is None else self._start.correct(frame)
+        """The frame corrected by the newest maps, faded in from the former ones; None as long as there are none."""
+        if self._segment is None:
+            return None if self._start is None else self._start.correct(frame)
+        corrected = self._segment.correct(frame)
+        if self._former is not None and self._faded < FADE_LENGTH:
+            former = self._former.correct(frame)
+            corrected = former + np.float32(self._faded / FADE_LENGTH) * (corrected - former)
+        return corrected

@@ -1,6 +1,7 @@
 """Frames are corrected as they come, better while the camera moves, and never by what it stood still before."""
 
 import io
+import itertools
 import time
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from deepir.calibration import CorrectionMaps
 from deepir.config.schema import Raw
-from deepir.live.corrector import FIRST_KEYFRAMES, Corrector
+from deepir.live.corrector import FADE_LENGTH, FIRST_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, Beside, Here
 from deepir.live.sources import Paced, camera_frames, stream_raw
 from deepir.recording.estimate import SensorEstimate
@@ -61,6 +62,25 @@ def test_frames_that_maps_do_not_fit_pass_as_they_are(walk):
     with Corrector(CorrectionMaps(np.ones_like(wrong), wrong, walk.bad), estimator=Here()) as corrector:
         assert np.array_equal(corrector(walk.frames[0]), walk.frames[0])
         assert not corrector.status.correcting
+
+
+def test_new_maps_fade_in(walk):
+    """So that the picture does not jump."""
+    good, fair = (
+        SensorEstimate(walk.gain, part * (walk.fine + walk.slow), walk.bad, 8000.0, None, "gain", {})
+        for part in (1.0, 0.6)
+    )
+    estimator, frame = Here(), walk.frames[0]
+    with Corrector(estimator=estimator) as corrector:
+        shown = []
+        for estimate in (fair, good):
+            estimator._found = Segment(0, 10, estimate)
+            shown += [corrector(frame) for _ in range(FADE_LENGTH + 1)]
+    before, after = shown[FADE_LENGTH], shown[-1]
+    steps = [np.abs(later - earlier).max() for earlier, later in itertools.pairwise(shown[FADE_LENGTH:])]
+
+    assert np.array_equal(after, Segment(0, 10, good).correct(frame))
+    assert max(steps) < 1.1 * np.abs(after - before).max() / FADE_LENGTH
 
 
 def test_reset_forgets_what_was_learned(walk, corrector):
