@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
-from scipy.stats import median_abs_deviation
 
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.median_filter import median_filter
 
 Array = np.ndarray[Any, Any]
@@ -40,5 +40,5 @@ def slow_part(pattern: Array, usable: Array, sigma: float = SLOW_SIGMA) -> Array
 def is_implausible(pattern: Array, usable: Array) -> bool:
     """Whether the slow part of a pattern (h, w) is stronger, by its fine part, than a sensor's."""
     detail = (pattern - median_filter(pattern, FINE_SIDE))[usable]
-    fine = float(median_abs_deviation(detail, scale="normal")) if usable.any() else 0.0
+    fine = MAD_TO_SIGMA * float(np.median(np.abs(detail - np.median(detail)))) if usable.any() else 0.0
     return fine > 0 and float(slow_part(pattern, usable)[usable].std()) > LARGEST_RATIO * fine
