@@ -58,9 +58,12 @@ class Interruptible:
 
 def report_interrupted(error: Interrupted, folder: Path) -> int:
     """Print how to continue an interrupted run; the exit status."""
-    if (folder / "checkpoint.safetensors").exists():
+    from deepir.storage.folder import RunFolder
+
+    run = RunFolder(folder).active
+    if run.checkpoint.exists():
         what = f"interrupted; go on with: deepir resume {folder}"
-    elif (folder / "config.yaml").exists():
+    elif run.config.exists():
         what = f"interrupted before the first checkpoint; start again with: deepir resume {folder}"
     else:
         what = "interrupted before anything was written"

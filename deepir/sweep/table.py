@@ -13,7 +13,7 @@ from typing import Any
 
 from deepir.errors import ConfigError
 from deepir.io import atomic_file
-from deepir.sweep.axes import REPEAT_AXES
+from deepir.sweep.axes import REPEAT_AXES, SWEEP_FILES
 from deepir.sweep.cells import Cell
 
 #: Metrics of `metrics.json` in the table: heading and decimals (None: three digits). `table.csv` has all.
@@ -104,7 +104,7 @@ def markdown(found: Sequence[Row], title: str) -> str:
     text = "".join(f"| {' | '.join(line)} |\n" for line in table)
     repeated = any(len(group.rows) > 1 for group in group_rows(found))
     note = "Medians over seeds, with the least and the greatest.\n\n" if repeated else ""
-    ran = sorted({row.metrics["machine"] for row in found if "machine" in row.metrics})
+    ran = sorted({str(row.metrics["machine"]) for row in found if "machine" in row.metrics})
     where = "".join(f"\nOn {each}.\n" for each in ran)
     failed = "".join(f"- `{row.name}`: {row.error}\n" for row in found if row.error)
     return f"{TABLE_HEADER}# Results\n\n`{title}`\n\n{note}{text}{where}" + (
@@ -148,7 +148,7 @@ def check_free(folder: Path) -> None:
         ours = page.is_file() and page.read_text(encoding="utf-8").startswith(TABLE_HEADER)
     except (OSError, UnicodeDecodeError):
         ours = False
-    for name in ("table.md", "table.csv", "quality.png", "report.html"):
+    for name in SWEEP_FILES:
         if not ours and (folder / name).exists():
             raise ConfigError(
                 f"output.dir: {folder} holds {name}, which no comparison wrote; give another folder with output.dir=DIR"
@@ -156,11 +156,17 @@ def check_free(folder: Path) -> None:
 
 
 def _metrics(cell: Cell) -> dict[str, Any]:
+    """Metrics of a finished cell; none if they are damaged, and null for a figure that is no number."""
+    if cell.folder.state() != "finished":
+        return {}
     try:
         found = json.loads((cell.folder.path / "metrics.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    if not isinstance(found, dict) or not isinstance(found.get("frames"), int):
+        return {}
+    numbers = {name: found[name] for name in TABLE_METRICS if isinstance(found.get(name), int | float)}
+    return found | dict.fromkeys(TABLE_METRICS.keys() & found.keys()) | numbers
 
 
 def _figure(spread: tuple[float, float, float] | None, decimals: int | None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, recording_config, split_arguments
+from deepir.cli.outputs import held_outputs
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -40,14 +41,13 @@ def calibrate(
     files, settings = split_arguments(what)
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
-    if out.exists() and not overwrite:
-        raise DataError(f"{out} exists; replace it with --overwrite, or give another name")
     if not files or (burst and len(files) > 1):
         raise DataError(f"{len(files)} recordings given: one with --burst, else one or more flat ones")
-    maps = _from_burst(files[0], settings) if burst else _from_flats(files, settings)
-    if isinstance(maps, int):
-        return maps
-    maps.save(out)
+    with held_outputs(out, overwrite=overwrite):
+        maps = _from_burst(files[0], settings) if burst else _from_flats(files, settings)
+        if isinstance(maps, int):
+            return maps
+        maps.save(out)
     good = ~maps.bad_pixels
     typer.echo(
         f"{out}: gain σ {100 * maps.gain[good].std():.2f} %, offset σ {maps.offset[good].std():.4g}, "

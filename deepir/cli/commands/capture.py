@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+from deepir.cli.outputs import held_outputs
 
 if TYPE_CHECKING:
     from deepir.cameras.capture import Captured
@@ -38,14 +39,12 @@ def capture(
 
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
-    if out.exists() and not overwrite:
-        raise DataError(f"{out} exists; replace it with --overwrite, or give another name")
     try:
-        with Interruptible():
+        with Interruptible(), held_outputs(out, overwrite=overwrite):
             burst = _capture(camera, settings or (), frames, every)
+            write_npz(out, {"frames": burst.frames, "time": burst.times})
     except Interrupted as error:
         return report_aborted(error)
-    write_npz(out, {"frames": burst.frames, "time": burst.times})
     if burst.longest_freeze > FREEZE_TIME:
         _notify(
             f"the picture stood still for {burst.longest_freeze:.1f} s in the midst of the burst, as when the shutter "

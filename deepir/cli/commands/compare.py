@@ -52,17 +52,16 @@ def compare(
     from deepir.sweep.sweep import prepare
 
     fixed, axes = parse_axes(settings or ())
-    remote = scheduler is not None
-    checked = prepare(
+    with prepare(
         config,
         fixed,
         axes,
         folder=sweep_folder(config, "compare"),
         workers=workers,
-        remote=remote,
+        remote=scheduler is not None,
         overwrite=overwrite,
-    )
-    return run_and_report(checked, ["compare", config, *(settings or ())], scheduler, plugins)
+    ) as checked:
+        return run_and_report(checked, ["compare", config, *(settings or ())], scheduler, plugins)
 
 
 def batch(
@@ -98,7 +97,7 @@ def batch(
     if any(each.partition("=")[0].strip() == "data.path" for each in settings):
         raise ConfigError("data.path: bursts are given without it, for example deepir batch nuc burst.npz")
     fixed, axes = parse_axes(settings)
-    checked = prepare(
+    with prepare(
         config,
         fixed,
         [burst_axis(patterns), *axes],
@@ -106,8 +105,8 @@ def batch(
         workers=workers,
         remote=scheduler is not None,
         overwrite=overwrite,
-    )
-    return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
+    ) as checked:
+        return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
 
 
 def sweep_folder(config: str, kind: str) -> Path:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+from deepir.cli.outputs import held_outputs
 
 if TYPE_CHECKING:
     from deepir.training.training import TrainingProgress
@@ -41,13 +42,12 @@ def train(
     path = out or Path(f"{name}.safetensors")
     if path.suffix != ".safetensors" or not path.parent.is_dir():
         raise DataError(f"{path}: give the name of a .safetensors file in a folder that exists")
-    if path.exists() and not overwrite:
-        raise DataError(f"{path} exists; replace it with --overwrite, or give another name with --out")
     torch.set_num_threads(threads)
-    network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
     about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
     about |= {"deepir": deepir.__version__, "torch": torch.__version__}
-    weights.save(network, path, about)
+    with held_outputs(path, overwrite=overwrite):
+        network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
+        weights.save(network, path, about)
     typer.echo(f"weights: {path}")
 
 
