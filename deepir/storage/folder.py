@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.output.write import atomic_file, write_json
+from deepir.paths import printable
 from deepir.storage.lock import demand_folder, locked_folder, remove_temporaries
 
 #: All files that a run writes and --overwrite replaces; the configuration is written first, the metrics last.
@@ -216,7 +217,7 @@ class RunFolder:
             handler = _LogFile(path, encoding="utf-8")
         except OSError as error:
             raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from None
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        handler.setFormatter(_Lines("%(asctime)s %(levelname)s %(message)s"))
         level = log.level
         log.addHandler(handler)
         log.setLevel(logging.INFO)
@@ -245,6 +246,14 @@ class RunFolder:
 
     def _held(self) -> list[str]:
         return [name for name in RUN_FILES if (self.path / name).exists()]
+
+
+class _Lines(logging.Formatter):
+    """A line for each message, whatever names it holds; tracebacks follow in theirs."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
+        """The message in one line."""
+        return printable(super().formatMessage(record))
 
 
 class _LogFile(logging.FileHandler):

@@ -139,3 +139,17 @@ def test_a_run_that_takes_its_worker_down_each_time_is_given_up():
 
     assert "its workers died" in _failure(distributed.KilledWorker("a", None, 3))
     assert _failure(ValueError("not\nthis")) == "ValueError: not this"
+
+
+def test_nobody_else_reaches_the_scheduler_and_its_workers():
+    pytest.importorskip("distributed")
+    from deepir.sweep.cluster import _client
+
+    with _client(1, None) as client:
+        scheduler = client.cluster.scheduler
+        addresses = [each.listen_address for each in scheduler.listeners]
+        addresses += [*client.scheduler_info()["workers"]]
+        addresses += [worker.nanny for worker in scheduler.workers.values()]
+        addresses.append(client.dashboard_link)
+    assert len(addresses) >= 4
+    assert all("://127.0.0.1:" in each for each in addresses)

@@ -10,6 +10,7 @@ import typer
 
 from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
 from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -46,7 +47,7 @@ def apply(
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     try:
         with Interruptible(), held_outputs(target, overwrite=overwrite, source=config.data.path):
-            typer.echo(_apply(read_maps(maps), config, target, rounded=not float32))
+            echo(_apply(read_maps(maps), config, target, rounded=not float32))
     except Interrupted as error:
         return report_aborted(error)
     return 0
@@ -65,7 +66,7 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
     first = next(frames)
     maps.check(first, str(data.path))
     if (ratio := maps.roughness_ratio(first)) > MAX_ROUGHNESS_RATIO:
-        typer.echo(
+        echo(
             f"{data.path}: its first frame is {ratio:.1f} times as rough without these maps' pattern as with it. "
             "Are they of another camera, in other units (counts, kelvin, 8 bits), or out of date?",
             err=True,

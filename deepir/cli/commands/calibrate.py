@@ -10,6 +10,7 @@ import typer
 
 from deepir.cli.arguments import Overwrite, recording_config, split_arguments
 from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -49,11 +50,11 @@ def calibrate(
             return maps
         maps.save(out)
     good = ~maps.bad_pixels
-    typer.echo(
+    echo(
         f"{out}: gain σ {100 * maps.gain[good].std():.2f} %, offset σ {maps.offset[good].std():.4g}, "
         f"{maps.bad_pixels.sum()} bad pixel(s)"
     )
-    typer.echo(f"to correct a recording: deepir apply {out} FILE")
+    echo(f"to correct a recording: deepir apply {out} FILE")
     return 0
 
 
@@ -73,7 +74,7 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
         first = list(itertools.islice(frames, MOTION_CHECK_FRAMES))
         means.append(calibration.mean_frame(itertools.chain(first, frames), file))
         if visible_motion(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
-            typer.echo(
+            echo(
                 f"{file}: its frames change as with a moving camera, but a flat recording shows a uniform surface. "
                 "For a burst of a moving camera, give --burst",
                 err=True,

@@ -11,6 +11,7 @@ import typer
 
 from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
 from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
     from deepir.config import Config
@@ -58,7 +59,7 @@ def correct(
             _correct(config, correction, *outputs, rounded=not float32)
     except Interrupted as error:
         if maps.exists() and not known:
-            typer.echo(f"deepir: interrupted; go on with: deepir apply {maps} {file}", err=True)
+            notify(f"interrupted; go on with: deepir apply {maps} {file}")
             return error.status
         return report_aborted(error)
     return 0
@@ -103,20 +104,20 @@ def _correct(
                 own_maps.replace(maps)  # all that the rest needs
             raise
     speed = count / (time.perf_counter() - begun)
-    typer.echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
+    echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
 
 
 def _describe(corrected: CorrectedRecording, segments: Sequence[Segment]) -> None:
     """Print what is corrected, and warnings."""
     if len(segments) > 1:
-        typer.echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
+        echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
         for each in segments:
-            typer.echo(f"  {each.description}")
-    typer.echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
+            echo(f"  {each.description}")
+    echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
     for message in dict.fromkeys(
         each for part in segments if part.estimate for each in part.estimate.messages
     ):
-        typer.echo(f"deepir: warning: {message}", err=True)
+        notify(f"warning: {message}")
 
 
 def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:

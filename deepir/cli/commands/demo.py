@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
+from deepir.cli.terminal import echo
 
 DEMO_FOLDER = Path("runs/demo")  # where the demo writes
 DEMO_SHAPE = (256, 320)  # height and width of its frames, px
@@ -26,7 +26,7 @@ def demo() -> int:
         path, truth = burst.save(DEMO_FOLDER / "burst.npz")
     except OSError as error:
         raise DataError(f"{DEMO_FOLDER}: cannot be written: {error.strerror}") from None
-    typer.echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
+    echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
     config = load("nuc", [f"data.path={path}", f"data.truth={truth}"])
     status = run_and_store(config, DEMO_FOLDER, overwrite=True, plugins=[])
     if status == 0:
@@ -49,6 +49,6 @@ def _compare() -> None:
         "registered average": execute(config, data).metrics,
         "deepir": json.loads((DEMO_FOLDER / "metrics.json").read_text()),
     }
-    typer.echo("PSNR after the best gain and level:")
+    echo("PSNR after the best gain and level:")
     for name, found in rows.items():
-        typer.echo(f"  {name:<20} {found['psnr_aligned']:6.2f} dB")
+        echo(f"  {name:<20} {found['psnr_aligned']:6.2f} dB")

@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.terminal import notify
 
 if TYPE_CHECKING:
     from deepir.io.output.recording import Array, Write
@@ -86,9 +87,9 @@ def live(
             except DataError as error:
                 if not corrector.status.frames:
                     raise
-                _notify(f"error: {error}; what was recorded until then is kept")
+                notify(f"error: {error}; what was recorded until then is kept")
                 status = 2
-        _notify(f"{corrector.status.frames} frame(s); {_state(corrector)}")
+        notify(f"{corrector.status.frames} frame(s); {_state(corrector)}")
         if save_maps and corrector.maps is not None:
             corrector.maps.save(save_maps)
     return status
@@ -112,7 +113,7 @@ def _frames(
         )
         opened = stack.enter_context(make("camera", camera, options, "camera"))
         if opened.correction:
-            _notify(opened.correction)
+            notify(opened.correction)
         return camera_frames(opened)
     config = recording_config(str(source), settings, ACCEPTED_SETTINGS)
     if source != STANDARD:
@@ -149,7 +150,7 @@ def _play(
         counted += 1
         if (now := time.monotonic()) - said > STATUS_EVERY:
             dropped = f", {played.dropped} dropped" if isinstance(played, Paced) else ""
-            _notify(
+            notify(
                 f"{_state(corrector)}; {counted / (now - said):.0f} frames/s, {1000 * delay:.1f} ms{dropped}"
             )
             said, counted = now, 0
@@ -194,7 +195,3 @@ def _state(corrector: Corrector) -> str:
     else:
         state = "uncorrected: the maps do not fit" if corrector.maps else "learning"
     return f"{state}, {now.keyframes} keyframes" + (f" ({now.message})" if now.message else "")
-
-
-def _notify(line: str) -> None:
-    typer.echo(f"deepir: {line}", err=True)

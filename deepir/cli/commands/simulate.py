@@ -9,6 +9,7 @@ import typer
 
 from deepir.cli.arguments import Overwrite
 from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.simulate import Simulation
@@ -69,4 +70,4 @@ def simulate(
             made = camera.simulate(None if scene is None else load_picture(scene), burst, seed=seed)
         made.save(out)
     count, height, width = made.frames.shape
-    typer.echo(f"{out}: {count} frames of {height} x {width} px; truth: {truth}")
+    echo(f"{out}: {count} frames of {height} x {width} px; truth: {truth}")

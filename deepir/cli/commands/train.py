@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +9,7 @@ import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
 from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.training.training import TrainingProgress
@@ -48,14 +48,10 @@ def train(
     with held_outputs(path, overwrite=overwrite):
         network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
         weights.save(network, path, about)
-    typer.echo(f"weights: {path}")
+    echo(f"weights: {path}")
 
 
 def _report_progress(now: TrainingProgress) -> None:
     if now.iteration % REPORT_INTERVAL == 0 or now.iteration == now.iterations:
         left = now.seconds / now.iteration * (now.iterations - now.iteration)
-        print(
-            f"{now.iteration}/{now.iterations}: loss {now.loss:.4f}, about {left:.0f} s to go",
-            file=sys.stderr,
-            flush=True,
-        )
+        echo(f"{now.iteration}/{now.iterations}: loss {now.loss:.4f}, about {left:.0f} s to go", err=True)
