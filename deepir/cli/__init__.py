@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -74,6 +75,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         nothing was written. 130, 143: interrupted by Ctrl-C or SIGTERM, the state is saved.
     """
     with standard_streams():
+        try:
+            Path.cwd()
+        except FileNotFoundError:
+            return _print_error("the current folder was deleted: go to another one", 2)
         return _run(list(sys.argv[1:] if arguments is None else arguments))
 
 

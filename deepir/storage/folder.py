@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.output.write import atomic_file, write_json
 from deepir.paths import printable
-from deepir.storage.lock import demand_folder, locked_folder, remove_temporaries
+from deepir.storage.lock import Lock, demand_folder, locked_folder, remove_temporaries
 
 #: All files that a run writes and --overwrite replaces; the configuration is written first, the metrics last.
 RUN_FILES = (
@@ -120,18 +120,18 @@ class RunFolder:
         )
 
     @contextmanager
-    def lock(self) -> Iterator[None]:
+    def lock(self) -> Iterator[Lock]:
         """Hold the folder; what a killed process left half done is finished or removed first.
 
         Raises:
             ConfigError: Another process holds it, or it cannot be written.
         """
-        with locked_folder(self.path):
+        with locked_folder(self.path) as held:
             for each in (self.path, self.unfinished.path):
                 remove_temporaries(each, RUN_FILES)
                 (each / "checkpoint.part").unlink(missing_ok=True)
             self.replace_former()
-            yield
+            yield held
 
     def begin(self, config: str, record: Record) -> RunFolder:
         """Write configuration and record of a new run.

@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -20,8 +21,23 @@ LOCK_WAIT = 0.3  # s; a process that comes too late has the first one's name by 
 TEMPORARY_PATTERN = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.\w+)")
 
 
+@dataclass(frozen=True)
+class Lock:
+    """A lock file that this process holds."""
+
+    path: Path
+    identity: tuple[int, int]  # device and number of the file
+
+    def is_in_place(self) -> bool:
+        """False once the file, or a folder above it, was moved or deleted."""
+        try:
+            return _identity(self.path) == self.identity
+        except OSError:
+            return False
+
+
 @contextmanager
-def locked_folder(path: Path) -> Iterator[None]:
+def locked_folder(path: Path) -> Iterator[Lock]:
     """Hold a folder, which is made if there is none, and removed at the end if nothing is in it.
 
     Raises:
@@ -34,8 +50,8 @@ def locked_folder(path: Path) -> Iterator[None]:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"output.dir: {path} cannot be written: {error.strerror or error}") from None
-        with _locked(path / LOCK_NAME, path):
-            yield
+        with _locked(path / LOCK_NAME, path) as lock:
+            yield lock
     finally:
         for each in made:
             with suppress(OSError):
@@ -72,7 +88,7 @@ def remove_temporaries(folder: Path, names: Collection[str]) -> None:
 
 
 @contextmanager
-def _locked(path: Path, output: Path) -> Iterator[None]:
+def _locked(path: Path, output: Path) -> Iterator[Lock]:
     """Hold a lock file; the system releases it when the process ends, however that is.
 
     Nothing moves the file while it is held. It is removed last: whoever has opened it until then sees that it has
@@ -88,16 +104,23 @@ def _locked(path: Path, output: Path) -> Iterator[None]:
         ) from None
     except OSError as error:
         raise ConfigError(f"{output}: cannot be written: {error.strerror or error}") from None
+    held = Lock(path, _identity(path))
     try:
         since = time.strftime("%Y-%m-%d %H:%M:%S")
         with suppress(OSError):  # a full disk: whatever is written next says so
             holder.write_text(f"process {os.getpid()} on {platform.node()} since {since}", encoding="utf-8")
-        yield
+        yield held
     finally:
-        for each in (holder, path):
-            with suppress(OSError):
-                each.unlink()
+        if held.is_in_place():
+            for each in (holder, path):
+                with suppress(OSError):
+                    each.unlink()
         lock.release()
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_dev, status.st_ino
 
 
 def _read(holder: Path) -> str:

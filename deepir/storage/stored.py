@@ -24,6 +24,7 @@ from deepir.result import Result
 from deepir.runner import Callbacks, execute, machine, prepare, versions
 from deepir.storage.checkpoint import FileCheckpoint
 from deepir.storage.folder import RUN_FILES, Record, RunFolder
+from deepir.storage.lock import Lock
 
 log = logging.getLogger("deepir")
 
@@ -52,13 +53,13 @@ def run_into(
         SolverError: The solve failed; its state is in the folder.
     """
     folder = RunFolder(expanded(path).absolute())
-    with folder.lock():
+    with folder.lock() as lock:
         folder.check_free(overwrite=overwrite)
         config = pin_config(config, folder)
         _check_inputs(config, folder)
         data = prepare(config, frames)
         record = _record(config, data, plugins)
-        work = _Work(folder.begin(dump(config), record), config, data, callbacks)
+        work = _Work(folder.begin(dump(config), record), lock, config, data, callbacks)
         try:
             with work.folder.logging():
                 result = work.run()
@@ -93,16 +94,18 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
         raise ConfigError(f"{path}: no run in this folder{_known_runs(path.parent)}")
     if state == "finished":
         return None
-    with folder.lock():
+    with folder.lock() as lock:
         if folder.state() == "finished":  # until another process ended, or a kill
             return None
         with folder.active.logging():
-            result = _continued(folder.active, path, plugins, callbacks).run()
+            result = _continued(folder.active, lock, path, plugins, callbacks).run()
         folder.replace_former()
         return result
 
 
-def _continued(folder: RunFolder, path: Path, plugins: Sequence[str], callbacks: Callbacks) -> _Work:
+def _continued(
+    folder: RunFolder, lock: Lock, path: Path, plugins: Sequence[str], callbacks: Callbacks
+) -> _Work:
     """The rest of an interrupted run in `folder`, which the user calls `path`."""
     config, record = read(folder.config), folder.record()
     if missing := [each for each in record.plugins if each not in plugins]:
@@ -113,7 +116,7 @@ def _continued(folder: RunFolder, path: Path, plugins: Sequence[str], callbacks:
     data = prepare(config)
     fresh = _record(config, data, plugins)
     check_unchanged(record.inputs, fresh.inputs, path)
-    work = _Work(folder, config, data, callbacks)
+    work = _Work(folder, lock, config, data, callbacks)
     work.remove_foreign_state()
     work.before = fresh.seconds = _seconds_in_checkpoint(folder, record)
     folder.write_record(fresh)
@@ -136,6 +139,7 @@ class _Work:
     """A solve into a folder that is ready."""
 
     folder: RunFolder
+    lock: Lock
     config: Config
     data: Burst
     callbacks: Callbacks
@@ -166,6 +170,11 @@ class _Work:
             for message in result.messages:
                 log.warning(message)
             result.metrics["seconds"] = round(result.metrics["seconds"] + self.before, 3)
+            if not self.lock.is_in_place():
+                raise DataError(
+                    f"{folder.path}: this folder was moved or deleted while the run was at work; "
+                    "if it was moved, go on with `deepir resume` there"
+                )
             example = np.where(data.valid[0], data.frames[0], np.nan)
             result.save(folder.path, example, self.config)
         except (ConfigError, DataError, SolverError) as error:

@@ -56,7 +56,10 @@ def analyze(
     for line in report_lines(statistics, verdict, scene_deviation):
         echo(line)
     picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
-    picture.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
     write_analysis(picture, statistics, verdict, scene_deviation)
     echo(f"picture: {picture}")
 
