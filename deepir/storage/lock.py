@@ -7,7 +7,7 @@ import platform
 import re
 import time
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,14 +60,14 @@ def locked_folder(path: Path) -> Iterator[Lock]:
 
 @contextmanager
 def locked_files(*paths: Path) -> Iterator[None]:
-    """Hold output files, by a lock beside the first; what a killed process left of them is removed.
+    """Hold output files, by a lock beside each; what a killed process left of them is removed.
 
     Raises:
-        ConfigError: The folder cannot be written, or another process holds them.
+        ConfigError: A folder cannot be written, or another process holds a file.
     """
-    first = paths[0]
-    with _locked(first.with_name(f".{first.name}{LOCK_NAME}"), first):
-        for path in paths:
+    with ExitStack() as held:
+        for path in sorted(set(paths)):
+            held.enter_context(_locked(path.with_name(f".{path.name}{LOCK_NAME}"), path))
             remove_temporaries(path.parent, [path.name])
         yield
 

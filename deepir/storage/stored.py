@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import logging
 import os
@@ -146,7 +147,7 @@ class _Work:
     before: float = 0.0  # seconds of work that an interrupted process did
     begun: bool = False
 
-    @property
+    @functools.cached_property
     def checkpoint(self) -> FileCheckpoint:
         return FileCheckpoint(self.folder.checkpoint, _identity(self.config, self.data))
 
@@ -200,7 +201,7 @@ def _identity(config: Config, data: Burst) -> str:
     found = hashlib.sha256(f"{dump(config)}{versions()}".encode())
     for array in (data.frames, data.valid, data.bad_pixels):
         found.update(f"{array.shape} {array.dtype}".encode())
-        found.update(array.tobytes())
+        found.update(np.ascontiguousarray(array).data)
     return found.hexdigest()
 
 

@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import notify
 
 if TYPE_CHECKING:
@@ -72,12 +73,13 @@ def live(
         raise ConfigError(
             "give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2"
         )
-    for each in (output, save_maps):
-        if each and each != STANDARD and Path(each).exists() and not overwrite:
-            raise DataError(f"{each} exists; replace it with --overwrite, or give another name")
+    files = [Path(each) for each in (output, save_maps) if each and each != STANDARD]
     start = read_maps(maps) if maps else None
     status = 0
-    with Corrector(start, estimator=Here() if fast else Beside()) as corrector:
+    with (
+        held_outputs(*files, overwrite=overwrite),
+        Corrector(start, estimator=Here() if fast else Beside()) as corrector,
+    ):
         with Interruptible(), ExitStack() as stack:
             try:
                 frames = _frames(source, camera, settings or (), stack)
