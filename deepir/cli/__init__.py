@@ -24,7 +24,7 @@ from deepir.cli.commands.live import live
 from deepir.cli.commands.run import resume, run
 from deepir.cli.commands.simulate import simulate
 from deepir.cli.commands.train import train
-from deepir.cli.terminal import drop, echo, notify, standard_streams
+from deepir.cli.terminal import echo, notify, standard_streams
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(
@@ -89,9 +89,6 @@ def _run(given: list[str]) -> int:
         )
         sys.stdout.flush()
         return int(status or 0)
-    except BrokenPipeError:  # `deepir live --output - | head`
-        drop(sys.stdout)
-        return 0
     except Exception as error:
         if hasattr(error, "format_message"):  # typer's own: an unknown command or option
             return _print_error(_usage(error.format_message(), given), 2)

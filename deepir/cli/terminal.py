@@ -32,17 +32,10 @@ def standard_streams() -> Iterator[None]:
     try:
         yield
     finally:
-        for each in (sys.stdout, sys.stderr):
-            each.flush()
+        with suppress(DataError):
+            sys.stdout.flush()
+            sys.stderr.flush()
         sys.stdout, sys.stderr = streams
-
-
-def drop(stream: Any) -> None:
-    """Lead a stream to nowhere, with what it has not written yet."""
-    with suppress(OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
 
 
 class _Lenient:
@@ -70,9 +63,17 @@ class _Lenient:
         try:
             call(*arguments)
         except OSError as error:
-            drop(self._stream)  # else the interpreter tries again when it ends
+            _drop(self._stream)  # else the interpreter tries again when it ends
             if self._needed and not isinstance(error, BrokenPipeError):
                 raise DataError(f"standard output cannot be written: {error.strerror or error}") from error
+
+
+def _drop(stream: Any) -> None:
+    """Lead a stream to nowhere, with what it has not written yet."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
 
 
 def _open_closed_descriptors() -> None:

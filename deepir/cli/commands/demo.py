@@ -14,18 +14,14 @@ def demo() -> int:
     """Correct a simulated burst of five frames in counts; results and pictures in runs/demo/."""
     from deepir.cli.commands.run import run_and_store
     from deepir.config import load
-    from deepir.errors import DataError
     from deepir.simulate import Settings, simulate
     from deepir.storage.folder import RunFolder
 
     folder = RunFolder(DEMO_FOLDER)
-    folder.check_free(overwrite=True)
-    burst = simulate(None, Settings(n_frames=5, shape=DEMO_SHAPE, counts=True, max_rotation=1.0), seed=0)
-    try:
-        DEMO_FOLDER.mkdir(parents=True, exist_ok=True)
+    with folder.lock():
+        folder.check_free(overwrite=True)
+        burst = simulate(None, Settings(n_frames=5, shape=DEMO_SHAPE, counts=True, max_rotation=1.0), seed=0)
         path, truth = burst.save(DEMO_FOLDER / "burst.npz")
-    except OSError as error:
-        raise DataError(f"{DEMO_FOLDER}: cannot be written: {error.strerror}") from None
     echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
     config = load("nuc", [f"data.path={path}", f"data.truth={truth}"])
     status = run_and_store(config, DEMO_FOLDER, overwrite=True, plugins=[])

@@ -51,7 +51,8 @@ def atomic_files(*paths: PathLike) -> Iterator[list[Path]]:
             temporary.replace(target)
     except OSError as error:
         names = ", ".join(map(str, targets))
-        raise DataError(f"{names}: cannot be written: {error.strerror or error}") from error
+        why = error.strerror or f"the disk may be full ({error})"  # NumPy's says only how much was written
+        raise DataError(f"{names}: cannot be written: {why}") from error
     finally:
         for temporary in temporaries:
             with suppress(OSError):
