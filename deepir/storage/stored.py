@@ -67,7 +67,7 @@ def run_into(
         except DeepIRError as error:
             if not work.begun and not isinstance(error, SolverError):
                 work.folder.clear()
-            elif work.folder != folder:
+            elif work.folder != folder and lock.is_in_place():
                 raise type(error)(
                     f"{error}; the former result is kept, and the new run can go on: deepir resume {path}"
                 ) from error
