@@ -24,18 +24,19 @@ def notify(line: str) -> None:
 
 @contextmanager
 def standard_streams() -> Iterator[None]:
-    """A context in which work goes on if stdout or stderr is closed, or its reader has gone; the text is dropped."""
+    """A context in which work goes on if a stream is closed, or its reader has gone; the text is dropped."""
     _open_closed_descriptors()
-    streams = sys.stdout, sys.stderr
-    sys.stdout = cast(TextIO, _Lenient(streams[0] or _nowhere(), needed=True))
-    sys.stderr = cast(TextIO, _Lenient(streams[1] or _nowhere(), needed=False))
+    streams = sys.stdin, sys.stdout, sys.stderr
+    sys.stdin = streams[0] or _nowhere("r")
+    sys.stdout = cast(TextIO, _Lenient(streams[1] or _nowhere("w"), needed=True))
+    sys.stderr = cast(TextIO, _Lenient(streams[2] or _nowhere("w"), needed=False))
     try:
         yield
     finally:
         with suppress(DataError):
             sys.stdout.flush()
             sys.stderr.flush()
-        sys.stdout, sys.stderr = streams
+        sys.stdin, sys.stdout, sys.stderr = streams
 
 
 class _Lenient:
@@ -85,5 +86,5 @@ def _open_closed_descriptors() -> None:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # takes the least free number
 
 
-def _nowhere() -> TextIO:
-    return open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123 - for the rest of the process
+def _nowhere(mode: str) -> TextIO:
+    return cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123 - for the rest of the process

@@ -58,6 +58,12 @@ def test_standard_output_on_a_full_disk_is_status_2(tmp_path):
     assert done.stderr == "deepir: error: standard output cannot be written: File too large\n"
 
 
+def test_a_closed_standard_input_is_empty(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    with standard_streams(), sys.stdin as stream:
+        assert stream.buffer.read() == b""
+
+
 def test_what_an_encoding_lacks_is_escaped(tmp_path, monkeypatch):
     with (tmp_path / "out").open("w", encoding="ascii") as out, monkeypatch.context() as patch:
         patch.setattr("sys.stdout", out)
