@@ -75,7 +75,8 @@ def cells(protocol: Protocol, group: Group) -> list[Cell]:
             Axis("data.frames", {str(n): [f"data.frames={n}"] for n in group.frames}),
             Axis(BURST_AXIS, {burst: protocol.bursts[burst].written(stem)}),
         ]
-        found += prepare(group.config, ["threads=1"], axes, folder=folder).cells
+        with prepare(group.config, ["threads=1"], axes, folder=folder) as sweep:
+            found += sweep.cells
     return found
 
 

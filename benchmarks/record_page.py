@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import record_plots
 import record_real
@@ -13,6 +12,7 @@ from record_panels import write_methods
 from record_protocol import Protocol
 from record_tables import FRAMES, Found, margins, table, with_gaps
 
+from deepir.storage.folder import Record
 from deepir.sweep.axes import BURST_AXIS
 from deepir.sweep.cells import Cell
 from deepir.sweep.table import make_rows
@@ -128,16 +128,16 @@ def _record(everything: Mapping[str, Found], cells: Mapping[str, Sequence[Cell]]
         (key, cell.values[BURST_AXIS], cell.folder.record()) for key, each in cells.items() for cell in each
     ]
     for name in ("machine", "versions"):
-        for what, count in Counter(_said(record[name]) for *_, record in records if name in record).items():
+        for what, count in Counter(
+            _said(found) for *_, record in records if (found := getattr(record, name))
+        ).items():
             yield f"- {name}: {what} ({count} runs)"
     yield ""
     yield "| burst | seed | SHA-256 of the frames |"
     yield "|---|---|---|"
     for key, each in everything.items():
         for name, burst in each.protocol.bursts.items():
-            digest = next(
-                (digest_of(record) for k, b, record in records if (k, b) == (key, name) and record), ""
-            )
+            digest = next((digest_of(record) for k, b, record in records if (k, b) == (key, name)), "")
             if digest:
                 yield f"| ({key}) {name} | {getattr(burst, 'seed', '')} | `{digest[:16]}` |"
 
@@ -146,6 +146,6 @@ def _said(what: str | Mapping[str, str]) -> str:
     return what if isinstance(what, str) else ", ".join(f"{key} {value}" for key, value in what.items())
 
 
-def digest_of(record: Mapping[str, Any]) -> str:
+def digest_of(record: Record) -> str:
     """Of the frames that a run has read."""
-    return next(iter(record.get("inputs", {}).values()), "")
+    return next(iter(record.inputs.values()), "")

@@ -35,8 +35,8 @@ def throughput(workers: int, cells: int) -> float:
     seeds = ",".join(map(str, range(cells)))
     fixed, axes = parse_axes(["data.simulate={counts: true}", "threads=1", f"seed={seeds}"])
     with tempfile.TemporaryDirectory() as folder:
-        sweep = prepare("nuc", fixed, axes, folder=Path(folder), workers=workers)
-        sweep.run(lambda cell, error: None, None, ())
+        with prepare("nuc", fixed, axes, folder=Path(folder), workers=workers) as sweep:
+            sweep.run(lambda cell, error: None, None, ())
         if sweep.errors:
             raise SystemExit(f"failed: {sweep.errors}")
         runs = [cell.folder.path for cell in sweep.cells]

@@ -14,3 +14,14 @@ def expanded(path: str | os.PathLike[str]) -> Path:
 def is_file(path: str | os.PathLike[str]) -> bool:
     """True for a file; False, too, for a name that is too long."""
     return os.path.isfile(path)  # noqa: PTH113 - Path's own raises
+
+
+def printable(text: str) -> str:
+    r"""A text in one line, such as a file's name; control characters are escaped.
+
+    >>> printable("a\n\x1b[31m.npz")
+    'a\\n\\x1b[31m.npz'
+    """
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text
+    )

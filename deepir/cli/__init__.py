@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -23,6 +24,7 @@ from deepir.cli.commands.live import live
 from deepir.cli.commands.run import resume, run
 from deepir.cli.commands.simulate import simulate
 from deepir.cli.commands.train import train
+from deepir.cli.terminal import echo, notify, standard_streams
 from deepir.errors import DeepIRError, SolverError
 
 app = typer.Typer(
@@ -49,7 +51,7 @@ app.command()(train)
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"deepir {deepir.__version__}")
+        echo(f"deepir {deepir.__version__}")
         raise typer.Exit
 
 
@@ -72,16 +74,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit status. 0: finished. 1: the solve failed, or an internal error. 2: an error that the user can fix;
         nothing was written. 130, 143: interrupted by Ctrl-C or SIGTERM, the state is saved.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    with standard_streams():
+        try:
+            Path.cwd()
+        except FileNotFoundError:
+            return _print_error("the current folder was deleted: go to another one", 2)
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
+
+
+def _run(given: list[str]) -> int:
     try:
         status = typer.main.get_command(app).main(
             given or ["--help"], prog_name="deepir", standalone_mode=False
         )
         sys.stdout.flush()
         return int(status or 0)
-    except BrokenPipeError:  # `deepir list | head`
-        sys.stdout = None
-        return 0
     except Exception as error:
         if hasattr(error, "format_message"):  # typer's own: an unknown command or option
             return _print_error(_usage(error.format_message(), given), 2)
@@ -91,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _print_error(message: str, status: int) -> int:
-    print(f"deepir: error: {' '.join(message.split())}", file=sys.stderr)
+    notify(f"error: {' '.join(message.split())}")
     return status
 
 

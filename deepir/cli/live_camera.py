@@ -7,9 +7,9 @@ from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
-import typer
 
 from deepir.cameras.camera import Camera
+from deepir.cli.terminal import notify
 from deepir.config.components import make, options_schema
 from deepir.config.overrides import parse_settings
 from deepir.live import sources
@@ -25,7 +25,7 @@ def open_camera(name: str, settings: Sequence[str], stack: ExitStack) -> Camera:
     options: dict[str, Any] = dict(parse_settings(settings, options_schema(lookup("camera", name, "camera"))))
     opened: Camera = stack.enter_context(make("camera", name, options, "camera"))
     if opened.correction:
-        _notify(opened.correction)
+        notify(opened.correction)
     return opened
 
 
@@ -34,7 +34,7 @@ def camera_frames(camera: Camera, kept: KeptMaps | None, corrector: Corrector) -
     for number, frame in enumerate(sources.camera_frames(camera)):
         if number == 0 and kept and (maps := kept.read(frame.shape)) is not None:
             corrector.begin(maps)
-            _notify(f"begins with the camera's maps of {kept.date}, {kept.path}; --maps FILE takes others")
+            notify(f"begins with the camera's maps of {kept.date}, {kept.path}; --maps FILE takes others")
         yield frame
 
 
@@ -42,8 +42,4 @@ def keep(corrector: Corrector, kept: KeptMaps) -> None:
     """Keep the maps for the next time, if something was learned and it fits."""
     if corrector.maps is not None and corrector.status.estimates and corrector.status.correcting:
         kept.save(corrector.maps)
-        _notify(f"the maps are kept for the next time: {kept.path}")
-
-
-def _notify(line: str) -> None:
-    typer.echo(f"deepir: {line}", err=True)
+        notify(f"the maps are kept for the next time: {kept.path}")

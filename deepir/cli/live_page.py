@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import typer
-
 from deepir.cli.arguments import recording_radiometry
 from deepir.cli.signals import Interrupted, Interruptible
+from deepir.cli.terminal import notify
 from deepir.config import Config
 from deepir.io.radiometry import unit_metadata
 from deepir.live.corrector import Corrector
@@ -37,19 +36,19 @@ def open_page(
     display = {"palette": config.output.palette, "tones": config.output.tones} if config else {}
     session = Session(corrector, recorder, title=Path(source).name, radiometry=radiometry, **display)
     with serve(session, *address) as url:
-        typer.echo(f"deepir: the frames are shown at {url}", err=True)
+        notify(f"the frames are shown at {url}")
         try:
             yield session
         finally:
             recorder.close()
             if recorder.message:
-                typer.echo(f"deepir: {recorder.message}", err=True)
+                notify(f"{recorder.message}")
 
 
 def keep_page(session: Session, ended: str) -> None:
     """Show the last frame, and why it is the last, until Ctrl-C."""
     session.end(ended)
-    typer.echo("deepir: the page stays until Ctrl-C", err=True)
+    notify("the page stays until Ctrl-C")
     with Interruptible(), suppress(Interrupted):
         while True:
             time.sleep(1)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
+
+from deepir.cli.terminal import notify
 
 if TYPE_CHECKING:
     from deepir.optim.solve import Progress
@@ -58,17 +59,20 @@ class Interruptible:
 
 def report_interrupted(error: Interrupted, folder: Path) -> int:
     """Print how to continue an interrupted run; the exit status."""
-    if (folder / "checkpoint.safetensors").exists():
+    from deepir.storage.folder import RunFolder
+
+    run = RunFolder(folder).active
+    if run.checkpoint.exists():
         what = f"interrupted; go on with: deepir resume {folder}"
-    elif (folder / "config.yaml").exists():
+    elif run.config.exists():
         what = f"interrupted before the first checkpoint; start again with: deepir resume {folder}"
     else:
         what = "interrupted before anything was written"
-    print(f"deepir: {what}", file=sys.stderr)
+    notify(what)
     return error.status
 
 
 def report_aborted(error: Interrupted) -> int:
     """Print that a command that cannot be continued has written nothing; the exit status."""
-    print("deepir: interrupted; nothing was written", file=sys.stderr)
+    notify("interrupted; nothing was written")
     return error.status

@@ -7,6 +7,8 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
+from deepir.cli.terminal import echo
+
 LINE_EVERY = 10.0  # s between lines where there is no terminal
 
 T = TypeVar("T")
@@ -22,7 +24,7 @@ def track(frames: Iterable[T], what: str, total: int | None = None) -> Iterator[
         if (now := time.monotonic()) - said > LINE_EVERY:
             said = now
             left = f" of {total}, {(now - begun) / count * (total - count):.0f} s to go" if total else ""
-            print(f"{what}: {count} frames{left}", file=sys.stderr, flush=True)
+            echo(f"{what}: {count} frames{left}", err=True)
         yield frame
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ PACKAGED_CONFIGS = Path(__file__).parent.parent / "configs"  # shipped configura
 SHIPPED_CONFIGS = (
     PACKAGED_CONFIGS if PACKAGED_CONFIGS.is_dir() else Path(__file__).parents[2] / "configs"
 )  # the same in a checkout
+#: Reference to another key: `${data.path}`, or `${.path}` from within `data`.
+REFERENCE_PATTERN = re.compile(r"\$\{\.*\w+(\.\w+)*\}")
 
 
 def load(
@@ -126,10 +129,29 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _merge(label: str, *parts: Mapping[str, Any], resolve: bool = False) -> dict[str, Any]:
     try:
-        merged = OmegaConf.create(functools.reduce(_overlay, parts, {}))
-        return OmegaConf.to_container(merged, resolve=resolve, throw_on_missing=resolve)  # type: ignore[return-value]
+        merged: dict[str, Any] = functools.reduce(_overlay, parts, {})
+        _check_texts(merged, label)
+        return OmegaConf.to_container(OmegaConf.create(merged), resolve=resolve, throw_on_missing=resolve)  # type: ignore[return-value]
     except (OmegaConfBaseException, RecursionError) as error:
         raise ConfigError(f"{label}: {str(error).splitlines()[0]}") from None
+
+
+def _check_texts(value: Any, where: str) -> None:
+    """Raise `ConfigError` for a text that could not be written to a file, or that is more than a reference to a key.
+
+    OmegaConf's resolvers, such as `${oc.env:TOKEN}`, would put secrets of the environment into results.
+    """
+    if isinstance(value, Mapping):
+        for key, each in value.items():
+            _check_texts(each, f"{where}: {key}")
+    elif isinstance(value, list):
+        for each in value:
+            _check_texts(each, where)
+    elif isinstance(value, str):
+        if any("\ud800" <= letter <= "\udfff" for letter in value):
+            raise ConfigError(f"{where}: {value}: this name is not UTF-8; rename the file")
+        if "${" in REFERENCE_PATTERN.sub("", value):
+            raise ConfigError(f"{where}: '{value}': only another key may be named, as in ${{data.path}}")
 
 
 def _overlay(under: Any, over: Any, where: str = "") -> Any:

@@ -57,7 +57,7 @@ def pattern_to_noise(problem: Problem) -> float:
     data, counts = subsample(problem.data, problem.precision > 0)
     power = {"gain": float(masked_values(data, counts).square().mean()), "offset": 1.0}
     variances = [
-        power[slot] * float(part.sigma) ** 2
+        power[slot] * float(part.sigma.double().square())  # beyond all numbers it is infinite
         for slot in power
         for part in _all_parts(problem, slot)
         if not isinstance(part, Shading)

@@ -4,11 +4,20 @@ from deepir.io.frames import Frames, read_frames, stream_frames
 from deepir.io.inspection.checks import crop, validate
 from deepir.io.inspection.describe import describe
 from deepir.io.maps import read_mask, read_truth
-from deepir.io.output.write import atomic_file, write_json, write_mat, write_npz, write_preview, write_tiff
+from deepir.io.output.write import (
+    atomic_file,
+    atomic_files,
+    write_json,
+    write_mat,
+    write_npz,
+    write_preview,
+    write_tiff,
+)
 
 __all__ = [
     "Frames",
     "atomic_file",
+    "atomic_files",
     "crop",
     "describe",
     "read_frames",

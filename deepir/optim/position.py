@@ -59,7 +59,7 @@ def restore_state(
     """
     tensors, fields = checkpoint.load()
     try:
-        position = Position(**fields)
+        position = _checked(Position(**fields))
         for stage in plan[: position.stage + 1]:
             if stage.change is not None:
                 stage.change(problem)
@@ -77,6 +77,19 @@ def restore_state(
             f"{checkpoint}: the state of another problem ({error}); delete it to start again"
         ) from error
     return position, optimisers
+
+
+def _checked(position: Position) -> Position:
+    """The position; `TypeError` if it is none that a solve has."""
+    counts = (position.stage, position.iteration, position.evaluations, position.total)
+    rows = position.history
+    if not all(isinstance(each, int) and each >= 0 for each in counts) or not isinstance(rows, list):
+        raise TypeError("a position that no solve has")
+    if position.iteration > len(rows) or not all(
+        isinstance(row, dict) and isinstance(row.get("loss"), int | float) for row in rows
+    ):
+        raise TypeError("a history that no solve has")
+    return position
 
 
 def _state(problem: Problem) -> Mapping[str, Tensor]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from deepir.io.output.tone_mapping import PALETTES, colour_table, display_limits
 from deepir.io.radiometry import KELVIN, unit_metadata
+from deepir.paths import printable
 from deepir.report.maps import COARSE_LEVELS, FINE_LEVELS, pack_map
 from deepir.report.page import write_page
 from deepir.report.panels import evenly_spaced
@@ -39,10 +40,10 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
     source = config.data.path
     data = {
         "title": config.problem,
-        "source": "simulated burst" if source is None else Path(source).name,
+        "source": "simulated burst" if source is None else printable(Path(source).name),
         "figures": _figures(result),
         "stop_reason": result.metrics.get("stop_reason", ""),
-        "messages": result.messages,
+        "messages": [printable(each) for each in result.messages],
         "maps": list(_maps(result, example)),
         "palettes": {name: _colours(name) for name in PALETTES},
         "others": {name: _colours(each) for name, each in MAP_PALETTES.items()},

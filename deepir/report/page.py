@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deepir.io.output.write import atomic_file, to_json_types
+from deepir.paths import printable
 
 WEB_FOLDER = Path(__file__).parent / "web"  # templates, scripts and styles
 
@@ -52,5 +53,15 @@ def _digest(text: str) -> str:
 
 
 def json_for_html(data: Mapping[str, Any]) -> str:
-    """JSON that cannot end the element it stands in: no `<`."""
-    return json.dumps(to_json_types(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    """JSON that cannot end the element it stands in: no `<`; control characters but new lines are escaped."""
+    return json.dumps(_visible(to_json_types(data)), allow_nan=False, separators=(",", ":")).replace(
+        "<", "\\u003c"
+    )
+
+
+def _visible(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {printable(key): _visible(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_visible(each) for each in value]
+    return "\n".join(map(printable, value.split("\n"))) if isinstance(value, str) else value

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from deepir.paths import printable
+
 if TYPE_CHECKING:
     from deepir.optim.solve import Progress
 
@@ -82,7 +84,9 @@ class ProgressBar:
             self.last, error = now, progress.held_out()
             self.held_out = f"  held-out {error:.4g}" if math.isfinite(error) else ""
         what = f"{progress.iteration}/{progress.iterations}  loss {progress.loss:.6g}{self.held_out}"
-        self.bar.update(self.task, description=progress.stage, total=1.0, completed=progress.done, what=what)
+        self.bar.update(
+            self.task, description=printable(progress.stage), total=1.0, completed=progress.done, what=what
+        )
 
 
 class WarningHandler(logging.Handler):
@@ -91,7 +95,7 @@ class WarningHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print a warning; other records are for the log."""
         if record.levelno == logging.WARNING:
-            print(f"deepir: {record.getMessage()}", file=sys.stderr, flush=True)
+            print(f"deepir: {printable(record.getMessage())}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -104,6 +108,6 @@ def show_progress() -> Iterator[Callable[[Progress], None]]:
             with ProgressBar() as bar:
                 yield bar
         else:
-            yield ProgressLines(lambda line: print(line, file=sys.stderr, flush=True))
+            yield ProgressLines(lambda line: print(printable(line), file=sys.stderr, flush=True))
     finally:
         log.removeHandler(handler)

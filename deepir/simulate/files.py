@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
+from deepir.io import atomic_files
 
 
 def save_with_truth(path: Path, truth: Any, settings: Mapping[str, Any], **arrays: Any) -> tuple[Path, Path]:
@@ -26,11 +27,13 @@ def save_with_truth(path: Path, truth: Any, settings: Mapping[str, Any], **array
         Both paths.
 
     Raises:
-        DataError: The name does not end in .npz.
+        DataError: The name does not end in .npz, or they cannot be written.
     """
     if path.suffix != ".npz":
         raise DataError(f"{path}: simulated data are saved as .npz")
     beside = path.with_name(f"{path.stem}_truth.npz")
-    np.savez(path, settings=np.array(json.dumps(settings)), **arrays)
-    np.savez(beside, **{field.name: getattr(truth, field.name) for field in fields(truth)})
+    known = {field.name: getattr(truth, field.name) for field in fields(truth)}
+    with atomic_files(path, beside) as (part, part_beside):
+        np.savez(part, settings=np.array(json.dumps(settings)), **arrays)
+        np.savez(part_beside, **known)
     return path, beside

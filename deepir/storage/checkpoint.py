@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from deepir.errors import DataError
@@ -14,9 +16,15 @@ from deepir.errors import DataError
 
 @dataclass(frozen=True)
 class FileCheckpoint:
-    """File with the state of a solve, see `deepir.optim.position.Checkpoint`."""
+    """File with the state of a solve, see `deepir.optim.position.Checkpoint`.
+
+    Attributes:
+        path: The file.
+        run: Identity of the run; a state that was saved with another one is not read.
+    """
 
     path: Path
+    run: str = ""
 
     def __str__(self) -> str:
         return str(self.path)
@@ -40,26 +48,42 @@ class FileCheckpoint:
 
         part = self.path.with_suffix(".part")
         contiguous = {name: tensor.detach().contiguous().cpu().clone() for name, tensor in tensors.items()}
+        about = {"position": json.dumps(position), "run": self.run}
         try:
-            save_file(contiguous, part, metadata={"position": json.dumps(position)})
+            save_file(contiguous, part, metadata=about | {"sha256": _checksum(contiguous, about)})
             part.replace(self.path)
         except (SafetensorError, OSError) as error:
+            part.unlink(missing_ok=True)
             raise DataError(f"{self.path}: the state cannot be written: {error}") from error
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors and position.
 
         Raises:
-            DataError: The file is not a checkpoint.
+            DataError: The file is not a checkpoint, is damaged, or of another run.
         """
         from safetensors import SafetensorError, safe_open
 
         try:
             with safe_open(self.path, framework="pt") as file:
-                position = json.loads((file.metadata() or {})["position"])
+                about = dict(file.metadata() or {})
                 # Cloned: in the file they lie unaligned, and sums would round differently from the interrupted run.
-                return {name: file.get_tensor(name).clone() for name in file.keys()}, position  # noqa: SIM118
+                tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
+            if about.pop("sha256", None) != _checksum(tensors, about):
+                raise ValueError("its contents do not fit their checksum")
+            if about["run"] != self.run:
+                raise ValueError("of other frames, another configuration or another version")
+            return tensors, json.loads(about["position"])
         except (SafetensorError, KeyError, ValueError, OSError) as error:
             raise DataError(
                 f"{self.path}: not a readable checkpoint ({error}); delete it to start again"
             ) from error
+
+
+def _checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:
+    """SHA-256 of contiguous tensors with their names, types and shapes, and of the rest of the header."""
+    found = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    for name, tensor in sorted(tensors.items()):
+        found.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        found.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return found.hexdigest()

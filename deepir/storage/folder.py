@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import logging
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from deepir.errors import ConfigError
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.output.write import atomic_file, write_json
+from deepir.paths import printable
+from deepir.storage.lock import Lock, demand_folder, locked_folder, remove_temporaries
 
-#: All files that a run writes and --overwrite removes; the configuration is written first and removed last.
+#: All files that a run writes and --overwrite replaces; the configuration is written first, the metrics last.
 RUN_FILES = (
     "config.yaml",
     "run.json",
@@ -29,20 +30,34 @@ RUN_FILES = (
     "scene_kelvin.tiff",
     "scene_preview.png",
     "summary.png",
+    "flow.png",
     "report.html",
     "metrics.json",
 )
-#: Files that `deepir.io.output.write.atomic_file` leaves behind when it is killed.
-TEMPORARY_PATTERN = re.compile(r"\.(\w+)\.[0-9a-f]{8}(\.\w+)")
 #: First line of config.yaml, by which a run's folder is recognised.
 CONFIG_HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 
 log = logging.getLogger("deepir")
 
 
+class Record(BaseModel):
+    """Contents of run.json."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+    versions: dict[str, str] = {}
+    machine: str = ""
+    plugins: list[str] = []
+    inputs: dict[str, str] = {}  # digests of the input files
+    started: float | None = None  # s since 1970
+    seconds: float = 0.0  # of work before that
+
+
 @dataclass(frozen=True)
 class RunFolder:
-    """The folder of a run; other files may lie in it and are never overwritten."""
+    """The folder of a run; other files may lie in it and are never overwritten.
+
+    A run that replaces a former one works in `unfinished` within it, and takes its place once it is finished.
+    """
 
     path: Path
 
@@ -56,19 +71,28 @@ class RunFolder:
         """Path of the solver's state."""
         return self.path / "checkpoint.safetensors"
 
+    @property
+    def unfinished(self) -> RunFolder:
+        """Folder of a run that is to replace the one in this folder."""
+        return RunFolder(self.path / ".unfinished")
+
+    @property
+    def active(self) -> RunFolder:
+        """Folder of the run that would be resumed."""
+        return self.unfinished if self.unfinished.config.exists() else self
+
     def state(self) -> str:
         """`new`, `interrupted` or `finished`.
 
         Raises:
             ConfigError: It is a file, or holds files of the same names that no run wrote.
         """
-        if self.path.exists() and not self.path.is_dir():
-            raise ConfigError(
-                f"output.dir: {self.path} is a file; give a folder, for example output.dir=runs/mine"
-            )
+        demand_folder(self.path)
         try:
-            held = [name for name in RUN_FILES if (self.path / name).exists()]
+            held = self._held()
             ours = self.config.exists() and self.config.read_text(encoding="utf-8").startswith("# deepir")
+            if self.unfinished._held():
+                return "interrupted"
         except (OSError, UnicodeDecodeError) as error:
             raise ConfigError(f"output.dir: {self.path} cannot be read: {error}") from None
         if not held:
@@ -95,107 +119,145 @@ class RunFolder:
             "replace it with --overwrite, or give another folder with output.dir=DIR"
         )
 
-    def begin(self, config: str, record: dict[str, Any]) -> list[Path]:
-        """Create the folder, back up a former run, and write configuration and record of the new one.
+    @contextmanager
+    def lock(self) -> Iterator[Lock]:
+        """Hold the folder; what a killed process left half done is finished or removed first.
+
+        Raises:
+            ConfigError: Another process holds it, or it cannot be written.
+        """
+        with locked_folder(self.path) as held:
+            for each in (self.path, self.unfinished.path):
+                remove_temporaries(each, RUN_FILES)
+                (each / "checkpoint.part").unlink(missing_ok=True)
+            self.replace_former()
+            yield held
+
+    def begin(self, config: str, record: Record) -> RunFolder:
+        """Write configuration and record of a new run.
 
         Args:
             config: The configuration as YAML.
             record: Contents of run.json.
 
         Returns:
-            The folders that were created, innermost first.
+            Folder of the new run: this one, or `unfinished` if a former run is here.
 
         Raises:
-            ConfigError: The folder cannot be written.
+            DeepIRError: They cannot be written.
         """
-        made = [each for each in (self.path, *self.path.parents) if not each.exists()]
+        self.unfinished.clear()
+        folder = self if self.state() == "new" else self.unfinished
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            former = [name for name in RUN_FILES if (self.path / name).exists()]
-            if former:
-                self._remove(self._backup)
-                self._backup.mkdir()
-                for name in reversed(former):
-                    (self.path / name).rename(self._backup / name)
-            with atomic_file(self.config) as part:
+            folder.path.mkdir(exist_ok=True)
+            with atomic_file(folder.config) as part:
                 part.write_text(CONFIG_HEADER + config, encoding="utf-8")
+            folder.write_record(record)
         except OSError as error:
             raise ConfigError(
-                f"output.dir: {self.path} cannot be written: {error.strerror or error}"
+                f"output.dir: {folder.path} cannot be written: {error.strerror or error}"
             ) from None
-        self.write_record(record)
-        return made
+        except DeepIRError:
+            folder.clear()
+            raise
+        return folder
 
-    def commit(self) -> None:
-        """The run works: remove the backup, and temporary files of a killed run."""
-        self._remove(self._backup)
-        (self.path / "checkpoint.part").unlink(missing_ok=True)
-        for path in self.path.iterdir():
-            found = TEMPORARY_PATTERN.fullmatch(path.name)
-            if found and found[1] + found[2] in RUN_FILES:
-                path.unlink()
+    def replace_former(self) -> None:
+        """Move a finished run from `unfinished` to its place; goes on with a move that was interrupted.
 
-    def roll_back(self, made: list[Path]) -> None:
-        """The run cannot work with these data: remove the files of `begin` and restore the backup.
-
-        Args:
-            made: Folders that `begin` created.
+        Raises:
+            DataError: A file cannot be moved.
         """
+        new = self.unfinished
+        if (new.path / "metrics.json").exists():
+            self._take_files(new)
+        with suppress(OSError):
+            new.path.rmdir()
+
+    def clear(self) -> None:
+        """Remove the files of a run, and the folder if it is then empty."""
         for name in reversed(RUN_FILES):
-            with suppress(FileNotFoundError):
+            with suppress(FileNotFoundError, NotADirectoryError):
                 (self.path / name).unlink()
-        if self._backup.is_dir():
-            for name in RUN_FILES:
-                with suppress(FileNotFoundError):
-                    (self._backup / name).rename(self.path / name)
-        self._remove(self._backup)
-        for folder in made:
-            with suppress(OSError):
-                folder.rmdir()
+        with suppress(OSError):
+            self.path.rmdir()
 
-    def record(self) -> dict[str, Any]:
-        """Versions, plugins, input digests and times of the run; empty if it was killed before they were written."""
+    def record(self) -> Record:
+        """Versions, plugins, input digests and times of the run; empty if it was killed before they were written.
+
+        Raises:
+            ConfigError: The file is damaged.
+        """
+        path = self.path / "run.json"
         try:
-            found = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}
-        return found if isinstance(found, dict) else {}
+            return Record.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        except FileNotFoundError:
+            return Record()
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"])) or "its contents"
+            why = f"{where} = {str(first['input'])[:40]!r}"
+        except (OSError, ValueError, RecursionError) as error:
+            why = str(error)
+        raise ConfigError(f"{path}: not what a run wrote ({why}); delete it to go on without it")
 
-    def write_record(self, record: dict[str, Any]) -> None:
+    def write_record(self, record: Record) -> None:
         """Replace run.json."""
-        write_json(self.path / "run.json", record)
+        write_json(self.path / "run.json", record.model_dump())
 
     @contextmanager
     def logging(self) -> Iterator[None]:
-        """Write the package's log into the folder; only one process may do so at a time.
+        """Write the package's log into the folder.
 
         Raises:
-            ConfigError: Another process works on this run.
+            ConfigError: It cannot be written.
         """
-        with (self.path / "deepir.log").open("a", encoding="utf-8") as stream:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise ConfigError(f"{self.path}: another process is at work on this run") from None
-            handler, level = logging.StreamHandler(stream), log.level
-            handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-            log.addHandler(handler)
-            log.setLevel(logging.INFO)
-            try:
-                yield
-            finally:
-                log.setLevel(level)
-                log.removeHandler(handler)
+        path = self.path / "deepir.log"
+        try:
+            handler = _LogFile(path, encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from None
+        handler.setFormatter(_Lines("%(asctime)s %(levelname)s %(message)s"))
+        level = log.level
+        log.addHandler(handler)
+        log.setLevel(logging.INFO)
+        try:
+            yield
+        finally:
+            log.setLevel(level)
+            log.removeHandler(handler)
+            with suppress(OSError):
+                handler.close()
 
-    @property
-    def _backup(self) -> Path:
-        return self.path / ".former"
+    def _take_files(self, new: RunFolder) -> None:
+        try:
+            new.checkpoint.unlink(missing_ok=True)
+            if new.config.exists():  # nothing has been moved yet
+                old = [name for name in self._held() if not (new.path / name).exists()]
+                for name in ("metrics.json", *old):
+                    (self.path / name).unlink(missing_ok=True)
+            for name in new._held():
+                (new.path / name).replace(self.path / name)
+        except OSError as error:
+            raise DataError(
+                f"{self.path}: the results in {new.path} cannot be moved here: {error.strerror or error}; "
+                f"then go on with: deepir resume {self.path}"
+            ) from None
 
-    @staticmethod
-    def _remove(folder: Path) -> None:
-        """Remove a folder's run files, and the folder if it is then empty."""
-        for name in RUN_FILES:
-            with suppress(FileNotFoundError, NotADirectoryError):
-                (folder / name).unlink()
-        with suppress(OSError):
-            folder.rmdir()
+    def _held(self) -> list[str]:
+        return [name for name in RUN_FILES if (self.path / name).exists()]
+
+
+class _Lines(logging.Formatter):
+    """A line for each message, whatever names it holds; tracebacks follow in theirs."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
+        """The message in one line."""
+        return printable(super().formatMessage(record))
+
+
+class _LogFile(logging.FileHandler):
+    """The log, which ends where the disk is full; the results' own error tells of that."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
+        """Drop the line."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import logging
 import os
@@ -16,14 +17,15 @@ import torch
 
 from deepir.burst import Burst
 from deepir.config import Config, Data, dump, read
-from deepir.errors import ConfigError, DataError, SolverError
+from deepir.errors import ConfigError, DataError, DeepIRError, SolverError
 from deepir.optim.solve import Progress
 from deepir.paths import expanded
 from deepir.report.progress import ProgressLines
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, machine, prepare, versions
 from deepir.storage.checkpoint import FileCheckpoint
-from deepir.storage.folder import RUN_FILES, RunFolder
+from deepir.storage.folder import RUN_FILES, Record, RunFolder
+from deepir.storage.lock import Lock
 
 log = logging.getLogger("deepir")
 
@@ -52,21 +54,26 @@ def run_into(
         SolverError: The solve failed; its state is in the folder.
     """
     folder = RunFolder(expanded(path).absolute())
-    folder.check_free(overwrite=overwrite)
-    config = pin_config(config, folder)
-    _check_inputs(config, folder)
-    data = prepare(config, frames)
-    inputs = input_digests(config.data, data.sha256)
-    record = {"versions": versions(), "machine": machine(), "plugins": list(plugins), "inputs": inputs}
-    made = folder.begin(dump(config), record | {"started": time.time(), "seconds": 0.0})
-    work = _Work(folder, config, data, callbacks)
-    try:
-        with folder.logging():
-            return work.run()
-    except (ConfigError, DataError):
-        if not work.begun:
-            folder.roll_back(made)
-        raise
+    with folder.lock() as lock:
+        folder.check_free(overwrite=overwrite)
+        config = pin_config(config, folder)
+        _check_inputs(config, folder)
+        data = prepare(config, frames)
+        record = _record(config, data, plugins)
+        work = _Work(folder.begin(dump(config), record), lock, config, data, callbacks)
+        try:
+            with work.folder.logging():
+                result = work.run()
+        except DeepIRError as error:
+            if not work.begun and not isinstance(error, SolverError):
+                work.folder.clear()
+            elif work.folder != folder and lock.is_in_place():
+                raise type(error)(
+                    f"{error}; the former result is kept, and the new run can go on: deepir resume {path}"
+                ) from error
+            raise
+        folder.replace_former()
+        return result
 
 
 def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()) -> Result | None:
@@ -84,31 +91,48 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
         ConfigError: There is no run, it lacks a plugin, or its input has changed.
     """
     folder = RunFolder(expanded(path).absolute())
-    if not folder.path.is_dir() or folder.state() == "new":
+    if not folder.path.is_dir() or (state := folder.state()) == "new":
         raise ConfigError(f"{path}: no run in this folder{_known_runs(path.parent)}")
-    if folder.state() == "finished":
+    if state == "finished":
         return None
+    with folder.lock() as lock:
+        if folder.state() == "finished":  # until another process ended, or a kill
+            return None
+        with folder.active.logging():
+            result = _continued(folder.active, lock, path, plugins, callbacks).run()
+        folder.replace_former()
+        return result
+
+
+def _continued(
+    folder: RunFolder, lock: Lock, path: Path, plugins: Sequence[str], callbacks: Callbacks
+) -> _Work:
+    """The rest of an interrupted run in `folder`, which the user calls `path`."""
     config, record = read(folder.config), folder.record()
-    if missing := [each for each in record.get("plugins", []) if each not in plugins]:
-        again = " ".join(f"--plugin {each}" for each in record["plugins"])
+    if missing := [each for each in record.plugins if each not in plugins]:
+        again = " ".join(f"--plugin {each}" for each in record.plugins)
         raise ConfigError(f"{path}: the run uses the plugin {missing[0]}: deepir resume {path} {again}")
     if config.data.path is None and config.data.simulate is None:
         raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
     data = prepare(config)
-    check_unchanged(record.get("inputs", {}), input_digests(config.data, data.sha256), path)
-    before = _seconds_in_checkpoint(folder, record)
-    with folder.logging():
-        _check_state(folder)
-        if record.get("versions", versions()) != versions():
-            log.warning("started with %s, resumed with %s", record["versions"], versions())
-        fresh = {
-            "versions": versions(),
-            "plugins": list(plugins),
-            "inputs": input_digests(config.data, data.sha256),
-        }
-        begun = {"machine": machine(), "started": time.time(), "seconds": before}
-        folder.write_record(fresh | record | begun)
-        return _Work(folder, config, data, callbacks, before).run()
+    fresh = _record(config, data, plugins)
+    check_unchanged(record.inputs, fresh.inputs, path)
+    work = _Work(folder, lock, config, data, callbacks)
+    work.remove_foreign_state()
+    work.before = fresh.seconds = _seconds_in_checkpoint(folder, record)
+    folder.write_record(fresh)
+    return work
+
+
+def _record(config: Config, data: Burst, plugins: Sequence[str]) -> Record:
+    """Contents of run.json at the start of a run."""
+    return Record(
+        versions=versions(),
+        machine=machine(),
+        plugins=list(plugins),
+        inputs=input_digests(config.data, data.sha256),
+        started=time.time(),
+    )
 
 
 @dataclasses.dataclass
@@ -116,11 +140,25 @@ class _Work:
     """A solve into a folder that is ready."""
 
     folder: RunFolder
+    lock: Lock
     config: Config
     data: Burst
     callbacks: Callbacks
     before: float = 0.0  # seconds of work that an interrupted process did
     begun: bool = False
+
+    @functools.cached_property
+    def checkpoint(self) -> FileCheckpoint:
+        return FileCheckpoint(self.folder.checkpoint, _identity(self.config, self.data))
+
+    def remove_foreign_state(self) -> None:
+        """Remove a checkpoint that is damaged or of another run: the run starts again."""
+        try:
+            if self.checkpoint.exists():
+                self.checkpoint.load()
+        except DataError as error:
+            log.warning("%s; starting again", error)
+            self.folder.checkpoint.unlink()
 
     def run(self) -> Result:
         folder, data = self.folder, self.data
@@ -128,13 +166,16 @@ class _Work:
         log.info("input %s, %s, sha256 %s", data.source, data.frames.shape, data.sha256)
         try:
             callbacks: Callbacks = [self._first, ProgressLines(log.info), *self.callbacks]
-            result = execute(
-                self.config, data, callbacks=callbacks, checkpoint=FileCheckpoint(folder.checkpoint)
-            )
-            self._first()
+            result = execute(self.config, data, callbacks=callbacks, checkpoint=self.checkpoint)
+            self.begun = True
             for message in result.messages:
                 log.warning(message)
             result.metrics["seconds"] = round(result.metrics["seconds"] + self.before, 3)
+            if not self.lock.is_in_place():
+                raise DataError(
+                    f"{folder.path}: this folder was moved or deleted while the run was at work; "
+                    "if it was moved, go on with `deepir resume` there"
+                )
             example = np.where(data.valid[0], data.frames[0], np.nan)
             result.save(folder.path, example, self.config)
         except (ConfigError, DataError, SolverError) as error:
@@ -151,10 +192,17 @@ class _Work:
         log.info("finished: %s", result.metrics["stop_reason"])
         return result
 
-    def _first(self, progress: Progress | None = None) -> None:
-        if not self.begun:
-            self.begun = True
-            self.folder.commit()
+    def _first(self, progress: Progress) -> None:
+        self.begun = True
+
+
+def _identity(config: Config, data: Burst) -> str:
+    """Digest of all that a solve depends on: configuration, samples and versions."""
+    found = hashlib.sha256(f"{dump(config)}{versions()}".encode())
+    for array in (data.frames, data.valid, data.bad_pixels):
+        found.update(f"{array.shape} {array.dtype}".encode())
+        found.update(np.ascontiguousarray(array).data)
+    return found.hexdigest()
 
 
 def pin_config(config: Config, folder: RunFolder) -> Config:
@@ -233,21 +281,11 @@ def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path)
             )
 
 
-def _check_state(folder: RunFolder) -> None:
-    """Remove an unreadable checkpoint: the run starts again."""
-    try:
-        if folder.checkpoint.exists():
-            FileCheckpoint(folder.checkpoint).load()
-    except DataError as error:
-        log.warning("%s; starting again", error)
-        folder.checkpoint.unlink()
-
-
-def _seconds_in_checkpoint(folder: RunFolder, record: Mapping[str, Any]) -> float:
+def _seconds_in_checkpoint(folder: RunFolder, record: Record) -> float:
     """Seconds of work that the checkpoint holds; later work is repeated."""
-    if not folder.checkpoint.exists() or "started" not in record:
+    if not folder.checkpoint.exists() or record.started is None:
         return 0.0
-    return float(record["seconds"]) + max(0.0, folder.checkpoint.stat().st_mtime - float(record["started"]))
+    return record.seconds + max(0.0, folder.checkpoint.stat().st_mtime - record.started)
 
 
 def _known_runs(folder: Path) -> str:

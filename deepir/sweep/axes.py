@@ -14,6 +14,8 @@ from deepir.paths import expanded
 #: Axes over which medians are taken.
 REPEAT_AXES = ("seed", "data.simulate.seed")
 BURST_AXIS = "burst"  # key of the axis of bursts
+#: Files of a sweep, beside the folders of its cells.
+SWEEP_FILES = ("table.md", "table.csv", "quality.png", "report.html")
 BRACKETS = {"[": 1, "{": 1, "(": 1, "]": -1, "}": -1, ")": -1}  # change of the depth of nesting
 
 
@@ -101,11 +103,15 @@ def _burst(path: str, truth: str) -> list[str]:
 def folder_name(values: Mapping[str, str]) -> str:
     """Name of the folder of a cell: `prior=tv,seed=0`.
 
+    It neither begins with a dot, as `..` does, nor is it that of a file of the sweep.
+
     Raises:
         ConfigError: It is too long.
     """
     parts = [value if key == BURST_AXIS else f"{key}={value}" for key, value in values.items()]
     name = ",".join(re.sub(r"[^\w.+=-]+", "-", part) for part in parts)
+    if name.startswith(".") or name.lower() in SWEEP_FILES:
+        name = f"{BURST_AXIS}={name}"
     if len(name.encode()) > 240:
         raise ConfigError(f"{name[:80]}...: too long for a folder; put long values into a .yaml file")
     return name

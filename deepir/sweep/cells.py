@@ -42,7 +42,9 @@ class Cell:
         state = self.folder.state()
         if state == "new":
             return state
-        then, now = (_flattened(parse_yaml(dump(each))) for each in (read(self.folder.config), self.config))
+        then, now = (
+            _flattened(parse_yaml(dump(each))) for each in (read(self.folder.active.config), self.config)
+        )
         for key in sorted(then.keys() | now.keys()):
             if key != "threads" and then.get(key) != now.get(key):
                 raise ConfigError(
@@ -154,7 +156,7 @@ def check_inputs(found: Sequence[Cell]) -> None:
         if cell.state() == "finished":
             data = cell.config.data
             now = input_digests(data, "" if data.path is None else digest(data.path))
-            check_unchanged(cell.folder.record().get("inputs", {}), now, cell.folder.path)
+            check_unchanged(cell.folder.record().inputs, now, cell.folder.path)
 
 
 def _flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -15,6 +15,7 @@ from deepir.sweep.work import finish_cell
 if TYPE_CHECKING:
     from distributed import Client
 
+LOOPBACK = "127.0.0.1"  # a scheduler runs whatever it is sent: nobody else may reach it
 SCHEDULER_TIMEOUT = "10s"  # time for a scheduler to answer
 #: Without Dask's MALLOC_TRIM_THRESHOLD_: returning memory after each operation costs most of the time.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
@@ -99,8 +100,9 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
             LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
+                host=LOOPBACK,
                 memory_limit=0,  # a limit would halt for good a worker that keeps its memory
-                dashboard_address="127.0.0.1:0",
+                dashboard_address=f"{LOOPBACK}:0",
                 silence_logs=logging.CRITICAL,
             ) as cluster,
             Client(cluster) as client,

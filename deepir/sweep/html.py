@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from deepir.paths import printable
 from deepir.report.page import write_page
 from deepir.sweep.plots import curves, plottable
 from deepir.sweep.table import TABLE_METRICS, Group, Row, group_rows, shown_metrics
@@ -17,12 +18,12 @@ def write_report(path: Path, found: Sequence[Row], title: str) -> None:
     groups, metrics = group_rows(found), shown_metrics(found)
     finished, against = plottable(found)
     data = {
-        "title": title,
+        "title": printable(title),
         "axes": list(groups[0].values),
         "metrics": [{"name": TABLE_METRICS[each][0], "decimals": TABLE_METRICS[each][1]} for each in metrics],
         "rows": [
             {
-                "values": list(group.values.values()),
+                "values": [printable(each) for each in group.values.values()],
                 "spreads": [group.median_range(metric) for metric in metrics],
                 "runs": [_run(path.parent, row) for row in group.rows],
             }
@@ -38,7 +39,7 @@ def _run(folder: Path, row: Row) -> dict[str, Any]:
     """A run, with a link to its report if there is one."""
     report = folder / row.name / "report.html"
     link = f"{quote(row.name)}/report.html" if report.is_file() else None
-    return {"name": row.name, "link": link, "done": bool(row.metrics), "error": row.error}
+    return {"name": row.name, "link": link, "done": bool(row.metrics), "error": printable(row.error)}
 
 
 def _curves(lines: dict[str, list[Group]], x: str, metric: str) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from deepir.io import atomic_file
+from deepir.paths import printable
 from deepir.sweep.axes import BURST_AXIS, REPEAT_AXES
 from deepir.sweep.table import TABLE_METRICS, Group, Row, group_rows, shown_metrics
 
@@ -34,7 +35,7 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     lines = curves(finished)
     for axes, x in zip(figure.subplots(1, len(against), squeeze=False)[0], against, strict=True):
         for label, groups in lines.items():
-            _draw(axes, groups, x, metric, label)
+            _draw(axes, groups, x, metric, printable(label).replace("$", r"\$"))  # a name is no formula
         axes.set(xlabel=x, ylabel=TABLE_METRICS[metric][0])
         axes.grid(alpha=0.3)
         if x == "seconds":

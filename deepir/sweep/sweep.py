@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deepir.config import load
+from deepir.config import dump, load
 from deepir.errors import ConfigError
 from deepir.paths import expanded
+from deepir.storage.folder import Record
+from deepir.storage.lock import locked_folder, remove_temporaries
 from deepir.sweep import cluster, table
-from deepir.sweep.axes import Axis
+from deepir.sweep.axes import SWEEP_FILES, Axis
 from deepir.sweep.cells import Cell, check_cells, check_inputs, make_cells
 
 
@@ -47,7 +50,6 @@ class Sweep:
         from deepir.sweep.plots import write_plots
 
         found = table.make_rows(self.cells, self.errors)
-        self.folder.mkdir(parents=True, exist_ok=True)
         table.write_markdown(self.folder / "table.md", found, title)
         table.write_csv(self.folder / "table.csv", found)
         write_plots(self.folder / "quality.png", found)
@@ -55,6 +57,7 @@ class Sweep:
         return found
 
 
+@contextmanager
 def prepare(
     name: str,
     settings: Sequence[str],
@@ -64,8 +67,8 @@ def prepare(
     workers: int | None = None,
     remote: bool = False,
     overwrite: bool = False,
-) -> Sweep:
-    """Check everything and list the runs.
+) -> Iterator[Sweep]:
+    """A context in which everything is checked, the runs are listed, and no other process writes into the folder.
 
     There are as many workers as cores, or as cells if these are fewer; each run has its share of the cores as threads,
     or the `threads` of its configuration. On workers elsewhere (`remote`) it has one.
@@ -77,7 +80,7 @@ def prepare(
         folder: Folder of the cells' folders, unless `output.dir` is set.
         workers: Number of processes; None: as above.
         remote: True: the workers are those of another cluster.
-        overwrite: Remove former runs of these cells.
+        overwrite: Replace former runs of these cells, each when the new one is finished.
 
     Raises:
         DeepIRError: A setting, a file or the folder is wrong; nothing is written.
@@ -96,15 +99,24 @@ def prepare(
         math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1))
     )
     found = make_cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
-    table.check_free(base)
-    if overwrite:
-        for cell in found:
-            cell.folder.check_free(overwrite=True)
-        check_cells(found)
-        for cell in found:
-            cell.folder.roll_back([cell.folder.path])
-    else:
-        finished = [cell for cell in found if cell.state() == "finished"]
-        check_cells([cell for cell in found if cell not in finished], finished)
-        check_inputs(found)
-    return Sweep(base, found, count)
+    with locked_folder(base):
+        remove_temporaries(base, SWEEP_FILES)
+        table.check_free(base)
+        if overwrite:
+            _begin_again(found)
+        else:
+            finished = [cell for cell in found if cell.state() == "finished"]
+            check_cells([cell for cell in found if cell not in finished], finished)
+            check_inputs(found)
+        yield Sweep(base, found, count)
+
+
+def _begin_again(cells: Sequence[Cell]) -> None:
+    """Check all cells, and mark those of former runs as unfinished."""
+    for cell in cells:
+        cell.folder.check_free(overwrite=True)
+    check_cells(cells)
+    for cell in cells:
+        if cell.folder.state() != "new":
+            with cell.folder.lock():
+                cell.folder.begin(dump(cell.config), Record())

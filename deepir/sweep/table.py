@@ -13,7 +13,8 @@ from typing import Any
 
 from deepir.errors import ConfigError
 from deepir.io import atomic_file
-from deepir.sweep.axes import REPEAT_AXES
+from deepir.paths import printable
+from deepir.sweep.axes import REPEAT_AXES, SWEEP_FILES
 from deepir.sweep.cells import Cell
 
 #: Metrics of `metrics.json` in the table: heading and decimals (None: three digits). `table.csv` has all.
@@ -23,6 +24,7 @@ TABLE_METRICS = {
     "held_out_rmse": ("held-out error", None),
     "seconds": ("seconds", None),
 }
+FORMULA_SIGNS = ("=", "+", "-", "@")  # with which a spreadsheet begins a formula
 #: First line of table.md, by which it is recognised.
 TABLE_HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
 
@@ -100,20 +102,21 @@ def metrics_line(cell: Cell) -> str:
 def markdown(found: Sequence[Row], title: str) -> str:
     """The table as a page, with its machines and failures."""
     heads, body = table_lines(found)
+    body = [[printable(cell) for cell in line] for line in body]
     table = [heads, ["---"] * len(heads), *([cell.replace("|", "\\|") for cell in line] for line in body)]
     text = "".join(f"| {' | '.join(line)} |\n" for line in table)
     repeated = any(len(group.rows) > 1 for group in group_rows(found))
     note = "Medians over seeds, with the least and the greatest.\n\n" if repeated else ""
-    ran = sorted({row.metrics["machine"] for row in found if "machine" in row.metrics})
+    ran = sorted({str(row.metrics["machine"]) for row in found if "machine" in row.metrics})
     where = "".join(f"\nOn {each}.\n" for each in ran)
-    failed = "".join(f"- `{row.name}`: {row.error}\n" for row in found if row.error)
-    return f"{TABLE_HEADER}# Results\n\n`{title}`\n\n{note}{text}{where}" + (
+    failed = "".join(f"- `{row.name}`: {printable(row.error)}\n" for row in found if row.error)
+    return f"{TABLE_HEADER}# Results\n\n`{printable(title)}`\n\n{note}{text}{where}" + (
         f"\nFailed:\n\n{failed}" if failed else ""
     )
 
 
 def write_csv(path: Path, found: Sequence[Row]) -> None:
-    """Write a line for each cell, with all its numbers."""
+    """Write a line for each cell, with all its numbers; no text is a formula to a spreadsheet."""
     names = {
         name: None
         for row in found
@@ -126,7 +129,8 @@ def write_csv(path: Path, found: Sequence[Row]) -> None:
     )
     writer.writeheader()
     for row in found:
-        writer.writerow({**row.metrics, **row.values, "error": row.error})
+        cells = {**row.metrics, **row.values, "error": row.error}
+        writer.writerow({name: _inert(cell) for name, cell in cells.items()})
     with atomic_file(path) as part:
         part.write_text(stream.getvalue(), encoding="utf-8")
 
@@ -148,19 +152,39 @@ def check_free(folder: Path) -> None:
         ours = page.is_file() and page.read_text(encoding="utf-8").startswith(TABLE_HEADER)
     except (OSError, UnicodeDecodeError):
         ours = False
-    for name in ("table.md", "table.csv", "quality.png", "report.html"):
+    for name in SWEEP_FILES:
         if not ours and (folder / name).exists():
             raise ConfigError(
                 f"output.dir: {folder} holds {name}, which no comparison wrote; give another folder with output.dir=DIR"
             )
 
 
+def _inert(cell: Any) -> Any:
+    """A cell of a CSV file; text that a spreadsheet would take for a formula gets an apostrophe in front."""
+    if not isinstance(cell, str):
+        return cell
+    text = printable(cell)
+    if not text.startswith(FORMULA_SIGNS):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text
+
+
 def _metrics(cell: Cell) -> dict[str, Any]:
+    """Metrics of a finished cell; none if they are damaged, and null for a figure that is no number."""
+    if cell.folder.state() != "finished":
+        return {}
     try:
         found = json.loads((cell.folder.path / "metrics.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    if not isinstance(found, dict) or not isinstance(found.get("frames"), int):
+        return {}
+    numbers = {name: found[name] for name in TABLE_METRICS if isinstance(found.get(name), int | float)}
+    return found | dict.fromkeys(TABLE_METRICS.keys() & found.keys()) | numbers
 
 
 def _figure(spread: tuple[float, float, float] | None, decimals: int | None) -> str:

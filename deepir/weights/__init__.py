@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from deepir.errors import DataError
+from deepir.io import atomic_file
 
 SHIPPED = Path(__file__).parent
 N = TypeVar("N", bound=nn.Module)
@@ -26,8 +27,9 @@ def save(network: nn.Module, path: Path, about: dict[str, Any]) -> None:
 
     tensors = {name: value.detach().half().contiguous() for name, value in network.state_dict().items()}
     try:
-        save_file(tensors, path, metadata={"about": json.dumps(about)})
-    except (SafetensorError, OSError) as error:
+        with atomic_file(path) as part:
+            save_file(tensors, part, metadata={"about": json.dumps(about)})
+    except SafetensorError as error:
         raise DataError(f"{path}: the weights cannot be written: {error}") from error
 
 

@@ -1,10 +1,16 @@
 """`deepir correct`: a recording in, a corrected recording, maps and a picture out; and its refusals."""
 
+import os
+import signal
+
 import numpy as np
 import pytest
 from skimage import data
 
 from deepir.io import read_frames
+from deepir.recording.keyframes import choose_keyframes
+from deepir.recording.segments import estimate_segments
+from deepir.storage.lock import locked_files
 
 SIZE = (60, 80)
 
@@ -18,6 +24,17 @@ def recording():
     scenes = np.stack([picture[y : y + SIZE[0], x : x + SIZE[1]] for y, x in walk])
     pattern = 60 * rng.standard_normal((1, SIZE[1])) + 40 * rng.standard_normal(SIZE)
     return scenes, scenes + pattern + 3 * rng.standard_normal(scenes.shape)
+
+
+@pytest.fixture(scope="module")
+def segments(recording):
+    return estimate_segments(choose_keyframes(iter(recording[1].round().astype(np.uint16))), "offset")
+
+
+@pytest.fixture
+def estimated(segments, monkeypatch):
+    """The estimate is made once for all tests that ask for this."""
+    monkeypatch.setattr("deepir.recording.segments.estimate_segments", lambda *_: segments)
 
 
 def fixed_pattern(frames, scenes):
@@ -49,6 +66,49 @@ def test_a_result_is_replaced_only_on_demand(deepir, folder, recording):
     assert status == 2
     assert "--overwrite" in err
     assert (folder / "walk_corrected.tif").read_bytes() == b"mine"
+
+
+def outputs(folder):
+    return {each.name: each.read_bytes() for each in folder.glob("walk_*")}
+
+
+def test_what_cannot_be_written_leaves_the_former_result(deepir, folder, recording, estimated, full_disk):
+    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+    with full_disk(100_000):  # enough for the maps
+        status, _, err = deepir("correct", "walk.npz")
+    assert status == 2
+    assert "walk_corrected.tif: cannot be written: File too large" in err
+    assert outputs(folder) == {}
+    deepir("correct", "walk.npz")
+    before = outputs(folder)
+    with full_disk(100_000):
+        assert deepir("correct", "walk.npz", "--float32", "--overwrite")[0] == 2
+    assert outputs(folder) == before
+    assert len(before) == 3
+
+
+def test_of_an_interrupted_correction_the_maps_are_kept_unless_there_were_others(
+    deepir, folder, recording, estimated, monkeypatch
+):
+    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+    monkeypatch.setattr(
+        "deepir.io.output.recording.write_frames", lambda *_: os.kill(os.getpid(), signal.SIGINT)
+    )
+    status, _, err = deepir("correct", "walk.npz")
+    assert status == 130
+    assert "go on with: deepir apply walk_corrected_maps.npz walk.npz" in err
+    assert outputs(folder).keys() == {"walk_corrected_maps.npz"}
+    status, _, err = deepir("correct", "walk.npz", "--float32", "--overwrite")
+    assert (status, "nothing was written" in err) == (130, True)
+
+
+def test_one_process_writes_a_correction(deepir, folder, recording):
+    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+    with locked_files(folder / "walk_corrected.tif"):
+        status, _, err = deepir("correct", "walk.npz")
+    assert status == 2
+    assert f"another process is at work here (process {os.getpid()} on " in err
+    assert outputs(folder) == {}
 
 
 def test_a_camera_at_rest_is_refused_and_nothing_is_written(deepir, folder, recording):

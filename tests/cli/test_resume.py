@@ -1,6 +1,7 @@
 """`deepir resume`: after any interruption the scene is that of a run that was left alone."""
 
 import os
+import random
 import re
 import signal
 from contextlib import contextmanager, nullcontext
@@ -10,8 +11,10 @@ import pytest
 
 from deepir.api import run
 from deepir.cli.signals import Interrupted, Interruptible
+from deepir.errors import DataError
 
 RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=8")
+BITS = int(os.environ.get("DEEPIR_FUZZ", "2"))  # bits of a checkpoint that are flipped, one by one
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +51,9 @@ def test_after_a_signal(deepir, scene, signalled, number, status, iteration):
         found, _, err = deepir(*RUN)
     assert found == status
     assert "deepir resume runs/nuc" in err
-    assert deepir("resume", "runs/nuc")[0] == 0
+    status, _, err = deepir("resume", "runs/nuc")
+    assert status == 0
+    assert "starting again" not in err
     assert np.array_equal(np.load("runs/nuc/result.npz")["scene"], scene)
 
 
@@ -56,7 +61,9 @@ def test_twice(deepir, scene, signalled):
     with signalled(signal.SIGTERM, 3):
         deepir(*RUN)
     with signalled(signal.SIGTERM, 4):
-        assert deepir("resume", "runs/nuc")[0] == 143
+        status, _, err = deepir("resume", "runs/nuc")
+    assert status == 143
+    assert "starting again" not in err
     assert deepir("resume", "runs/nuc")[0] == 0
     assert np.array_equal(np.load("runs/nuc/result.npz")["scene"], scene)
 
@@ -146,7 +153,66 @@ def test_half_written_files_are_cleared_away(deepir, interrupted):
 def test_one_process_at_a_time(deepir, interrupted):
     from deepir.storage.folder import RunFolder
 
-    with RunFolder(interrupted).logging():
+    with RunFolder(interrupted).lock():
         status, _, err = deepir("resume", "runs/nuc")
     assert status == 2
-    assert "another process is at work" in err
+    assert f"another process is at work here (process {os.getpid()} on " in err
+    assert deepir("resume", "runs/nuc")[0] == 0
+
+
+def test_a_damaged_checkpoint_never_gives_another_scene(deepir, interrupted, scene):
+    path, rng = interrupted / "checkpoint.safetensors", random.Random(1)
+    whole = path.read_bytes()
+    begun = {each: (interrupted / each).read_bytes() for each in ("config.yaml", "run.json")}
+    for _ in range(BITS):
+        damaged = bytearray(whole)
+        damaged[rng.randrange(len(damaged))] ^= 1 << rng.randrange(8)
+        path.write_bytes(damaged)
+        assert deepir("resume", "runs/nuc")[0] == 0
+        assert np.array_equal(np.load("runs/nuc/result.npz")["scene"], scene)
+        (interrupted / "metrics.json").unlink()
+        for name, content in begun.items():
+            (interrupted / name).write_bytes(content)
+
+
+@pytest.mark.parametrize("setting", ["seed=1", "data.frames=[0,2,1]"])
+def test_a_checkpoint_of_another_run_is_reported_and_the_run_starts_again(
+    deepir, folder, interrupted, scene, signalled, setting
+):
+    with signalled(signal.SIGTERM, 5):
+        deepir(*RUN, setting, "output.dir=runs/other")
+    (folder / "runs/other/checkpoint.safetensors").replace(interrupted / "checkpoint.safetensors")
+    status, _, err = deepir("resume", "runs/nuc")
+    assert status == 0
+    assert "of other frames, another configuration or another version" in err
+    assert "starting again" in err
+    assert np.array_equal(np.load("runs/nuc/result.npz")["scene"], scene)
+
+
+@pytest.mark.parametrize(
+    "field", [{"history": 5}, {"history": [3]}, {"stage": "x"}, {"iteration": 99}, {"more": 1}]
+)
+def test_a_history_of_odd_types_is_one_line(small_nuc, tmp_path, field):
+    from deepir.optim.position import Position, restore_state, save_state
+    from deepir.storage.checkpoint import FileCheckpoint
+
+    checkpoint, problem = FileCheckpoint(tmp_path / "a.safetensors"), small_nuc()
+    save_state(problem, [], Position(), checkpoint)
+    tensors, position = checkpoint.load()
+    checkpoint.save(tensors, position | field)
+    with pytest.raises(DataError, match="the state of another problem"):
+        restore_state(problem, [], checkpoint)
+
+
+def test_a_replacement_is_interrupted_and_resumed(deepir, folder, scene, signalled):
+    deepir(*RUN, "seed=1")
+    before = (folder / "runs/nuc/result.npz").read_bytes()
+    with signalled(signal.SIGTERM, 5):
+        status, _, err = deepir(*RUN, "--overwrite")
+    assert status == 143
+    assert "go on with: deepir resume runs/nuc" in err
+    assert (folder / "runs/nuc/result.npz").read_bytes() == before
+    assert "(interrupted); continue it with" in deepir(*RUN)[2]
+    assert deepir("resume", "runs/nuc")[0] == 0
+    assert np.array_equal(np.load("runs/nuc/result.npz")["scene"], scene)
+    assert not (folder / "runs/nuc/.unfinished").exists()

@@ -1,6 +1,8 @@
 """`deepir run`: what a finished run leaves, and what it never touches."""
 
 import json
+import os
+import shutil
 
 import numpy as np
 import pytest
@@ -200,3 +202,59 @@ def test_a_full_disk_is_one_line_and_the_state_stays(nuc, folder, monkeypatch):
     assert "result.npz: cannot be written: No space left on device" in err
     assert held(folder / "runs/nuc") <= set(RUN_FILES)
     assert "config.yaml" in held(folder / "runs/nuc")
+
+
+def test_a_former_run_is_seen_before_any_file_or_device(nuc, folder):
+    nuc("data.path=burst.npz", "method=average")
+    for settings in (["data.path=none.npz"], ["data.path=burst.npz", "device=none"]):
+        status, _, err = nuc(*settings)
+        assert status == 2
+        assert "already contains a run" in err
+
+
+@pytest.mark.parametrize("after", ["moved", "deleted", "replaced"])
+def test_a_folder_that_is_lost_while_running_is_named(deepir, folder, monkeypatch, after):
+    def lose(*_, **__):
+        (folder / "run").rename(folder / "moved")
+        if after != "moved":
+            shutil.rmtree(folder / "moved")
+        if after == "replaced":
+            (folder / "run").mkdir()
+            (folder / "run/result.npz").write_text("mine")
+
+    command = ("run", "nuc", "data.path=burst.npz", "method=average", "output.dir=run")
+    with monkeypatch.context() as patch:
+        patch.setattr("deepir.runner.compare_to_truth", lambda *_: lose() or {})
+        status, _, err = deepir(*command)
+    assert status == 2
+    assert "/run: this folder was moved or deleted while the run was at work" in err
+    assert (folder / "moved").exists() == (after == "moved")
+    if after == "moved":
+        assert deepir("resume", "moved")[0] == 0
+    if after == "replaced":
+        assert held(folder / "run") == {"result.npz"}
+
+
+def test_a_current_folder_that_was_deleted_is_one_line(deepir, folder):
+    (folder / "gone").mkdir()
+    os.chdir(folder / "gone")
+    (folder / "gone").rmdir()
+    assert deepir("list")[::2] == (2, "deepir: error: the current folder was deleted: go to another one\n")
+
+
+def test_where_nothing_can_be_written_there_is_one_line(deepir, folder, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.mkdir", refuse)
+    monkeypatch.setattr("filelock.FileLock._acquire", refuse)
+    for command in (
+        "run nuc data.path=burst.npz",
+        "compare nuc data.path=burst.npz seed=0,1",
+        "simulate new.npz",
+        "calibrate new.npz burst.npz",
+        "demo",
+    ):
+        status, out, err = deepir(*command.split())
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert "cannot be written: Permission denied" in err

@@ -142,6 +142,35 @@ def test_an_interpolation_without_target_is_an_error():
         load({"physics": {"warp": {}}, "seed": "${nowhere}"})
 
 
+def test_a_value_may_name_another_key():
+    found = load("nuc", ["seed=3", "threads=${seed}", "data.path=burst_${seed}.npz"])
+    assert (found.threads, found.data.path) == (3, "burst_3.npz")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["${oc.env:TOKEN}", "a_${oc.env:TOKEN,none}.npz", "${oc.decode:${oc.env:TOKEN}}", "\\${oc.env:TOKEN}",
+     "${oc.${seed}:TOKEN}", "${ oc.env : TOKEN }", "${seed}${oc.env:TOKEN}", "${"],
+)  # fmt: skip
+def test_no_value_is_taken_from_the_environment(tmp_path, monkeypatch, text):
+    monkeypatch.setenv("TOKEN", "secret")
+    (tmp_path / "mine.yaml").write_text(f"physics: {{warp: {{}}}}\ndata: {{path: '{text}'}}\n")
+    for given in (
+        ("nuc", [f"data.path={text}"]),
+        (tmp_path / "mine.yaml",),
+        ("nuc", [f"data.frames=['{text}']"]),
+    ):
+        with pytest.raises(ConfigError) as error:
+            load(*given)
+        assert "secret" not in str(error.value)
+        assert "data: " in str(error.value)
+
+
+def test_a_name_that_is_not_utf8_is_refused():
+    with pytest.raises(ConfigError, match="this name is not UTF-8; rename the file"):
+        load("nuc", ["data.path=a\udcff.npz"])
+
+
 def test_a_shipped_name_is_found_and_a_file_of_that_name_is_not_mistaken(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert find("nuc").name == "nuc.yaml"

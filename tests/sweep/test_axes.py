@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepir.errors import ConfigError, DataError
-from deepir.sweep.axes import burst_axis, folder_name, parse_axes, split_at_commas
+from deepir.sweep.axes import SWEEP_FILES, burst_axis, folder_name, parse_axes, split_at_commas
 
 PLAIN = st.text("abc0.:- ", min_size=1)
 BRACKETED = st.lists(PLAIN, min_size=1).map(lambda parts: f"[{', '.join(parts)}]")
@@ -66,3 +66,16 @@ def test_a_cells_folder_says_its_values():
     assert folder_name({"burst": "/data/a b.npz", "seed": "1"}) == "-data-a-b.npz,seed=1"
     with pytest.raises(ConfigError, match="too long"):
         folder_name({"solver.plan": "x" * 300})
+
+
+@pytest.mark.parametrize(
+    "name", ["..npz", "...npz", ".npz", "table.md.npz", "Report.html.npz", ".lock.npz", "....tiff"]
+)
+@pytest.mark.parametrize("more", [{}, {"seed": "1"}])
+def test_a_burst_of_any_name_has_a_folder_within_the_sweep(tmp_path, name, more):
+    (tmp_path / name).touch()
+    (label,) = burst_axis([f"{tmp_path}/{name}"]).choices
+    folder = folder_name({"burst": label} | more)
+    assert (tmp_path / folder).resolve().parent == tmp_path.resolve()
+    assert not folder.startswith(".")
+    assert folder.lower() not in SWEEP_FILES

@@ -115,15 +115,15 @@ def test_runs_share_out_the_cores(tmp_path, monkeypatch, given, count, cores, wo
     pytest.importorskip("distributed")
     monkeypatch.setattr("deepir.sweep.cluster.core_count", lambda: cores)
     fixed, axes = parse_axes([SMALL, "method=average", *given, f"seed={','.join(map(str, range(count)))}"])
-    sweep = prepare("nuc", fixed, axes, folder=tmp_path)
-    assert sweep.workers == workers
-    assert {cell.config.threads for cell in sweep.cells} == {threads}
+    with prepare("nuc", fixed, axes, folder=tmp_path) as sweep:
+        assert sweep.workers == workers
+        assert {cell.config.threads for cell in sweep.cells} == {threads}
 
 
 def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'deepir\[compare\]'"):
-        prepare("nuc", [], [], folder=tmp_path)
+        prepare("nuc", [], [], folder=tmp_path).__enter__()
 
 
 def test_the_comparison_that_is_documented_is_one(tmp_path):
@@ -139,3 +139,17 @@ def test_a_run_that_takes_its_worker_down_each_time_is_given_up():
 
     assert "its workers died" in _failure(distributed.KilledWorker("a", None, 3))
     assert _failure(ValueError("not\nthis")) == "ValueError: not this"
+
+
+def test_nobody_else_reaches_the_scheduler_and_its_workers():
+    pytest.importorskip("distributed")
+    from deepir.sweep.cluster import _client
+
+    with _client(1, None) as client:
+        scheduler = client.cluster.scheduler
+        addresses = [each.listen_address for each in scheduler.listeners]
+        addresses += [*client.scheduler_info()["workers"]]
+        addresses += [worker.nanny for worker in scheduler.workers.values()]
+        addresses.append(client.dashboard_link)
+    assert len(addresses) >= 4
+    assert all("://127.0.0.1:" in each for each in addresses)

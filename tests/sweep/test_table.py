@@ -6,8 +6,20 @@ import pytest
 from PIL import Image
 
 from deepir.errors import ConfigError
+from deepir.storage.folder import Record, RunFolder
+from deepir.sweep.cells import Cell
+from deepir.sweep.html import write_report
 from deepir.sweep.plots import write_plots
-from deepir.sweep.table import Row, check_free, group_rows, markdown, table_lines, write_csv, write_markdown
+from deepir.sweep.table import (
+    Row,
+    check_free,
+    group_rows,
+    make_rows,
+    markdown,
+    table_lines,
+    write_csv,
+    write_markdown,
+)
 
 
 def row(prior, frames, seed, psnr=None, error=""):
@@ -90,3 +102,44 @@ def test_a_table_that_no_sweep_wrote_is_safe(rows, tmp_path):
         check_free(tmp_path)
     write_markdown(tmp_path / "table.md", rows, "deepir compare")
     check_free(tmp_path)
+
+
+def test_a_damaged_file_of_metrics_is_no_result(tmp_path):
+    folder = RunFolder(tmp_path)
+    folder.begin("seed: 1", Record())
+    cell = Cell({"seed": "1"}, None, folder)
+    for content in ("3", "{", "{}", '{"frames": "3"}', "[" * 9999):
+        (tmp_path / "metrics.json").write_text(content)
+        assert make_rows([cell], {})[0].metrics == {}
+    (tmp_path / "metrics.json").write_text('{"frames": 3, "seconds": "x", "psnr_aligned": 31.5}')
+    assert table_lines(make_rows([cell], {}))[1] == [["1/1", "31.50", "–", "–"]]
+
+
+NAME = "=cmd|'/c calc'!A1\n\x1b[31m$\\frac$"
+
+
+@pytest.fixture
+def odd(tmp_path):
+    return [Row(f"a{i}", {"scene": f"{NAME}{i}"}, row("tv", 3, 0, 30 + i).metrics, NAME) for i in range(2)]
+
+
+def test_no_name_begins_a_line_or_moves_the_cursor(odd, tmp_path):
+    write_csv(tmp_path / "table.csv", odd)
+    write_markdown(tmp_path / "table.md", odd, f"deepir batch {NAME}")
+    write_plots(tmp_path / "quality.png", odd)
+    write_report(tmp_path / "report.html", odd, f"deepir batch {NAME}")
+    assert (tmp_path / "quality.png").exists()
+    for name in ("table.csv", "table.md", "report.html"):
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert all(line.isprintable() for line in text.replace("\t", "").split("\n"))
+        assert "\\u001b" not in text
+        assert "\n\\x1b" not in text
+
+
+def test_no_cell_of_the_csv_is_a_formula(odd, tmp_path):
+    more = [Row("c", {"scene": text}, {}) for text in ("-1.5", "+A1", "@a", "-a", "1e3")]
+    write_csv(tmp_path / "table.csv", [*odd, *more])
+    with (tmp_path / "table.csv").open() as file:
+        found = [line["scene"] for line in csv.DictReader(file)]
+    assert found[0].startswith("'=cmd")
+    assert found[2:] == ["-1.5", "'+A1", "'@a", "'-a", "1e3"]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Settings, recording_config
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.analysis import Statistics, Verdict
@@ -53,11 +54,14 @@ def analyze(
     else:
         statistics, verdict, scene_deviation = _of_burst(path, settings or [])
     for line in report_lines(statistics, verdict, scene_deviation):
-        typer.echo(line)
+        echo(line)
     picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
-    picture.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
     write_analysis(picture, statistics, verdict, scene_deviation)
-    typer.echo(f"picture: {picture}")
+    echo(f"picture: {picture}")
 
 
 def _of_flat(path: Path, settings: list[str]) -> Statistics:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
+from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -40,17 +42,12 @@ def apply(
     """
     from deepir.calibration import read_maps
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
-    from deepir.errors import DataError
 
     config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
-    if target.exists() and Path(str(config.data.path)).exists() and target.samefile(str(config.data.path)):
-        raise DataError(f"{target} is the recording itself: give another --output")
-    if target.exists() and not overwrite:
-        raise DataError(f"{target} exists; replace it with --overwrite, or give another --output")
     try:
-        with Interruptible():
-            typer.echo(_apply(read_maps(maps), config, target, rounded=not float32))
+        with Interruptible(), held_outputs(target, overwrite=overwrite, source=config.data.path):
+            echo(_apply(read_maps(maps), config, target, rounded=not float32))
     except Interrupted as error:
         return report_aborted(error)
     return 0
@@ -69,7 +66,7 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
     first = next(frames)
     maps.check(first, str(data.path))
     if (ratio := maps.roughness_ratio(first)) > MAX_ROUGHNESS_RATIO:
-        typer.echo(
+        echo(
             f"{data.path}: its first frame is {ratio:.1f} times as rough without these maps' pattern as with it. "
             "Are they of another camera, in other units (counts, kelvin, 8 bits), or out of date?",
             err=True,

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, recording_config, split_arguments
+from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -40,20 +42,19 @@ def calibrate(
     files, settings = split_arguments(what)
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
-    if out.exists() and not overwrite:
-        raise DataError(f"{out} exists; replace it with --overwrite, or give another name")
     if not files or (burst and len(files) > 1):
         raise DataError(f"{len(files)} recordings given: one with --burst, else one or more flat ones")
-    maps = _from_burst(files[0], settings) if burst else _from_flats(files, settings)
-    if isinstance(maps, int):
-        return maps
-    maps.save(out)
+    with held_outputs(out, overwrite=overwrite):
+        maps = _from_burst(files[0], settings) if burst else _from_flats(files, settings)
+        if isinstance(maps, int):
+            return maps
+        maps.save(out)
     good = ~maps.bad_pixels
-    typer.echo(
+    echo(
         f"{out}: gain σ {100 * maps.gain[good].std():.2f} %, offset σ {maps.offset[good].std():.4g}, "
         f"{maps.bad_pixels.sum()} bad pixel(s)"
     )
-    typer.echo(f"to correct a recording: deepir apply {out} FILE")
+    echo(f"to correct a recording: deepir apply {out} FILE")
     return 0
 
 
@@ -73,7 +74,7 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
         first = list(itertools.islice(frames, MOTION_CHECK_FRAMES))
         means.append(calibration.mean_frame(itertools.chain(first, frames), file))
         if visible_motion(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
-            typer.echo(
+            echo(
                 f"{file}: its frames change as with a moving camera, but a flat recording shows a uniform surface. "
                 "For a burst of a moving camera, give --burst",
                 err=True,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
     from deepir.cameras.capture import Captured
@@ -38,25 +39,21 @@ def capture(
 
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
-    if out.exists() and not overwrite:
-        raise DataError(f"{out} exists; replace it with --overwrite, or give another name")
     try:
-        with Interruptible():
+        with Interruptible(), held_outputs(out, overwrite=overwrite):
             burst = _capture(camera, settings or (), frames, every)
+            write_npz(out, {"frames": burst.frames, "time": burst.times})
     except Interrupted as error:
         return report_aborted(error)
-    write_npz(out, {"frames": burst.frames, "time": burst.times})
     if burst.longest_freeze > FREEZE_TIME:
-        _notify(
+        notify(
             f"the picture stood still for {burst.longest_freeze:.1f} s in the midst of the burst, as when the shutter "
             "closes: the pattern may have changed then. Switch the automatic correction off, or take the burst again"
         )
     size = " x ".join(map(str, burst.frames.shape[1:]))
-    typer.echo(
-        f"{out}: {frames} frame(s) of {size} px, {burst.frames.dtype}, in {burst.times[-1]:.1f} seconds"
-    )
-    typer.echo(f"does it move enough? deepir analyze {out}")
-    typer.echo(f"to correct it: deepir run nuc data.path={out}")
+    echo(f"{out}: {frames} frame(s) of {size} px, {burst.frames.dtype}, in {burst.times[-1]:.1f} seconds")
+    echo(f"does it move enough? deepir analyze {out}")
+    echo(f"to correct it: deepir run nuc data.path={out}")
     return 0
 
 
@@ -71,15 +68,9 @@ def _capture(name: str, settings: Sequence[str], count: int, every: float) -> Ca
 
     def on_frame(frames: Sequence[Array]) -> None:
         next_move = advice(motion_span(frames)) if len(frames) > 1 else "move the camera, in a small circle"
-        _notify(
-            f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}"
-        )
+        notify(f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}")
 
     with make("camera", name, options, "camera") as camera:
         if camera.correction:
-            _notify(camera.correction)
+            notify(camera.correction)
         return capture(camera, count, every, on_frame)
-
-
-def _notify(line: str) -> None:
-    print(f"deepir: {line}", file=sys.stderr, flush=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepir.cli.arguments import Plugins, Settings, load_plugins
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.config import Config, Data
@@ -38,16 +39,16 @@ def check(
             )
         lines = _burst(load("nuc", [f"data.path={what}", *(settings or ())]).data)
         for line in lines:
-            typer.echo(line)
+            echo(line)
         if lines[1].startswith("  1 frame"):
-            typer.echo(
+            echo(
                 f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
                 f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
             )
         elif not lines[-1].startswith(REFUSAL):
             command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
             still = any(line.startswith("  motion: none") for line in lines)
-            typer.echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
+            echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
     else:
         _configuration(what, settings or [])
 
@@ -83,16 +84,16 @@ def _configuration(name: str, settings: list[str]) -> None:
     folder = RunFolder(output_folder(config, name))
     state = folder.state()
     data = _data(config)
-    typer.echo(f"configuration {name} is valid; problem {config.problem}, method {chosen(config)[0]}")
+    echo(f"configuration {name} is valid; problem {config.problem}, method {chosen(config)[0]}")
     for stage, slots in config.physics.items():
-        typer.echo(f"  {stage}: {_short(slots) or 'no options'}")
-    typer.echo(f"  scene: prior {config.prior}, {_short(config.scene)}")
+        echo(f"  {stage}: {_short(slots) or 'no options'}")
+    echo(f"  scene: prior {config.prior}, {_short(config.scene)}")
     for line in data:
-        typer.echo(line)
+        echo(line)
     if state == "new":
-        typer.echo(f"output folder: {folder.path} (new)")
+        echo(f"output folder: {folder.path} (new)")
     else:
-        typer.echo(f"output folder: {folder.path} already contains a run ({state}); use --overwrite")
+        echo(f"output folder: {folder.path} already contains a run ({state}); use --overwrite")
 
 
 def _data(config: Config) -> list[str]:

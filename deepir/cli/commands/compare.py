@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins, split_arguments
+from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
     from deepir.sweep.cells import Cell
@@ -52,17 +53,16 @@ def compare(
     from deepir.sweep.sweep import prepare
 
     fixed, axes = parse_axes(settings or ())
-    remote = scheduler is not None
-    checked = prepare(
+    with prepare(
         config,
         fixed,
         axes,
         folder=sweep_folder(config, "compare"),
         workers=workers,
-        remote=remote,
+        remote=scheduler is not None,
         overwrite=overwrite,
-    )
-    return run_and_report(checked, ["compare", config, *(settings or ())], scheduler, plugins)
+    ) as checked:
+        return run_and_report(checked, ["compare", config, *(settings or ())], scheduler, plugins)
 
 
 def batch(
@@ -98,7 +98,7 @@ def batch(
     if any(each.partition("=")[0].strip() == "data.path" for each in settings):
         raise ConfigError("data.path: bursts are given without it, for example deepir batch nuc burst.npz")
     fixed, axes = parse_axes(settings)
-    checked = prepare(
+    with prepare(
         config,
         fixed,
         [burst_axis(patterns), *axes],
@@ -106,8 +106,8 @@ def batch(
         workers=workers,
         remote=scheduler is not None,
         overwrite=overwrite,
-    )
-    return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
+    ) as checked:
+        return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
 
 
 def sweep_folder(config: str, kind: str) -> Path:
@@ -136,7 +136,7 @@ def run_and_report(
         with Interruptible():
             checked.run(_Progress(checked), scheduler, plugins)
     except Interrupted as error:
-        print("deepir: interrupted; the same command continues with the missing runs", file=sys.stderr)
+        notify("interrupted; the same command continues with the missing runs")
         status = error.status
     _report(checked.write(shlex.join(["deepir", *command])), checked.folder)
     return status or int(bool(checked.errors))
@@ -149,16 +149,14 @@ class _Progress:
         todo, self.total = len(checked.unfinished()), len(checked.cells)
         self.done = self.total - todo
         if self.done:
-            print(
-                f"deepir: {self.done} of {self.total} runs are finished already", file=sys.stderr, flush=True
-            )
+            notify(f"{self.done} of {self.total} runs are finished already")
 
     def __call__(self, cell: Cell, error: str | None) -> None:
         from deepir.sweep.table import metrics_line
 
         self.done += 1
         end = f"failed: {error}" if error else metrics_line(cell)
-        print(f"deepir: {self.done}/{self.total} {cell.name}: {end}", file=sys.stderr, flush=True)
+        notify(f"{self.done}/{self.total} {cell.name}: {end}")
 
 
 def _report(rows: Sequence[Row], where: Path) -> None:
@@ -168,14 +166,13 @@ def _report(rows: Sequence[Row], where: Path) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from deepir.paths import printable
     from deepir.sweep.table import table_lines
 
     heads, body = table_lines(rows)
     shown = Table(*map(escape, heads), box=box.SIMPLE)
     for line in body:
-        shown.add_row(*map(escape, line))
+        shown.add_row(*(escape(printable(each)) for each in line))
     Console(width=None if sys.stdout.isatty() else 200).print(shown)
     plots = "; plots: quality.png" * (where / "quality.png").exists()
-    typer.echo(
-        f"results: {where}/table.md, table.csv and a folder for each run{plots}; to look at: report.html"
-    )
+    echo(f"results: {where}/table.md, table.csv and a folder for each run{plots}; to look at: report.html")

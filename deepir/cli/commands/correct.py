@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
+from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
     from deepir.config import Config
+    from deepir.recording.correct import CorrectedRecording
     from deepir.recording.estimate import SensorEstimate
+    from deepir.recording.segments import Segment
 
 ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")  # keys
 
@@ -43,23 +48,18 @@ def correct(
     output.tones.
     """
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
-    from deepir.errors import DataError
 
     config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     maps, picture = (target.with_name(f"{target.stem}{end}") for end in ("_maps.npz", ".png"))
-    source = Path(str(config.data.path))
-    for each in (target, maps, picture):
-        if each.exists() and source.exists() and each.samefile(source):
-            raise DataError(f"{each} is the recording itself: give another --output")
-        if each.exists() and not overwrite:
-            raise DataError(f"{each} exists; replace it with --overwrite, or give another --output")
+    outputs = (target, maps, picture)
+    known = maps.exists()
     try:
-        with Interruptible():
-            _correct(config, correction, target, maps, picture, rounded=not float32)
+        with Interruptible(), held_outputs(*outputs, overwrite=overwrite, source=config.data.path):
+            _correct(config, correction, *outputs, rounded=not float32)
     except Interrupted as error:
-        if maps.exists():
-            typer.echo(f"deepir: interrupted; go on with: deepir apply {maps} {file}", err=True)
+        if maps.exists() and not known:
+            notify(f"interrupted; go on with: deepir apply {maps} {file}")
             return error.status
         return report_aborted(error)
     return 0
@@ -72,8 +72,9 @@ def _correct(
     import functools
     from concurrent.futures import ThreadPoolExecutor
 
+    from deepir.cli.signals import Interrupted
     from deepir.cli.tracking import track
-    from deepir.io import stream_frames
+    from deepir.io import atomic_files, stream_frames
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording
@@ -90,22 +91,33 @@ def _correct(
     keyframes = choose_keyframes(track(read(), "reading"))
     segments = estimate_segments(keyframes, correction)
     corrected = CorrectedRecording(read, segments, keyframes)
-    corrected.save_maps(maps)
+    with atomic_files(maps, picture) as (own_maps, own_picture):
+        corrected.save_maps(own_maps)
+        _describe(corrected, segments)
+        try:
+            with ThreadPoolExecutor(1) as beside, writer as write:
+                drawn = beside.submit(write_correction, own_picture, corrected)
+                count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
+                drawn.result()
+        except Interrupted:
+            if not maps.exists():
+                own_maps.replace(maps)  # all that the rest needs
+            raise
+    speed = count / (time.perf_counter() - begun)
+    echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
+
+
+def _describe(corrected: CorrectedRecording, segments: Sequence[Segment]) -> None:
+    """Print what is corrected, and warnings."""
     if len(segments) > 1:
-        typer.echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
+        echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
         for each in segments:
-            typer.echo(f"  {each.description}")
-    typer.echo(_summary(corrected.estimate, len(keyframes.frames), len(corrected)))
+            echo(f"  {each.description}")
+    echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
     for message in dict.fromkeys(
         each for part in segments if part.estimate for each in part.estimate.messages
     ):
-        typer.echo(f"deepir: warning: {message}", err=True)
-    with ThreadPoolExecutor(1) as beside, writer as write:
-        drawn = beside.submit(write_correction, picture, corrected)
-        count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
-        drawn.result()
-    speed = count / (time.perf_counter() - begun)
-    typer.echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
+        notify(f"warning: {message}")
 
 
 def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
+from deepir.cli.terminal import echo
 
 DEMO_FOLDER = Path("runs/demo")  # where the demo writes
 DEMO_SHAPE = (256, 320)  # height and width of its frames, px
@@ -14,19 +14,15 @@ def demo() -> int:
     """Correct a simulated burst of five frames in counts; results and pictures in runs/demo/."""
     from deepir.cli.commands.run import run_and_store
     from deepir.config import load
-    from deepir.errors import DataError
     from deepir.simulate import Settings, simulate
     from deepir.storage.folder import RunFolder
 
     folder = RunFolder(DEMO_FOLDER)
-    folder.check_free(overwrite=True)
-    burst = simulate(None, Settings(n_frames=5, shape=DEMO_SHAPE, counts=True, max_rotation=1.0), seed=0)
-    try:
-        DEMO_FOLDER.mkdir(parents=True, exist_ok=True)
+    with folder.lock():
+        folder.check_free(overwrite=True)
+        burst = simulate(None, Settings(n_frames=5, shape=DEMO_SHAPE, counts=True, max_rotation=1.0), seed=0)
         path, truth = burst.save(DEMO_FOLDER / "burst.npz")
-    except OSError as error:
-        raise DataError(f"{DEMO_FOLDER}: cannot be written: {error.strerror}") from None
-    typer.echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
+    echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
     config = load("nuc", [f"data.path={path}", f"data.truth={truth}"])
     status = run_and_store(config, DEMO_FOLDER, overwrite=True, plugins=[])
     if status == 0:
@@ -49,6 +45,6 @@ def _compare() -> None:
         "registered average": execute(config, data).metrics,
         "deepir": json.loads((DEMO_FOLDER / "metrics.json").read_text()),
     }
-    typer.echo("PSNR after the best gain and level:")
+    echo("PSNR after the best gain and level:")
     for name, found in rows.items():
-        typer.echo(f"  {name:<20} {found['psnr_aligned']:6.2f} dB")
+        echo(f"  {name:<20} {found['psnr_aligned']:6.2f} dB")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import typer
-
 from deepir.cli.arguments import Plugins, load_plugins
+from deepir.cli.terminal import echo
 
 
 def list_components(plugin: Plugins = None) -> None:
@@ -41,9 +40,9 @@ def list_components(plugin: Plugins = None) -> None:
         for name, text in groups["effects"].items()
     }
     for title, entries in groups.items():
-        typer.echo(f"{title}:")
+        echo(f"{title}:")
         for name, text in entries.items():
-            typer.echo(f"  {name:<16} {text}")
+            echo(f"  {name:<16} {text}")
 
 
 def _options(component: Any) -> str:

@@ -12,6 +12,8 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import notify
 
 if TYPE_CHECKING:
     from deepir.io.output.recording import Array, Write
@@ -88,12 +90,16 @@ def live(
         raise ConfigError(
             "give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2"
         )
-    _check_targets((output, save_maps), overwrite=overwrite)
+    files = [Path(each) for each in (output, save_maps) if each and each != STANDARD]
     start = read_maps(maps) if maps else None
     status, count, ended = 0, 0, "the recording has ended"
     session: Session | None = None
     kept: KeptMaps | None = None
-    with Corrector(start, estimator=Here() if fast else Beside()) as corrector, ExitStack() as shown:
+    with (
+        held_outputs(*files, overwrite=overwrite),
+        Corrector(start, estimator=Here() if fast else Beside()) as corrector,
+        ExitStack() as shown,
+    ):
         with Interruptible(), ExitStack() as stack:
             try:
                 if camera:
@@ -114,9 +120,9 @@ def live(
             except DataError as error:
                 if not count:
                     raise
-                _notify(f"error: {error}; what was recorded until then is kept")
+                notify(f"error: {error}; what was recorded until then is kept")
                 status, ended = 2, str(error)
-        _notify(f"{count} frame(s); {corrector.status}")
+        notify(f"{count} frame(s); {corrector.status}")
         if save_maps and corrector.maps is not None:
             corrector.maps.save(save_maps)
         if kept:
@@ -124,15 +130,6 @@ def live(
         if session and ended:
             keep_page(session, ended)
     return status
-
-
-def _check_targets(targets: Sequence[str | Path | None], *, overwrite: bool) -> None:
-    """Raise `DataError` if a file is there that would be written."""
-    from deepir.errors import DataError
-
-    for each in targets:
-        if each and each != STANDARD and Path(each).exists() and not overwrite:
-            raise DataError(f"{each} exists; replace it with --overwrite, or give another name")
 
 
 def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterable[Array]:
@@ -176,7 +173,7 @@ def _play(
         if (now := time.monotonic()) - said > STATUS_EVERY:
             said = now
             dropped = f", {moment.dropped} dropped" if moment.dropped else ""
-            _notify(f"{moment.status}; {moment.rate:.0f} frames/s, {1000 * moment.delay:.1f} ms{dropped}")
+            notify(f"{moment.status}; {moment.rate:.0f} frames/s, {1000 * moment.delay:.1f} ms{dropped}")
         yield moment
 
 
@@ -207,7 +204,3 @@ def standard_output() -> IO[bytes]:
 def _send(stream: IO[bytes], frame: Array) -> None:
     stream.write(frame.tobytes())
     stream.flush()
-
-
-def _notify(line: str) -> None:
-    typer.echo(f"deepir: {line}", err=True)

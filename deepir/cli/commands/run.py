@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.config import Config
@@ -49,7 +50,7 @@ def resume(
     except Interrupted as error:
         return report_interrupted(error, folder)
     if result is None:
-        typer.echo(f"{folder}: already finished")
+        echo(f"{folder}: already finished")
     else:
         report_result(result, folder)
     return 0
@@ -93,15 +94,13 @@ def report_result(result: Result, folder: Path) -> None:
     metrics = result.metrics
     count = metrics["iterations"]
     after = f" after {count} iteration{'s' if count > 1 else ''}" if count else ""  # some methods have none
-    typer.echo(f"{metrics['stop_reason']}{after}, {metrics['seconds']:.1f} s")
+    echo(f"{metrics['stop_reason']}{after}, {metrics['seconds']:.1f} s")
     if "psnr_aligned" in metrics:
-        typer.echo(
-            f"PSNR {metrics['psnr']:.2f} dB, {metrics['psnr_aligned']:.2f} dB with gain and level aligned"
-        )
+        echo(f"PSNR {metrics['psnr']:.2f} dB, {metrics['psnr_aligned']:.2f} dB with gain and level aligned")
     kelvin = result.extra.get("scene_kelvin", np.empty(0))
     if (known := kelvin[np.isfinite(kelvin)]).size:
         low, high = known.min() - ZERO_CELSIUS, known.max() - ZERO_CELSIUS
-        typer.echo(f"temperatures {low:.2f} to {high:.2f} °C: {folder}/scene_kelvin.tiff")
-    typer.echo(
+        echo(f"temperatures {low:.2f} to {high:.2f} °C: {folder}/scene_kelvin.tiff")
+    echo(
         f"results: {folder}/result.npz, {folder}/scene.tiff; to look at: {folder}/report.html, {folder}/summary.png"
     )

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite
+from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.simulate import Simulation
@@ -57,17 +59,15 @@ def simulate(
     else:
         burst = settings_from_mapping(dict(parse_settings(given, settings_schema())))
     truth = out.with_name(f"{out.stem}_truth.npz")
-    for path in (out, truth):
-        if path.exists() and not overwrite:
-            raise DataError(f"{path} exists; replace it with --overwrite, or give another name")
     if out.suffix != ".npz" or not out.parent.is_dir():
         raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
     if whole and scene is not None:
         raise DataError("--scene: the world of a recording is drawn; leave it out, or leave out kind")
-    if whole:
-        made = simulate_recording(asked, seed=seed)
-    else:
-        made = camera.simulate(None if scene is None else load_picture(scene), burst, seed=seed)
-    made.save(out)
+    with held_outputs(out, truth, overwrite=overwrite):
+        if whole:
+            made = simulate_recording(asked, seed=seed)
+        else:
+            made = camera.simulate(None if scene is None else load_picture(scene), burst, seed=seed)
+        made.save(out)
     count, height, width = made.frames.shape
-    typer.echo(f"{out}: {count} frames of {height} x {width} px; truth: {truth}")
+    echo(f"{out}: {count} frames of {height} x {width} px; truth: {truth}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
+from deepir.cli.outputs import held_outputs
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.training.training import TrainingProgress
@@ -41,21 +42,16 @@ def train(
     path = out or Path(f"{name}.safetensors")
     if path.suffix != ".safetensors" or not path.parent.is_dir():
         raise DataError(f"{path}: give the name of a .safetensors file in a folder that exists")
-    if path.exists() and not overwrite:
-        raise DataError(f"{path} exists; replace it with --overwrite, or give another name with --out")
     torch.set_num_threads(threads)
-    network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
     about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
     about |= {"deepir": deepir.__version__, "torch": torch.__version__}
-    weights.save(network, path, about)
-    typer.echo(f"weights: {path}")
+    with held_outputs(path, overwrite=overwrite):
+        network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
+        weights.save(network, path, about)
+    echo(f"weights: {path}")
 
 
 def _report_progress(now: TrainingProgress) -> None:
     if now.iteration % REPORT_INTERVAL == 0 or now.iteration == now.iterations:
         left = now.seconds / now.iteration * (now.iterations - now.iteration)
-        print(
-            f"{now.iteration}/{now.iterations}: loss {now.loss:.4f}, about {left:.0f} s to go",
-            file=sys.stderr,
-            flush=True,
-        )
+        echo(f"{now.iteration}/{now.iterations}: loss {now.loss:.4f}, about {left:.0f} s to go", err=True)

@@ -28,19 +28,35 @@ def atomic_file(path: PathLike) -> Iterator[Path]:
     Raises:
         DataError: It cannot be written.
     """
-    target = Path(path)
-    # Made by name and not by `tempfile`, whose files nobody else may read.
-    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
-    try:
+    with atomic_files(path) as (temporary,):
         yield temporary
-        with temporary.open("r+b") as file:
-            os.fsync(file.fileno())
-        temporary.replace(target)
+
+
+@contextmanager
+def atomic_files(*paths: PathLike) -> Iterator[list[Path]]:
+    """`atomic_file` for files that belong together: none is replaced before all are written.
+
+    Raises:
+        DataError: One cannot be written.
+    """
+    targets = [Path(path) for path in paths]
+    # Made by name and not by `tempfile`, whose files nobody else may read.
+    temporaries = [each.with_name(f".{each.stem}.{secrets.token_hex(4)}{each.suffix}") for each in targets]
+    try:
+        yield temporaries
+        for temporary in temporaries:
+            with temporary.open("r+b") as file:
+                os.fsync(file.fileno())
+        for temporary, target in zip(temporaries, targets, strict=True):
+            temporary.replace(target)
     except OSError as error:
-        raise DataError(f"{target}: cannot be written: {error.strerror or error}") from error
+        names = ", ".join(map(str, targets))
+        why = error.strerror or f"the disk may be full ({error})"  # NumPy's says only how much was written
+        raise DataError(f"{names}: cannot be written: {why}") from error
     finally:
-        with suppress(OSError):
-            temporary.unlink()
+        for temporary in temporaries:
+            with suppress(OSError):
+                temporary.unlink()
 
 
 def write_npz(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:

@@ -1,0 +1,90 @@
+"""What commands print: lines on standard streams, which may be closed or lose their reader."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO, cast
+
+from deepir.errors import DataError
+from deepir.paths import printable
+
+
+def echo(line: str, *, err: bool = False) -> None:
+    """Print one line; control characters, as names of files may hold them, are escaped."""
+    print(printable(line), file=sys.stderr if err else sys.stdout, flush=True)
+
+
+def notify(line: str) -> None:
+    """Print one line on stderr, after the program's name."""
+    echo(f"deepir: {line}", err=True)
+
+
+@contextmanager
+def standard_streams() -> Iterator[None]:
+    """A context in which work goes on if a stream is closed, or its reader has gone; the text is dropped."""
+    _open_closed_descriptors()
+    streams = sys.stdin, sys.stdout, sys.stderr
+    sys.stdin = streams[0] or _nowhere("r")
+    sys.stdout = cast(TextIO, _Lenient(streams[1] or _nowhere("w"), needed=True))
+    sys.stderr = cast(TextIO, _Lenient(streams[2] or _nowhere("w"), needed=False))
+    try:
+        yield
+    finally:
+        with suppress(DataError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        sys.stdin, sys.stdout, sys.stderr = streams
+
+
+class _Lenient:
+    """A text stream that drops its text once the reader has gone, and escapes what its encoding lacks.
+
+    If it is `needed`, another fault is an error, such as a full disk below it.
+    """
+
+    def __init__(self, stream: TextIO, *, needed: bool) -> None:
+        self._stream, self._needed = stream, needed
+        with suppress(AttributeError, ValueError):
+            cast(Any, stream).reconfigure(errors="backslashreplace")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        self._try(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        self._try(self._stream.flush)
+
+    def _try(self, call: Any, *arguments: str) -> None:
+        try:
+            call(*arguments)
+        except OSError as error:
+            _drop(self._stream)  # else the interpreter tries again when it ends
+            if self._needed and not isinstance(error, BrokenPipeError):
+                raise DataError(f"standard output cannot be written: {error.strerror or error}") from error
+
+
+def _drop(stream: Any) -> None:
+    """Lead a stream to nowhere, with what it has not written yet."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+
+
+def _open_closed_descriptors() -> None:
+    """Open closed standard descriptors to nowhere: else the next file would get their numbers, and be printed into."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # takes the least free number
+
+
+def _nowhere(mode: str) -> TextIO:
+    return cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123 - for the rest of the process
