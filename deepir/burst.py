@@ -12,9 +12,10 @@ import torch
 
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
-from deepir.io import crop, read_frames, read_mask, read_truth, validate
+from deepir.io import crop, read_data, read_mask, read_truth, validate
 from deepir.io.frames import select_frames, to_float32, unselected_pairs
 from deepir.io.frames import to_stack as stacked
+from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
 from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
 from deepir.io.inspection.saturated_samples import saturated_samples
@@ -85,13 +86,13 @@ def load(
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
     if frames is not None:
         source, digest = "frames", ""
-        whole = stacked(_array(frames), source)
+        whole = oriented(stacked(_array(frames), source), data.axes, source)
         stack, beside = (
             to_float32(select_frames(whole, data.frames, source)),
             unselected_pairs(whole, data.frames),
         )
     elif data.path is not None:
-        read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
+        read = read_data(data)
         stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
         beside = read.beside
     elif data.simulate is not None:

@@ -26,6 +26,13 @@ Plugins = Annotated[
         "--plugin", metavar="MODULE", help="Python module that registers components; may be repeated."
     ),
 ]
+DATA_SETTINGS = (
+    "data.key",
+    "data.raw",
+    "data.axes",
+    "data.swap_bytes",
+    "data.radiometry",
+)  # of how a file is read
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 
 

@@ -49,6 +49,12 @@ class Data(_Strict):
     crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
     frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
     key: str | None = None  # array in a file that holds several
+    axes: Literal["nhw", "nwh", "hwn", "whn", "hnw", "wnh"] | None = (
+        None  # of an array: frames n, height h, width w
+    )
+    swap_bytes: bool | None = (
+        None  # the two bytes of each sample; None: as stored, and an error where they look swapped
+    )
     raw: Raw | None = None  # layout of a file without a header
     radiometry: Radiometry = Radiometry()
     fps: float | None = Field(default=None, gt=0)  # frames a second

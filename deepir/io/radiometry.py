@@ -31,6 +31,10 @@ class Linear:
         """Temperature of counts of any shape, K, float32."""
         return (self.scale * counts.astype(np.float64) + self.zero).astype(np.float32)
 
+    def counts(self, kelvin: Array) -> Array:
+        """Counts of temperatures of any shape, float32."""
+        return ((kelvin.astype(np.float64) - self.zero) / self.scale).astype(np.float32)
+
     def __str__(self) -> str:
         return f"{self.scale:g} K a count" + (f" from {self.zero:g} K" if self.zero else "")
 
@@ -61,17 +65,30 @@ class Planck:
 
     def kelvin(self, counts: Array) -> Array:
         """Temperature of counts of any shape, K, float32; NaN where the signal is below that of any temperature."""
-        air, glass = self.transmission, self.window_transmission
-        around = glass * air * (1 - self.emissivity) * self.signal(self.reflected)
-        around += glass * (1 - air) * self.signal(self.atmosphere) + (1 - glass) * self.signal(self.window)
-        own = (counts.astype(np.float64) + self.o - around) / (glass * air * self.emissivity)
+        own = (counts.astype(np.float64) + self.o - self._surroundings()) / self._share()
         with np.errstate(divide="ignore", invalid="ignore"):
             kelvin = self.b / np.log(self.r1 / (self.r2 * own) + self.f)
         return np.where(own > 0, kelvin, np.nan).astype(np.float32)
 
+    def counts(self, kelvin: Array) -> Array:
+        """Counts of temperatures of any shape, float32; NaN where there is none."""
+        own = self.signal(kelvin.astype(np.float64))
+        return np.asarray(own * self._share() + self._surroundings() - self.o, np.float32)
+
     def signal(self, kelvin: float | Array) -> Any:
         """Counts of a black body at `kelvin` above zero signal (`-o`)."""
         return self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f))
+
+    def _share(self) -> float:
+        """Of the surface's signal that reaches the camera."""
+        return self.window_transmission * self.transmission * self.emissivity
+
+    def _surroundings(self) -> float:
+        """Signal of all else: what the surface reflects, the air and the window."""
+        air, glass = self.transmission, self.window_transmission
+        around = glass * air * (1 - self.emissivity) * self.signal(self.reflected)
+        around += glass * (1 - air) * self.signal(self.atmosphere) + (1 - glass) * self.signal(self.window)
+        return float(around)
 
     def __str__(self) -> str:
         return (

@@ -56,11 +56,11 @@ def _burst(data: Data) -> list[str]:
     import numpy as np
 
     from deepir.errors import DataError
-    from deepir.io import crop, describe, read_frames, validate
+    from deepir.io import crop, describe, read_data, validate
     from deepir.io.inspection.checks import unusable_frames
     from deepir.io.radiometry import resolve_radiometry
 
-    frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
+    frames = read_data(data)
     if data.crop is not None:
         frames = replace(frames, frames=crop(frames.frames, data.crop))
     kelvin = resolve_radiometry(frames.radiometry, data.radiometry)

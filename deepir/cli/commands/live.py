@@ -11,13 +11,13 @@ from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Plugins, Settings, load_plugins, recording_config
 
 if TYPE_CHECKING:
     from deepir.io.output.recording import Array, Write
     from deepir.live.corrector import Corrector
 
-ACCEPTED_SETTINGS = ("data.key", "data.raw", "output.palette", "output.tones")  # keys, of a recording
+ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys, of a recording
 STATUS_EVERY = 1.0  # s between two lines of status
 STANDARD = "-"  # in place of a file: standard input or output
 
@@ -57,8 +57,8 @@ def live(
 ) -> int:
     """Correct frames as they come, better and better while the camera moves: deepir live drive.avi --output live.mp4.
 
-    Settings of a recording: data.key, data.raw, output.palette, output.tones; of a camera: its driver's, such as
-    device=/dev/video2.
+    Settings of a recording: data.key, data.raw, data.axes, data.swap_bytes, data.radiometry, output.palette,
+    output.tones; of a camera: its driver's, such as device=/dev/video2.
     """
     load_plugins(plugin)
     from deepir.calibration import read_maps
@@ -99,7 +99,7 @@ def _frames(
 ) -> Iterator[Array]:
     """The frames of a camera, of standard input or of a recording."""
     from deepir.errors import ConfigError
-    from deepir.io import stream_frames
+    from deepir.io import stream_data
     from deepir.live.sources import camera_frames, stream_raw
 
     if camera is not None:
@@ -116,7 +116,7 @@ def _frames(
         return camera_frames(opened)
     config = recording_config(str(source), settings, ACCEPTED_SETTINGS)
     if source != STANDARD:
-        return stream_frames(str(config.data.path), key=config.data.key, raw=config.data.raw)
+        return stream_data(config.data)
     if config.data.raw is None:
         raise ConfigError(
             "frames on standard input have no header: give their size, for example "

@@ -10,6 +10,9 @@ It needs no registration. It may also have
 
     def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in larger pieces
     def radiometry(path: Path) -> Radiometry | None             conversion of counts to kelvin
+    def radiometries(path: Path) -> list[Radiometry | None]     of each frame, where they may differ
+
+    ANY_AXES = True                                             arrays whose axes their users choose
 
 for recordings larger than the memory, and for radiometric ones. A reader of a general format sets `GENERIC = True`
 and is tried last, so that a radiometric JPEG is recognised before a plain one. A reader may raise any exception on a
@@ -127,6 +130,18 @@ def radiometry(path: Path) -> Radiometry | None:
     own = getattr(find_reader(path), "radiometry", None)
     with decoding(path):
         return own(path) if own else None
+
+
+def radiometries(path: Path) -> list[Radiometry | None]:
+    """Radiometry of each frame of a file; a single entry if it is that of all frames.
+
+    Raises:
+        DataError: As `read`.
+    """
+    own = getattr(find_reader(path), "radiometries", None)
+    with decoding(path):
+        found = own(path) if own else [radiometry(path)]
+    return found if len(set(found)) > 1 else found[:1]
 
 
 @contextmanager

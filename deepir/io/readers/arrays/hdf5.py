@@ -16,6 +16,7 @@ from deepir.io.guards import check_size
 from deepir.io.radiometry import ZERO_CELSIUS, Linear, Radiometry
 from deepir.io.readers import Array
 
+ANY_AXES = True
 SUFFIXES = (".h5", ".hdf5", ".mat")
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of an HDF5 file
 MATLAB_SIGNATURE = b"MATLAB 7.3 MAT-file"  # first bytes of MATLAB's user block before it

@@ -15,6 +15,7 @@ from deepir.io.containers.named_arrays import choose_array
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
+ANY_AXES = True
 SUFFIXES = (".mat",)
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
 #: First number of a matrix in version 4, little- or big-endian: 1000 M + 10 P + T, P the type of values, T zero.

@@ -54,6 +54,17 @@ def radiometry(path: Path) -> Radiometry | None:
     return readers.radiometry(burst_files(path)[0])
 
 
+def radiometries(path: Path) -> list[Radiometry | None]:
+    """Radiometry of each frame of each picture."""
+    of_files = {file: readers.radiometries(file) for file in burst_files(path)}
+    if len({law for laws in of_files.values() for law in laws}) == 1:
+        return next(iter(of_files.values()))
+    laws: list[Radiometry | None] = []
+    for file, own in of_files.items():
+        laws += own if len(own) > 1 else own * sum(1 for _ in readers.stream(file))
+    return laws
+
+
 def burst_files(path: Path) -> list[Path]:
     """Files of a folder or a glob, in natural order (frame2 before frame10), without hidden files.
 

@@ -20,6 +20,7 @@ from deepir.io.guards import check_size, to_grey
 from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array
 
+ANY_AXES = True
 SUFFIXES = (".tif", ".tiff")
 GDAL_NODATA = 42113  # the tag of the value of lost samples, a text
 PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture

@@ -37,6 +37,21 @@ def radiometry(path: Path) -> Radiometry | None:
         return fff.read_radiometry(fff.read_records(data, path)[0])
 
 
+def radiometries(path: Path) -> list[Radiometry | None]:
+    """Radiometry of each frame: emissivity, distance or the camera's range may change while it records."""
+    laws: list[Radiometry | None] = []
+    with FileBytes(path) as data:
+        start = 0
+        while start != -1:
+            try:
+                found, end = fff.read_records(data, path, start, (fff.CAMERA_RECORD,))
+            except Exception:  # where `stream` ends, or says what is wrong
+                break
+            laws.append(fff.read_radiometry(found))
+            start = data.find(fff.FFF_MAGIC, end)
+    return laws or [None]
+
+
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame (h, w); of a recording whose last frame is cut off, the whole ones, with a warning."""
     with FileBytes(path) as data:
