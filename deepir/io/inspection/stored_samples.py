@@ -70,7 +70,7 @@ def are_swapped(frames: Array) -> bool:
 
 
 def have_wrapped(frames: Array) -> bool:
-    """Whether counts above 32767 have become negative in signed 16-bit samples (..., h, w): nothing lies around zero then."""
+    """Whether counts above 32767 have become negative in signed 16-bit samples (..., h, w), none around zero."""
     if frames.dtype.newbyteorder("=") != np.int16:
         return False
     some = _some(frames).view(np.int16)

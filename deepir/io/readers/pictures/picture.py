@@ -9,7 +9,7 @@ from PIL import Image
 
 from deepir.errors import DataError
 from deepir.io.containers import jpeg
-from deepir.io.guards import check_size, to_grey
+from deepir.io.guards import LOSSY_TOLERANCE, check_size, to_grey
 from deepir.io.readers import Array
 
 GENERIC = True
@@ -32,7 +32,9 @@ def read(path: Path, key: str | None) -> Array:
     _refuse_preview(path)
     with Image.open(path, formats=PILLOW_FORMATS) as image:
         check_size(path, 3 * image.width * image.height, path.stat().st_size, compressed=True)
-        return to_grey(np.asarray(image.convert("RGB")), path)
+        return to_grey(
+            np.asarray(image.convert("RGB")), path, tolerance=LOSSY_TOLERANCE if image.format == "JPEG" else 0
+        )
 
 
 def _refuse_preview(path: Path) -> None:
