@@ -17,6 +17,8 @@ class Raw(_Strict):
     width: int = Field(ge=1, le=2**15)  # px
     height: int = Field(ge=1, le=2**15)  # px
     bits: int = Field(16, ge=1, le=16)  # that count; up to 8 take one byte a sample, more take two
+    #: Of a sample; None: unsigned, of one or two bytes by `bits`.
+    type: Literal["uint8", "uint16", "int16", "uint32", "int32", "float32", "float64"] | None = None
     offset: int = Field(0, ge=0)  # bytes before the first frame
     endian: Literal["little", "big"] = "little"
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import itertools
-import logging
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import raw as headerless
 from deepir.io import readers
-from deepir.io.guards import judging_colours_in
+from deepir.io.guards import judging_colours_in, warn_once
 from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.fill_values import lost_samples
 from deepir.io.inspection.stored_samples import SAMPLED_FRAMES, have_wrapped, in_order, swapped
@@ -33,8 +31,6 @@ MAX_PAIR_GAP = 8  # frames between the two of a pair
 
 JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is streamed are judged
 _RAW_ORDER = ", and data.raw.endian=big reads big-endian ones"
-
-log = logging.getLogger("deepir")
 
 Select = str | int | Sequence[int] | None
 
@@ -193,7 +189,7 @@ def _unwrapped(pieces: Iterable[Array], source: str) -> Iterator[Array]:
     for piece in pieces:
         if not wrapped and have_wrapped(piece):
             wrapped = True
-            _warn(f"{source}: counts above 32767 are stored as negative ones; they are read as unsigned")
+            warn_once(f"{source}: counts above 32767 are stored as negative ones; they are read as unsigned")
         yield piece.astype(piece.dtype.newbyteorder("=")).view(np.uint16) if wrapped else piece
 
 
@@ -223,17 +219,11 @@ def _as_of_frame_0(
             raise DataError(
                 f"{source}: only some of its frames say what kelvin are; give data.radiometry.scale=..."
             )
-        _warn(
+        warn_once(
             f"{source}: what makes kelvin of counts changes at frame {number} ({law}; frame 0: {first}); the counts of "
             "such frames are converted to those of frame 0"
         )
         yield first.counts(law.kelvin(frame))
-
-
-@functools.cache
-def _warn(message: str) -> None:
-    """Log a warning once, however often a recording is read."""
-    log.warning("%s", message)
 
 
 def digest(path: str | os.PathLike[str]) -> str:

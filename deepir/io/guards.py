@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -21,8 +23,14 @@ LOSSY_TOLERANCE = (
 MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
 UNCHECKED_BYTES = GIB // 4  # size up to which a claim is not checked: an empty mask may be that compressible
 
+log = logging.getLogger("deepir")
+
 #: Rows and columns of pictures in which colours count: what lies outside is cropped.
 _judged: ContextVar[tuple[slice, slice]] = ContextVar("judged", default=(slice(None), slice(None)))
+
+
+class ColourError(DataError):
+    """A picture is in colour."""
 
 
 def check_size(
@@ -71,6 +79,12 @@ def stack_frames(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarr
     return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
 
+@functools.cache
+def warn_once(message: str) -> None:
+    """Log a warning, however often the file is read."""
+    log.warning("%s", message)
+
+
 @contextmanager
 def judging_colours_in(box: Sequence[int] | None) -> Iterator[None]:
     """A context in which `to_grey` judges only the part [y0, y1, x0, x1] of a picture; None: all of it."""
@@ -94,7 +108,7 @@ def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0)
         (...); masked where up to `MAX_COLOURED` of the pixels are coloured (a marker or text).
 
     Raises:
-        DataError: More pixels are coloured.
+        ColourError: More pixels are coloured.
     """
     channels = pixels.shape[-1]
     first = pixels[..., 0]
@@ -104,7 +118,7 @@ def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0)
     most = tolerance * np.iinfo(pixels.dtype).max if tolerance else 0
     coloured = np.ptp(wide, axis=-1) > most
     if coloured[(..., *_judged.get())].mean() > MAX_COLOURED:
-        raise DataError(
+        raise ColourError(
             f"{path}: a colour picture. A palette picture carries no radiometry: colours cannot be turned "
             "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture. If only a "
             "bar or a legend at its edge is in colour, take it off with data.crop"

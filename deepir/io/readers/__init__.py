@@ -91,7 +91,8 @@ def read(path: Path, key: str | None = None) -> Array:
     if reader is None:
         raise DataError(
             f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
-            "Save it as .npz with an array `frames` (frames, height, width)."
+            "Save it as .npz with an array `frames` (frames, height, width); a file of bare samples needs "
+            "data.raw.width=... data.raw.height=..."
         )
     with decoding(path):
         return reader.read(path, key)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from pathlib import Path
 
 from deepir.io.containers import fff
 from deepir.io.containers.file_bytes import FileBytes
-from deepir.io.guards import stack_frames
+from deepir.io.guards import stack_frames, warn_once
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
-
-log = logging.getLogger("deepir")
 
 SUFFIXES = (".seq", ".csq", ".fff")
 
@@ -63,7 +60,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             except Exception:
                 if not count or data.find(fff.FFF_MAGIC, start + len(fff.FFF_MAGIC)) != -1:
                     raise
-                log.warning("%s: its last frame is cut off; the %d whole ones are read", path, count)
+                warn_once(f"{path}: its last frame is cut off; the {count} whole ones are read")
                 return
             yield plane
             count += 1
