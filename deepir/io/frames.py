@@ -90,7 +90,7 @@ def read_frames(
     any_axes = raw is None and getattr(readers.find_reader(file), "ANY_AXES", False)
     stored = oriented(stored, axes or (None if any_axes else USUAL), source)
     (stored,) = _unwrapped([in_order(stored, swap_bytes, source, advice=_RAW_ORDER if raw else "")], source)
-    laws = readers.radiometries(file) if raw is None else [None]
+    laws = readers.radiometries(file, key) if raw is None else [None]
     if len(laws) > 1:
         stored = np.ma.stack([*_as_of_frame_0(stored, laws, radiometry, source)])
     frames = to_float32(select_frames(stored, select, source))
@@ -127,7 +127,7 @@ def stream_frames(
         frames = _stream(file, key, raw)
     in_order(first, swap_bytes, source, advice=_RAW_ORDER if raw else "")
     frames = _unwrapped(map(swapped, frames) if swap_bytes else frames, source)
-    laws = readers.radiometries(file) if raw is None else [None]
+    laws = readers.radiometries(file, key) if raw is None else [None]
     if len(laws) > 1:
         frames = _as_of_frame_0(frames, laws, radiometry, source)
     for frame in frames:

@@ -62,6 +62,7 @@ FILES = {
     "flir_sequence, seq": recordings.seq,
     "flir_sequence, csq": recordings.csq,
     "cptv": recordings.cptv,
+    "pgm": recordings.pgm,
     "dji_jpeg": dji,
     "infiray_jpeg": lambda path, frames: recordings.infiray_jpeg(path, np.resize(frames, (1, 120, 160))),
     "video, mkv": recordings.film,

@@ -9,10 +9,10 @@ A reader is a module in one of the sub-folders `arrays`, `pictures` and `thermal
 It needs no registration. It may also have
 
     def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in larger pieces
-    def radiometry(path: Path) -> Radiometry | None             conversion of counts to kelvin
-    def radiometries(path: Path) -> list[Radiometry | None]     of each frame, where they may differ
+    def radiometry(path: Path, key: str | None) -> Radiometry | None  conversion of counts to kelvin
+    def radiometries(path: Path, key: str | None) -> list[Radiometry | None]  of each frame, where they may differ
 
-    ANY_AXES = True                                             arrays whose axes their users choose
+    ANY_AXES = True                                     arrays whose axes their users choose
 
 for recordings larger than the memory, and for radiometric ones. A reader of a general format sets `GENERIC = True`
 and is tried last, so that a radiometric JPEG is recognised before a plain one. A reader may raise any exception on a
@@ -122,18 +122,18 @@ def stream(path: Path, key: str | None = None) -> Iterator[Array]:
         raise DataError(f"{path}: a recording without frames")
 
 
-def radiometry(path: Path) -> Radiometry | None:
-    """Radiometry of a file; None if it has none.
+def radiometry(path: Path, key: str | None = None) -> Radiometry | None:
+    """Radiometry of a file, or of one of its arrays; None if it has none.
 
     Raises:
         DataError: As `read`.
     """
     own = getattr(find_reader(path), "radiometry", None)
     with decoding(path):
-        return own(path) if own else None
+        return own(path, key) if own else None
 
 
-def radiometries(path: Path) -> list[Radiometry | None]:
+def radiometries(path: Path, key: str | None = None) -> list[Radiometry | None]:
     """Radiometry of each frame of a file; a single entry if it is that of all frames.
 
     Raises:
@@ -141,7 +141,7 @@ def radiometries(path: Path) -> list[Radiometry | None]:
     """
     own = getattr(find_reader(path), "radiometries", None)
     with decoding(path):
-        found = own(path) if own else [radiometry(path)]
+        found = own(path, key) if own else [radiometry(path, key)]
     return found if len(set(found)) > 1 else found[:1]
 
 

@@ -16,7 +16,8 @@ def envi(path, frames, interleave="bsq", kind=12, dtype="<u2", extra="", before=
     n, h, w = frames.shape
     path.with_suffix(".hdr").write_text(
         f"ENVI\ndescription = {{\n  a flight}}\nsamples = {w}\nlines   = {h}\nbands = {n}\n"
-        f"header offset = {len(before)}\nfile type = ENVI Standard\ndata type = {kind}\ninterleave = {interleave}\n{extra}"
+        f"header offset = {len(before)}\ndata type = {kind}\n"
+        f"interleave = {interleave}\n{extra}"
     )
 
 

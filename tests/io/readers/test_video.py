@@ -144,3 +144,23 @@ def test_a_colour_bar_is_refused_unless_it_is_cropped(tmp_path):
         read_frames(tmp_path / "a.mp4")
     found = read_frames(tmp_path / "a.mp4", grey_within=[0, 64, 0, 48]).frames
     assert np.isfinite(found[..., :40]).all()
+
+
+def test_uncompressed_sixteen_bits_by_the_name_of_y16_are_read(tmp_path, burst):
+    import av
+
+    with av.open(tmp_path / "a.avi", "w") as container:
+        track = container.add_stream("rawvideo", rate=9)
+        track.width, track.height, track.pix_fmt = 24, 20, "rgb555le"
+        for frame in burst:
+            shown = av.VideoFrame(24, 20, "rgb555le")
+            shown.planes[0].update(frame.astype("<u2").tobytes().ljust(shown.planes[0].buffer_size, b"\0"))
+            container.mux(track.encode(shown))
+        container.mux(track.encode())
+    content = bytearray((tmp_path / "a.avi").read_bytes())
+    codec = content.index(b"strf") + 8 + 16
+    content[codec : codec + 4] = b"Y16 "
+    at = content.index(b"vids") + 4
+    content[at : at + 4] = b"Y16 "
+    (tmp_path / "a.avi").write_bytes(content)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.avi").frames, burst)

@@ -54,19 +54,19 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             yield from readers.stream(file, key)
 
 
-def radiometry(path: Path) -> Radiometry | None:
+def radiometry(path: Path, key: str | None) -> Radiometry | None:
     """Radiometry of the first picture."""
-    return readers.radiometry(burst_files(path)[0])
+    return readers.radiometry(burst_files(path)[0], key)
 
 
-def radiometries(path: Path) -> list[Radiometry | None]:
+def radiometries(path: Path, key: str | None) -> list[Radiometry | None]:
     """Radiometry of each frame of each picture."""
-    of_files = {file: readers.radiometries(file) for file in burst_files(path)}
+    of_files = {file: readers.radiometries(file, key) for file in burst_files(path)}
     if len({law for laws in of_files.values() for law in laws}) == 1:
         return next(iter(of_files.values()))
     laws: list[Radiometry | None] = []
     for file, own in of_files.items():
-        laws += own if len(own) > 1 else own * sum(1 for _ in readers.stream(file))
+        laws += own if len(own) > 1 else own * sum(1 for _ in readers.stream(file, key))
     return laws
 
 

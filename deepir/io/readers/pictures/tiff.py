@@ -65,7 +65,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
                     yield _stack(page.asarray(), part.axes, path, nodata=_nodata(part))
 
 
-def radiometry(path: Path) -> Radiometry | None:
+def radiometry(path: Path, key: str | None) -> Radiometry | None:
     """Radiometry that deepir wrote into the description, see `deepir.io.radiometry.unit_metadata`."""
     with _open(path) as tiff:
         try:
@@ -117,8 +117,9 @@ def _check(part: Any, path: Path) -> None:
 
 
 def _nodata(part: Any) -> float | None:
-    """The value of lost samples that GDAL's tag names."""
-    tag = part.keyframe.tags.get(GDAL_NODATA)
+    """The value of lost samples that GDAL's tag names, on whichever page."""
+    tags = (page.tags.get(GDAL_NODATA) for page in part.pages if isinstance(page, tifffile.TiffPage))
+    tag = next((tag for tag in tags if tag is not None), None)
     try:
         return None if tag is None else float(str(tag.value).strip("\0 "))
     except ValueError:

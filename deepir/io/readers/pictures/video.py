@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ GENERIC = True
 DEEP_GREY = tuple(f"gray{bits}le" for bits in (9, 10, 12, 14, 16))
 #: What uncompressed AVI and MOV of 16 bits are taken for, whatever they hold.
 PACKED_SIXTEEN = ("rgb555le", "rgb555be", "rgb565le", "rgb565be", "bgr555le", "bgr565le")
+AVI_HEAD_BYTES = 2**14  # within which an AVI says what its film is
 LIMITED_RANGE = (12, 239)  # luma for black and white, 16 and 235, with what a lossy codec adds
 MAX_OVERSHOOT = 0.002  # share of the samples beyond it in a film of that range
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
@@ -47,9 +50,15 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
         if not container.streams.video:
             raise DataError(f"{path}: a film without pictures")
         context = container.streams.video[0].codec_context
+        if context is None and (size := _y16_size(path)) is not None:
+            check_size(path, 2 * math.prod(size), path.stat().st_size)
+            for packet in container.demux(video=0):
+                if packet.size:
+                    yield np.frombuffer(packet, "<u2").reshape(size)
+            return
         if context is None or not context.width:
             raise DataError(
-                f"{path}: a film of a codec that FFmpeg does not know, such as Y16; record it as FFV1 or raw gray16le "
+                f"{path}: a film of a codec that FFmpeg does not know; record it as FFV1 or raw gray16le "
                 "in Matroska, or read the samples with data.raw"
             )
         check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
@@ -77,6 +86,17 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
             coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
             yield np.ma.masked_array(counts, coloured) if coloured.any() else counts
+
+
+def _y16_size(path: Path) -> tuple[int, int] | None:
+    """Height and width of an AVI of uncompressed 16-bit grey (Y16), from its BITMAPINFOHEADER; None: something else."""
+    with path.open("rb") as file:
+        head = file.read(AVI_HEAD_BYTES)
+    at = head.find(b"strf") + 8
+    if at < 8 or len(head) < at + 20:
+        return None
+    width, height, _, _, codec = struct.unpack_from("<iiHH4s", head, at + 4)
+    return (abs(height), width) if codec[:3] == b"Y16" and width > 0 else None
 
 
 def _luma(frame: Any) -> Array:
