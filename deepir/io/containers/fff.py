@@ -155,6 +155,8 @@ def _in_order(plane: Array) -> Array:
 
 
 def _jpeg_ls(packed: bytes, path: Path) -> Array:
+    if packed.rfind(jpeg.END_OF_PICTURE) < 0:  # the decoder would take seconds to find that out
+        raise DataError(f"{path}: truncated: a packed raw plane has no end")
     height, width = jpeg.picture_size(io.BytesIO(packed)) or (0, 0)
     check_size(path, 2 * height * width, len(packed), compressed=True)
     return np.asarray(imagecodecs.jpegls_decode(packed))

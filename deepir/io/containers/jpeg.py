@@ -9,7 +9,7 @@ from typing import IO
 JPEG_SIGNATURE = b"\xff\xd8\xff"  # first bytes of a JPEG
 SCAN_MARKER = 0xDA  # start of scan: the picture's data follow
 FRAME_HEADER_MARKERS = {0xC0, 0xC1, 0xC2, 0xC3, 0xF7}  # SOF0 to SOF3 and, F7, SOF55 of JPEG-LS
-END_MARKER = 0xD9  # end of the picture
+END_OF_PICTURE = b"\xff\xd9"
 #: APP3 to APP15 without those of HDR and signatures (APP11), Photoshop (APP13) and Adobe (APP14).
 CAMERA_MARKERS = {*range(0xE3, 0xF0)} - {0xEB, 0xED, 0xEE}
 APP2 = 0xE2
@@ -60,7 +60,7 @@ def _after_picture(stream: IO[bytes]) -> bytes:
     data, at = stream.read(), 0
     while (marker := NEXT_MARKER.search(data, at)) is not None:
         at = marker.end()
-        if data[at - 1] == END_MARKER:
+        if marker[0] == END_OF_PICTURE:
             return data[at:]
         at += int.from_bytes(data[at : at + 2])
     return b""
