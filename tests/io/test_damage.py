@@ -69,7 +69,7 @@ FILES = {
 }
 NEEDS = {"hdf5": "h5py", "video": "av"}
 #: Recordings that do not say how many frames they have: where one ends, there may have been more.
-OPEN_ENDED = ("flir_sequence, seq", "flir_sequence, csq", "video, mkv")
+OPEN_ENDED = ("pgm", "flir_sequence, seq", "flir_sequence, csq", "video, mkv")
 LONGEST = 5.0  # seconds
 MOST = 2**30  # bytes
 

@@ -32,6 +32,14 @@ def test_a_layout_of_the_wrong_order_of_bytes_is_named(tmp_path, frames):
         read_frames(tmp_path / "a.raw", raw=Raw(width=64, height=48))
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int32])
+def test_longer_numbers_of_swapped_bytes_are_named_too(frames, kind):
+    assert are_swapped(frames.astype(kind).byteswap())
+    assert not are_swapped(frames.astype(kind))
+    if kind != np.int32:
+        assert not are_swapped((frames / 65536).astype(kind))
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -18,6 +18,10 @@ MAX_ROUGHNESS_RATIO = (
     1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
 )
 MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swapped, which alone is enough
+MAX_EXTENT, MAX_LIKELY_EXTENT = (
+    22.0,
+    20.0,
+)  # powers of two from one to most samples, where bytes are swapped and are not
 SIGNED_GAP = (
     8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
 )
@@ -40,7 +44,7 @@ def in_order(frames: Array, swap: bool | None, source: str, *, advice: str = "")
         return swapped(frames)
     if swap is None and are_swapped(frames):
         raise DataError(
-            f"{source}: the two bytes of its samples look swapped, as of big-endian numbers that a file calls "
+            f"{source}: the bytes of its samples look swapped, as of big-endian numbers that a file calls "
             f"little-endian: data.swap_bytes=true swaps them, data.swap_bytes=false takes them as they are{advice}"
         )
     return frames
@@ -53,10 +57,13 @@ def swapped(frames: Array) -> Array:
 
 
 def are_swapped(frames: Array) -> bool:
-    """Whether 16-bit samples (N, h, w) are likelier with their bytes swapped.
+    """Whether samples (N, h, w) are likelier with their bytes swapped.
 
-    The low byte of counts takes many values, the high byte few; and pictures are smooth.
+    The low byte of 16-bit counts takes many values, the high byte few; and pictures are smooth. Longer numbers of
+    swapped bytes are far from those that pictures hold.
     """
+    if frames.dtype.itemsize > 2:
+        return _extent(frames) > MAX_EXTENT > MAX_LIKELY_EXTENT > _extent(frames.byteswap())
     if frames.dtype.kind not in "iu" or frames.dtype.itemsize != 2:
         return False
     some = _some(frames)
@@ -83,6 +90,14 @@ def _some(frames: Array) -> Array:
     frames = np.ma.getdata(frames).reshape(-1, *frames.shape[-2:])
     some = frames[:: -(-len(frames) // SAMPLED_FRAMES), :SAMPLED_SIDE, :SAMPLED_SIDE]
     return some.astype(some.dtype.newbyteorder("="), copy=False).view(np.uint16)
+
+
+def _extent(frames: Array) -> float:
+    """How many powers of two lie between zero and one, or within and the typical samples: the 5 to 95 % of them."""
+    some = np.abs(np.ma.getdata(frames)[:1, :SAMPLED_SIDE, :SAMPLED_SIDE].astype(np.float64))
+    some = some[np.isfinite(some) & (some > 0)]
+    low, high = np.log2(np.quantile(some, (0.05, 0.95))) if some.size else (0.0, 0.0)
+    return float(max(-low, high) if frames.dtype.kind == "f" else high)
 
 
 def _roughness(frames: Array) -> float:

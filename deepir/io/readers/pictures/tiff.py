@@ -129,7 +129,9 @@ def _nodata(part: Any) -> float | None:
 def _stack(pixels: Array, axes: str, path: Path, *, nodata: float | None = None) -> Array:
     """Frames (N, h, w) of the axes of a series; masked where samples are lost."""
     # Samples in separate planes are frames: the default of tifffile for a burst of three or four.
-    if axes.endswith("S"):
+    if (
+        axes.endswith("S") and pixels.shape[-1] <= 4
+    ):  # more than colours and alpha: frames along the last axis
         pixels = to_grey(pixels, path)
     frames = pixels.reshape(-1, *pixels.shape[-2:])
     if nodata is None or math.isnan(nodata) or not (lost := frames == nodata).any():
