@@ -66,18 +66,20 @@ class Planck:
     def kelvin(self, counts: Array) -> Array:
         """Temperature of counts of any shape, K, float32; NaN where the signal is below that of any temperature."""
         own = (counts.astype(np.float64) + self.o - self._surroundings()) / self._share()
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             kelvin = self.b / np.log(self.r1 / (self.r2 * own) + self.f)
         return np.where(own > 0, kelvin, np.nan).astype(np.float32)
 
     def counts(self, kelvin: Array) -> Array:
         """Counts of temperatures of any shape, float32; NaN where there is none."""
         own = self.signal(kelvin.astype(np.float64))
-        return np.asarray(own * self._share() + self._surroundings() - self.o, np.float32)
+        with np.errstate(over="ignore"):
+            return np.asarray(own * self._share() + self._surroundings() - self.o).astype(np.float32)
 
     def signal(self, kelvin: float | Array) -> Any:
         """Counts of a black body at `kelvin` above zero signal (`-o`)."""
-        return self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f))
+        with np.errstate(all="ignore"):  # of nonsense, infinity
+            return self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f))
 
     def _share(self) -> float:
         """Of the surface's signal that reaches the camera."""
