@@ -18,8 +18,10 @@ from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
 from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
+from deepir.io.inspection.drawn_pixels import drawn_message
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
+from deepir.io.inspection.torn_frames import torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
 
 Array = np.ndarray[Any, Any]
@@ -121,6 +123,7 @@ def load(
     if rows := telemetry_rows(stack):
         valid[:, rows] = False
         messages = (*messages, telemetry_message(rows, mask.shape))
+    messages = (*messages, *torn_message(torn_frames(stack), len(stack)), *drawn_message(stack))
     stack = np.where(valid, stack, np.nan)
     stretched = is_contrast_stretched(stack)
     valid &= ~unrecorded_samples(stack)

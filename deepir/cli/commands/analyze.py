@@ -72,6 +72,8 @@ def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | No
     import deepir
 
     result = deepir.run("nuc", *settings, f"data.path={path}", output={})
+    for message in result.messages:
+        typer.echo(f"deepir: warning: {message}", err=True)
     scene_deviation = result.uncertainty.get("scene")
     return *_judged(
         result.gain, result.offset, result.scene, result.motion, result.bad_pixels
