@@ -66,7 +66,7 @@ def test_check_says_what_a_run_refuses(deepir, tmp_path):
 
 
 def test_check_sees_the_motion_that_a_run_sees(deepir, tmp_path):
-    """Of two regions that move against each other block means show nothing."""
+    """Means of blocks show nothing of a fine scene."""
     scene = np.random.default_rng(0).normal(8000, 100, (96, 300)).astype(np.float32)
     noise = np.random.default_rng(1).normal(0, 2, (5, 96, 128))
     np.save(tmp_path / "fine.npy", np.stack([scene[:, 40 * k : 40 * k + 128] for k in range(5)]) + noise)
