@@ -21,7 +21,7 @@ MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swappe
 MAX_EXTENT, MAX_LIKELY_EXTENT = (
     22.0,
     20.0,
-)  # powers of two from one to most samples, where bytes are swapped and are not
+)  # powers of two of samples whose bytes are swapped, and are not
 SIGNED_GAP = (
     8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
 )
@@ -93,11 +93,10 @@ def _some(frames: Array) -> Array:
 
 
 def _extent(frames: Array) -> float:
-    """How many powers of two lie between zero and one, or within and the typical samples: the 5 to 95 % of them."""
+    """Powers of two between one and a typical sample; below one they count for floats only."""
     some = np.abs(np.ma.getdata(frames)[:1, :SAMPLED_SIDE, :SAMPLED_SIDE].astype(np.float64))
-    some = some[np.isfinite(some) & (some > 0)]
-    low, high = np.log2(np.quantile(some, (0.05, 0.95))) if some.size else (0.0, 0.0)
-    return float(max(-low, high) if frames.dtype.kind == "f" else high)
+    powers = np.log2(some[np.isfinite(some) & (some > 0)])
+    return float(np.median(np.abs(powers) if frames.dtype.kind == "f" else powers)) if powers.size else 0.0
 
 
 def _roughness(frames: Array) -> float:
