@@ -123,10 +123,11 @@ def load(
     if rows := telemetry_rows(stack):
         valid[:, rows] = False
         messages = (*messages, telemetry_message(rows, mask.shape))
-    messages = (*messages, *torn_message(torn_frames(stack), len(stack)), *drawn_message(stack))
     stack = np.where(valid, stack, np.nan)
     stretched = is_contrast_stretched(stack)
     valid &= ~unrecorded_samples(stack)
+    shown = np.where(valid, stack, np.nan)
+    messages = (*messages, *torn_message(torn_frames(shown), len(shown)), *drawn_message(shown))
     if stretched:
         valid &= ~clipped_samples(stack)
     bad = ~valid.any(0)

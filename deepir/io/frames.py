@@ -187,7 +187,7 @@ def _unwrapped(pieces: Iterable[Array], source: str) -> Iterator[Array]:
     """Signed counts as unsigned ones, from the first piece on in which those above 32767 have become negative."""
     wrapped = False
     for piece in pieces:
-        if not wrapped and have_wrapped(piece):
+        if not wrapped and (have_wrapped(piece) or any(map(have_wrapped, piece if piece.ndim == 3 else ()))):
             wrapped = True
             warn_once(f"{source}: counts above 32767 are stored as negative ones; they are read as unsigned")
         yield piece.astype(piece.dtype.newbyteorder("=")).view(np.uint16) if wrapped else piece
@@ -238,7 +238,7 @@ def digest(path: str | os.PathLike[str]) -> str:
 
 
 def to_stack(array: Array, source: str) -> Array:
-    """Frames (N, h, w) of an array (h, w), (N, h, w), (N, 1, h, w) or (N, h, w, 1).
+    """Frames (N, h, w) of an array (h, w), (h, w, 1), (N, h, w), (N, 1, h, w) or (N, h, w, 1).
 
     Raises:
         DataError: The shape is another, or values are neither integers nor floats; the message names `source`.
@@ -252,6 +252,8 @@ def to_stack(array: Array, source: str) -> Array:
         array = array[..., 0]
     elif array.ndim == 2:
         array = array[None]
+    elif array.ndim == 3 and shape[2] == 1 < shape[1]:
+        array = array[None, ..., 0]
     if array.ndim != 3 or 0 in shape:
         raise DataError(
             f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)"

@@ -31,6 +31,13 @@ def test_unsigned_counts_have_no_fill_value(celsius):
     assert lost_samples(np.where(celsius < 0, np.float32(1e20), celsius), np.dtype(np.uint16)) is None
 
 
+def test_zeros_below_all_other_floats_are_lost_and_others_are_not(celsius):
+    celsius[0, :4] = 0
+    assert lost_samples(celsius, celsius.dtype) is None
+    warm = np.where(celsius == 0, 0, celsius + 40)
+    np.testing.assert_array_equal(lost_samples(warm, warm.dtype), warm == 0)
+
+
 def test_two_fill_values_are_both_lost(celsius):
     celsius[0, 0], celsius[1, 1] = -9999, -32768
     lost = lost_samples(celsius, celsius.dtype)

@@ -40,21 +40,19 @@ def describe(burst: Frames) -> list[str]:
     if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
         frames = np.delete(frames, rows, axis=1)
-    lines += torn_message(torn_frames(frames), len(frames)) + drawn_message(frames)
-    frames = _shown(frames)
+    lines += torn_message(torn_frames(frames), len(frames))
+    if np.isfinite(frames).any() and (empty := unrecorded_samples(frames)).any():
+        lines.append(
+            f"{int(empty.sum())} sample(s) hold nothing: zeros far below all others, or bars at the edge"
+        )
+        frames = np.where(empty, np.float32(np.nan), frames)
+    lines += drawn_message(frames)
+    frames = np.where(drawn_pixels(frames), np.float32(np.nan), frames)
     repeats = [k for k in range(1, len(frames)) if np.array_equal(frames[k], frames[k - 1], equal_nan=True)]
     if 0 < len(repeats) < len(frames) - 1:
         lines.append(f"{len(repeats)} frame(s) repeat the one before them; a run leaves them out")
         frames = np.delete(frames, repeats, axis=0)
     return lines + _noise_and_motion(frames)
-
-
-def _shown(frames: Array) -> Array:
-    """The frames (N, h, w), NaN where they show nothing of the scene."""
-    hidden = (
-        drawn_pixels(frames) | unrecorded_samples(frames) if np.isfinite(frames).any() else np.zeros(1, bool)
-    )
-    return np.where(hidden, np.float32(np.nan), frames) if hidden.any() else frames
 
 
 def _temperatures(burst: Frames, finite: Array) -> list[str]:

@@ -12,6 +12,7 @@ FILL_VALUES = (
     *(-3.4028234663852886e38, 3.4028234663852886e38, 1e20, -1e20, 9.969209968386869e36, -1e30, 1e30, -1e31),
 )
 UNSIGNED_FILL = 65535.0  # of 16-bit counts
+MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
 SAMPLES = 100_000  # that the range of the others is measured of
 
 Frames = np.ndarray[Any, np.dtype[np.float32]]
@@ -30,6 +31,8 @@ def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dt
     if stored.kind == "u" and stored.itemsize != 2:
         return None
     values = (UNSIGNED_FILL,) if stored.kind == "u" else FILL_VALUES
+    if stored.kind == "f":
+        values = (*values, 0.0)
     found = None
     for value in values:
         if not (lost := frames == np.float32(value)).any() or lost.all():
@@ -40,6 +43,7 @@ def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dt
         if not len(others):
             continue
         low, high = float(others.min()), float(others.max())
-        if min(abs(value - low), abs(value - high)) > high - low:
+        gap = MIN_ZERO_GAP if value == 0 else 1.0
+        if max(low - value, value - high) > gap * (high - low):
             found = lost if found is None else found | lost
     return found

@@ -33,15 +33,19 @@ def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
     some = frames[:: max(1, count // SAMPLED_FRAMES)]
     inside = some[:, edge:-edge:ROW_STRIDE] if height >= 4 * edge else some
     usual = float(np.median(_rough(inside)))
-    step = float(np.median(np.abs(np.nan_to_num(np.diff(some.astype(np.float32), axis=1)))))
+    step = float(np.median(np.abs(np.nan_to_num(np.diff(_known(some), axis=1)))))
     above, below = (_at_start(rows, usual, step) for rows in (some[:, :edge], some[:, : -edge - 1 : -1]))
     return [*range(above), *range(height - below, height)]
 
 
+def _known(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """NaN in place of what is infinite."""
+    return np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
+
+
 def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Roughness (K,) of rows (N, K, w): a high quantile of their absolute differences, in a typical frame."""
-    known = np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
-    steps = np.nan_to_num(np.abs(np.diff(known, axis=-1)))
+    steps = np.nan_to_num(np.abs(np.diff(_known(rows), axis=-1)))
     found: np.ndarray[Any, Any] = np.median(np.quantile(steps, ROUGHNESS_QUANTILE, axis=-1), axis=0)
     return found
 
@@ -54,12 +58,12 @@ def _at_start(rows: np.ndarray[Any, Any], usual: float, step: float) -> int:
         usual: Roughness of a picture row.
         step: Usual difference of neighbouring picture rows.
     """
-    rough, known = _rough(rows), np.nan_to_num(rows.astype(np.float32))
-    peaks = np.median(np.abs(np.diff(known, axis=-1)).max(-1), axis=0)
+    rough, known = _rough(rows), _known(rows)
+    peaks = np.median(np.nan_to_num(np.abs(np.diff(known, axis=-1))).max(-1), axis=0)
     for count in range(MAX_TELEMETRY_ROWS, 0, -1):
         beside = max(usual, float(rough[count : count + COMPARED_ROWS].max()))
         is_rough = (rough[:count] > MIN_ROUGHNESS_RATIO * beside) & (beside > 0)
-        apart = np.median(np.abs(known[:, :count] - known[:, count : count + 1]), axis=(0, 2))
+        apart = np.median(np.nan_to_num(np.abs(known[:, :count] - known[:, count : count + 1])), axis=(0, 2))
         has_words = (np.minimum(apart, peaks[:count]) > MIN_STEP_RATIO * step) & (step > 0)
         if (is_rough | has_words).all():
             return count

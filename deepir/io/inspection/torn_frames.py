@@ -63,7 +63,8 @@ def _repeated_rows(frames: Array, k: int) -> int:
 
 def _seams(frames: Array) -> dict[int, int]:
     """Frames in which one step from row to row stands out, and the row below it."""
-    steps = np.diff(np.nan_to_num(frames[:, :, ::COLUMN_STRIDE].astype(np.float32)), axis=1)
+    some = frames[:, :, ::COLUMN_STRIDE]
+    steps = np.nan_to_num(np.diff(np.where(np.isfinite(some), some, np.nan).astype(np.float32), axis=1))
     steps = np.median(np.abs(steps - np.median(steps, axis=0)), axis=-1)  # (N, h - 1)
     rows, largest = steps.argmax(1), steps.max(1)
     usual = float(np.median(largest))
