@@ -209,9 +209,7 @@ def _as_of_frame_0(
     """
     laws = [resolve_radiometry(law, asked or schema.Radiometry()) for law in laws]
     first = laws[0]
-    for number, (frame, law) in enumerate(
-        zip(frames, itertools.chain(laws, itertools.repeat(laws[-1])), strict=False)
-    ):
+    for frame, law in zip(frames, itertools.chain(laws, itertools.repeat(laws[-1])), strict=False):
         if law == first:
             yield frame.astype(np.float32)
             continue
@@ -220,10 +218,20 @@ def _as_of_frame_0(
                 f"{source}: only some of its frames say what kelvin are; give data.radiometry.scale=..."
             )
         warn_once(
-            f"{source}: what makes kelvin of counts changes at frame {number} ({law}; frame 0: {first}); the counts of "
-            "such frames are converted to those of frame 0"
+            f"{source}: what makes kelvin of counts changes, {_change(first, laws)}; the counts of such frames are "
+            "converted to those of frame 0"
         )
         yield first.counts(law.kelvin(frame))
+
+
+def _change(first: Radiometry, laws: Sequence[Radiometry | None]) -> str:
+    """The first frame whose radiometry is another, and how, in words."""
+    number, other = next((k, law) for k, law in enumerate(laws) if law not in (first, None))
+    before, after = vars(first), vars(other)
+    what = [
+        f"{each} {before.get(each)}, then {after[each]}" for each in after if before.get(each) != after[each]
+    ]
+    return f"at frame {number} first ({'; '.join(what)})"
 
 
 def digest(path: str | os.PathLike[str]) -> str:
