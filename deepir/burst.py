@@ -13,7 +13,6 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, read_data, read_mask, read_truth, validate
-from deepir.io.frames import select_frames, to_float32, unselected_pairs
 from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
@@ -23,6 +22,7 @@ from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
 from deepir.io.inspection.torn_frames import torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
+from deepir.io.selection import select_frames, to_float32, unselected_pairs
 
 Array = np.ndarray[Any, Any]
 PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,18 +20,14 @@ from deepir.io.guards import judging_colours_in, warn_once
 from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.fill_values import lost_samples
 from deepir.io.inspection.stored_samples import SAMPLED_FRAMES, have_wrapped, in_order, swapped
-from deepir.io.radiometry import Radiometry, resolve_radiometry
+from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.readers import Array
 from deepir.io.readers.pictures import folder
+from deepir.io.selection import Select, select_frames, to_float32, unselected_pairs
 from deepir.paths import expanded
-
-MAX_UNSELECTED_PAIRS = 6  # pairs of frames outside a burst that are kept to score its correction
-MAX_PAIR_GAP = 8  # frames between the two of a pair
 
 JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is streamed are judged
 _RAW_ORDER = ", and data.raw.endian=big reads big-endian ones"
-
-Select = str | int | Sequence[int] | None
 
 
 @dataclass(frozen=True)
@@ -92,7 +87,7 @@ def read_frames(
     (stored,) = _unwrapped([in_order(stored, swap_bytes, source, advice=_RAW_ORDER if raw else "")], source)
     laws = readers.radiometries(file, key) if raw is None else [None]
     if len(laws) > 1:
-        stored = np.ma.stack([*_as_of_frame_0(stored, laws, radiometry, source)])
+        stored = np.ma.stack([*as_of_frame_0(stored, laws, radiometry, source)])
     frames = to_float32(select_frames(stored, select, source))
     if (lost := lost_samples(frames, dtype)) is not None:
         frames[lost] = np.nan
@@ -129,7 +124,7 @@ def stream_frames(
     frames = _unwrapped(map(swapped, frames) if swap_bytes else frames, source)
     laws = readers.radiometries(file, key) if raw is None else [None]
     if len(laws) > 1:
-        frames = _as_of_frame_0(frames, laws, radiometry, source)
+        frames = as_of_frame_0(frames, laws, radiometry, source)
     for frame in frames:
         lost = lost_samples(np.ma.getdata(frame)[None], frame.dtype)
         yield frame if lost is None else np.ma.masked_array(frame, np.ma.getmaskarray(frame) | lost[0])
@@ -193,47 +188,6 @@ def _unwrapped(pieces: Iterable[Array], source: str) -> Iterator[Array]:
         yield piece.astype(piece.dtype.newbyteorder("=")).view(np.uint16) if wrapped else piece
 
 
-def _as_of_frame_0(
-    frames: Iterable[Array],
-    laws: Sequence[Radiometry | None],
-    asked: schema.Radiometry | None,
-    source: str,
-) -> Iterator[Array]:
-    """Frames, float32, in the counts that frame 0 would have given of the same temperatures.
-
-    Args:
-        frames: (h, w).
-        laws: Radiometry of each frame.
-        asked: The user's settings.
-        source: The file, for messages.
-    """
-    laws = [resolve_radiometry(law, asked or schema.Radiometry()) for law in laws]
-    first = laws[0]
-    for frame, law in zip(frames, itertools.chain(laws, itertools.repeat(laws[-1])), strict=False):
-        if law == first:
-            yield frame.astype(np.float32)
-            continue
-        if first is None or law is None:
-            raise DataError(
-                f"{source}: only some of its frames say what kelvin are; give data.radiometry.scale=..."
-            )
-        warn_once(
-            f"{source}: what makes kelvin of counts changes, {_change(first, laws)}; the counts of such frames are "
-            "converted to those of frame 0"
-        )
-        yield first.counts(law.kelvin(frame))
-
-
-def _change(first: Radiometry, laws: Sequence[Radiometry | None]) -> str:
-    """The first frame whose radiometry is another, and how, in words."""
-    number, other = next((k, law) for k, law in enumerate(laws) if law not in (first, None))
-    before, after = vars(first), vars(other)
-    what = [
-        f"{each} {before.get(each)}, then {after[each]}" for each in after if before.get(each) != after[each]
-    ]
-    return f"at frame {number} first ({'; '.join(what)})"
-
-
 def digest(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a burst's file, or of the digests of its pictures in order.
 
@@ -267,86 +221,6 @@ def to_stack(array: Array, source: str) -> Array:
             f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)"
         )
     return array
-
-
-def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Copy in float32: exact up to 24 bits, infinite beyond its range, NaN where the array is masked."""
-    with np.errstate(over="ignore"):
-        return np.ma.filled(array.astype(np.float32), np.nan)
-
-
-def select_frames(frames: Array, select: Select, source: str) -> Array:
-    """The selected frames, see `read_frames`.
-
-    Raises:
-        DataError: `select` does not fit the frames; the message names `source`.
-    """
-    if select is None:
-        return frames
-    count = len(frames)
-    wrong = DataError(
-        f"{source}: data.frames={select!r} does not fit its {count} frames (numbered from 0). "
-        "Give a count (8), a slice ('2:10', '::2') or a list of frame numbers ([0, 3, 5])."
-    )
-    try:
-        picked = _indices(select)
-    except ValueError:
-        raise wrong from None
-    named = [picked.start, picked.stop] if isinstance(picked, slice) else picked
-    # A slice's end may be one beyond the last frame.
-    limit = count + isinstance(picked, slice)
-    if any(i is not None and not -count <= i < limit for i in named) or not len(np.arange(count)[picked]):
-        raise wrong
-    return frames[picked]
-
-
-def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
-    """Pairs of frames outside the selection, from its neighbourhood.
-
-    The two frames of a pair are half the reach of the burst apart, at most `MAX_PAIR_GAP` frames.
-
-    Args:
-        frames: (N, h, w).
-        select: The selection, see `read_frames`.
-
-    Returns:
-        (2 M, h, w), float32; None if there is no pair.
-    """
-    if select is None:
-        return None
-    numbers = np.arange(len(frames))
-    taken = numbers[_indices(select)]
-    reach = int(np.ptp(taken))
-    gap = int(np.clip(reach // 2, 1, MAX_PAIR_GAP))
-    free = (
-        ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
-    )
-    starts = numbers[:-gap][free[:-gap] & free[gap:]]
-    if not len(starts):
-        return None
-    some = starts[
-        np.unique(np.linspace(0, len(starts) - 1, min(len(starts), MAX_UNSELECTED_PAIRS)).round().astype(int))
-    ]
-    return to_float32(frames[np.stack((some, some + gap), 1).ravel()])
-
-
-def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
-    """A slice or a list of a selection; `ValueError` if it is neither, or has a step of zero."""
-    if isinstance(select, str) and ":" in select:
-        bounds = [int(part) if part.strip() else None for part in select.split(":")]
-        if len(bounds) > 3 or (len(bounds) == 3 and bounds[2] == 0):
-            raise ValueError(select)
-        return slice(*bounds)
-    if isinstance(select, bool) or not isinstance(select, str | int | Sequence):
-        raise ValueError(select)
-    if isinstance(select, str | int):
-        count = int(select)
-        if count < 1:
-            raise ValueError(select)
-        return slice(0, count)
-    if any(isinstance(i, bool) or not isinstance(i, int | np.integer) for i in select):
-        raise ValueError(select)
-    return [int(i) for i in select]
 
 
 def _sha256(path: Path) -> str:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from deepir.config import schema
-from deepir.errors import ConfigError
+from deepir.errors import ConfigError, DataError
+from deepir.io.guards import warn_once
 
 Array = np.ndarray[Any, Any]
 ZERO_CELSIUS = 273.15  # K
@@ -167,3 +170,44 @@ def resolve_radiometry(found: Radiometry | None, asked: schema.Radiometry) -> Ra
             f"data.radiometry: {min(given)} needs {' and '.join(missing)} too: the file says nothing of kelvin"
         )
     return law(**known)
+
+
+def as_of_frame_0(
+    frames: Iterable[Array],
+    laws: Sequence[Radiometry | None],
+    asked: schema.Radiometry | None,
+    source: str,
+) -> Iterator[Array]:
+    """Frames, float32, in the counts that frame 0 would have given of the same temperatures.
+
+    Args:
+        frames: (h, w).
+        laws: Radiometry of each frame.
+        asked: The user's settings.
+        source: The file, for messages.
+    """
+    laws = [resolve_radiometry(law, asked or schema.Radiometry()) for law in laws]
+    first = laws[0]
+    for frame, law in zip(frames, itertools.chain(laws, itertools.repeat(laws[-1])), strict=False):
+        if law == first:
+            yield frame.astype(np.float32)
+            continue
+        if first is None or law is None:
+            raise DataError(
+                f"{source}: only some of its frames say what kelvin are; give data.radiometry.scale=..."
+            )
+        warn_once(
+            f"{source}: what makes kelvin of counts changes, {_change(first, laws)}; the counts of such frames are "
+            "converted to those of frame 0"
+        )
+        yield first.counts(law.kelvin(frame))
+
+
+def _change(first: Radiometry, laws: Sequence[Radiometry | None]) -> str:
+    """The first frame whose radiometry is another, and how, in words."""
+    number, other = next((k, law) for k, law in enumerate(laws) if law not in (first, None))
+    before, after = vars(first), vars(other)
+    what = [
+        f"{each} {before.get(each)}, then {after[each]}" for each in after if before.get(each) != after[each]
+    ]
+    return f"at frame {number} first ({'; '.join(what)})"
