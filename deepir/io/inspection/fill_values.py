@@ -34,7 +34,8 @@ def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dt
     if stored.kind == "f":
         values = (*values, 0.0)
     found = None
-    for value in values:
+    least, largest = np.fmin.reduce(frames, axis=None), np.fmax.reduce(frames, axis=None)
+    for value in (each for each in values if least <= np.float32(each) <= largest):
         if not (lost := frames == np.float32(value)).any() or lost.all():
             continue
         others = frames[~lost]
