@@ -21,6 +21,7 @@ LOSSY_TOLERANCE = (
     0.02  # difference of the channels that a lossy codec may give a grey pixel, share of the range
 )
 MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
+MAX_COLOURED_LOSSY = 0.05  # the same where a lossy codec spreads their colours over its blocks
 UNCHECKED_BYTES = GIB // 4  # size up to which a claim is not checked: an empty mask may be that compressible
 
 log = logging.getLogger("deepir")
@@ -105,7 +106,7 @@ def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0)
         tolerance: Difference of the channels of a grey pixel, as a share of the range: of lossy codecs.
 
     Returns:
-        (...); masked where up to `MAX_COLOURED` of the pixels are coloured (a marker or text).
+        (...); masked where few pixels are coloured (a marker or text).
 
     Raises:
         ColourError: More pixels are coloured.
@@ -117,7 +118,7 @@ def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0)
     wide = pixels[..., :3].astype(np.int32 if pixels.dtype.kind in "iu" else pixels.dtype)
     most = tolerance * np.iinfo(pixels.dtype).max if tolerance else 0
     coloured = np.ptp(wide, axis=-1) > most
-    if coloured[(..., *_judged.get())].mean() > MAX_COLOURED:
+    if coloured[(..., *_judged.get())].mean() > (MAX_COLOURED_LOSSY if tolerance else MAX_COLOURED):
         raise ColourError(
             f"{path}: a colour picture. A palette picture carries no radiometry: colours cannot be turned "
             "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture. If only a "

@@ -46,8 +46,9 @@ def describe(burst: Frames) -> list[str]:
             f"{int(empty.sum())} sample(s) hold nothing: zeros far below all others, or bars at the edge"
         )
         frames = np.where(empty, np.float32(np.nan), frames)
-    lines += drawn_message(frames)
-    frames = np.where(drawn_pixels(frames), np.float32(np.nan), frames)
+    if drawn := drawn_message(frames):
+        lines += drawn
+        frames = np.where(drawn_pixels(frames), np.float32(np.nan), frames)
     repeats = [k for k in range(1, len(frames)) if np.array_equal(frames[k], frames[k - 1], equal_nan=True)]
     if 0 < len(repeats) < len(frames) - 1:
         lines.append(f"{len(repeats)} frame(s) repeat the one before them; a run leaves them out")
