@@ -12,14 +12,17 @@ import torch
 
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
-from deepir.io import crop, read_frames, read_mask, read_truth, validate
-from deepir.io.frames import select_frames, to_float32, unselected_pairs
+from deepir.io import crop, read_data, read_mask, read_truth, validate
 from deepir.io.frames import to_stack as stacked
+from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
 from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
+from deepir.io.inspection.drawn_pixels import drawn_message
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
+from deepir.io.inspection.torn_frames import torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
+from deepir.io.selection import select_frames, to_float32, unselected_pairs
 
 Array = np.ndarray[Any, Any]
 PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame
@@ -85,13 +88,13 @@ def load(
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
     if frames is not None:
         source, digest = "frames", ""
-        whole = stacked(_array(frames), source)
+        whole = oriented(stacked(_array(frames), source), data.axes, source)
         stack, beside = (
             to_float32(select_frames(whole, data.frames, source)),
             unselected_pairs(whole, data.frames),
         )
     elif data.path is not None:
-        read = read_frames(data.path, key=data.key, select=data.frames, raw=data.raw)
+        read = read_data(data)
         stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
         beside = read.beside
     elif data.simulate is not None:
@@ -123,6 +126,8 @@ def load(
     stack = np.where(valid, stack, np.nan)
     stretched = is_contrast_stretched(stack)
     valid &= ~unrecorded_samples(stack)
+    shown = np.where(valid, stack, np.nan)
+    messages = (*messages, *torn_message(torn_frames(shown), len(shown)), *drawn_message(shown))
     if stretched:
         valid &= ~clipped_samples(stack)
     bad = ~valid.any(0)

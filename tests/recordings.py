@@ -38,6 +38,13 @@ def png(path, frames):
     path.write_bytes(imagecodecs.png_encode(frames[0]))
 
 
+def pgm(path, frames):
+    height, width = frames.shape[1:]
+    path.write_bytes(
+        b"".join(b"P5\n%d %d\n65535\n" % (width, height) + f.astype(">u2").tobytes() for f in frames)
+    )
+
+
 def folder(path, frames):
     path.mkdir()
     for k, frame in enumerate(frames):
@@ -203,6 +210,7 @@ MANY = [
     ("lzw.tiff", lzw_tiff),
     ("folder", folder),
     ("burst.mat", mat),
+    ("burst.pgm", pgm),
     ("burst.seq", seq),
     ("burst.csq", csq),
     ("burst.cptv", cptv),

@@ -26,6 +26,13 @@ Plugins = Annotated[
         "--plugin", metavar="MODULE", help="Python module that registers components; may be repeated."
     ),
 ]
+DATA_SETTINGS = (
+    "data.key",
+    "data.raw",
+    "data.axes",
+    "data.swap_bytes",
+    "data.radiometry",
+)  # of how a file is read
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 
 
@@ -80,5 +87,5 @@ def recording_radiometry(config: Config) -> Radiometry | None:
     from deepir.paths import expanded
 
     data = config.data
-    found = readers.radiometry(expanded(str(data.path))) if data.raw is None else None
+    found = readers.radiometry(expanded(str(data.path)), data.key) if data.raw is None else None
     return resolve_radiometry(found, data.radiometry)

@@ -17,6 +17,8 @@ class Raw(_Strict):
     width: int = Field(ge=1, le=2**15)  # px
     height: int = Field(ge=1, le=2**15)  # px
     bits: int = Field(16, ge=1, le=16)  # that count; up to 8 take one byte a sample, more take two
+    #: Of a sample; None: unsigned, of one or two bytes by `bits`.
+    type: Literal["uint8", "uint16", "int16", "uint32", "int32", "float32", "float64"] | None = None
     offset: int = Field(0, ge=0)  # bytes before the first frame
     endian: Literal["little", "big"] = "little"
 
@@ -49,6 +51,12 @@ class Data(_Strict):
     crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
     frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
     key: str | None = None  # array in a file that holds several
+    axes: Literal["nhw", "nwh", "hwn", "whn", "hnw", "wnh"] | None = (
+        None  # of an array: frames n, height h, width w
+    )
+    swap_bytes: bool | None = (
+        None  # the two bytes of each sample; None: as stored, and an error where they look swapped
+    )
     raw: Raw | None = None  # layout of a file without a header
     radiometry: Radiometry = Radiometry()
     fps: float | None = Field(default=None, gt=0)  # frames a second

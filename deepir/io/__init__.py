@@ -1,6 +1,6 @@
 """Files in and out: frames, masks and truths as NumPy arrays, checked before anything is solved."""
 
-from deepir.io.frames import Frames, read_frames, stream_frames
+from deepir.io.frames import Frames, read_data, read_frames, stream_data, stream_frames
 from deepir.io.inspection.checks import crop, validate
 from deepir.io.inspection.describe import describe
 from deepir.io.maps import read_mask, read_truth
@@ -20,9 +20,11 @@ __all__ = [
     "atomic_files",
     "crop",
     "describe",
+    "read_data",
     "read_frames",
     "read_mask",
     "read_truth",
+    "stream_data",
     "stream_frames",
     "validate",
     "write_json",

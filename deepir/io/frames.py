@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from deepir.config import schema
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import raw as headerless
 from deepir.io import readers
+from deepir.io.guards import judging_colours_in, warn_once
+from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.fill_values import lost_samples
-from deepir.io.radiometry import Radiometry
+from deepir.io.inspection.stored_samples import SAMPLED_FRAMES, have_wrapped, in_order, swapped
+from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.readers import Array
 from deepir.io.readers.pictures import folder
+from deepir.io.selection import Select, select_frames, to_float32, unselected_pairs
 from deepir.paths import expanded
 
-MAX_UNSELECTED_PAIRS = 6  # pairs of frames outside a burst that are kept to score its correction
-MAX_PAIR_GAP = 8  # frames between the two of a pair
-
-Select = str | int | Sequence[int] | None
+JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is streamed are judged
+_RAW_ORDER = ", and data.raw.endian=big reads big-endian ones"
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,15 @@ class Frames:
 
 
 def read_frames(
-    path: str | os.PathLike[str], *, key: str | None = None, select: Select = None, raw: Raw | None = None
+    path: str | os.PathLike[str],
+    *,
+    key: str | None = None,
+    select: Select = None,
+    raw: Raw | None = None,
+    axes: str | None = None,
+    swap_bytes: bool | None = None,
+    radiometry: schema.Radiometry | None = None,
+    grey_within: Sequence[int] | None = None,
 ) -> Frames:
     """Read frames from a file, a folder of pictures or a glob; the contents decide the format.
 
@@ -58,37 +69,123 @@ def read_frames(
         key: Name of the array in a file that holds several.
         select: The first n frames (`8`), a slice (`"2:10"`, `"::2"`) or a list of frame numbers.
         raw: Layout of a file without a header.
+        axes: What each axis of a stack counts, such as "hwn"; None: frames first; one that looks turned is an error.
+        swap_bytes: Whether to swap the bytes of each sample; None: no, and samples that look swapped are an error.
+        radiometry: The user's settings: frames of other constants are converted to what frame 0 would have counted.
+        grey_within: [y0, y1, x0, x1], the part in which a picture has to be grey; None: the whole picture.
 
     Raises:
         DataError: It cannot be read, or holds no burst of numbers.
     """
     file = expanded(path)
-    stored = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
+    with judging_colours_in(grey_within):
+        stored = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
     source = f"{file}[{key}]" if key else str(file)
+    dtype = stored.dtype
+    any_axes = raw is None and getattr(readers.find_reader(file), "ANY_AXES", False)
+    stored = oriented(stored, axes or (None if any_axes else USUAL), source)
+    (stored,) = _unwrapped([in_order(stored, swap_bytes, source, advice=_RAW_ORDER if raw else "")], source)
+    laws = readers.radiometries(file, key) if raw is None else [None]
+    if len(laws) > 1:
+        stored = np.ma.stack([*as_of_frame_0(stored, laws, radiometry, source)])
     frames = to_float32(select_frames(stored, select, source))
-    if (lost := lost_samples(frames, stored.dtype)) is not None:
+    if (lost := lost_samples(frames, dtype)) is not None:
         frames[lost] = np.nan
-    kelvin = readers.radiometry(file) if raw is None else None
-    return Frames(frames, source, stored.dtype.name, digest(file), kelvin, unselected_pairs(stored, select))
+    return Frames(frames, source, dtype.name, digest(file), laws[0], unselected_pairs(stored, select))
 
 
 def stream_frames(
-    path: str | os.PathLike[str], *, key: str | None = None, raw: Raw | None = None
+    path: str | os.PathLike[str],
+    *,
+    key: str | None = None,
+    raw: Raw | None = None,
+    axes: str | None = None,
+    swap_bytes: bool | None = None,
+    radiometry: schema.Radiometry | None = None,
 ) -> Iterator[Array]:
     """Frame after frame (h, w), in the stored type, of a recording that may be larger than the memory.
 
-    Args:
-        path: The file, folder or glob.
-        key: Name of the array in a file that holds several.
-        raw: Layout of a file without a header.
+    Args: as those of `read_frames`. Lost samples are masked.
 
     Raises:
         DataError: As `read_frames`.
     """
     file = expanded(path)
-    pieces = readers.stream(file, key) if raw is None else headerless.stream(file, raw)
-    for piece in pieces:
+    source = f"{file}[{key}]" if key else str(file)
+    any_axes = raw is None and getattr(readers.find_reader(file), "ANY_AXES", False)
+    first = _first_frames(file, key, raw, BLOCK_SIDE if any_axes else SAMPLED_FRAMES)
+    if axes not in (None, USUAL) or (axes is None and any_axes and turned_axes(first) is not None):
+        stack = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
+        first = oriented(stack, axes, source)
+        frames = iter(first)
+    else:
+        frames = _stream(file, key, raw)
+    in_order(first, swap_bytes, source, advice=_RAW_ORDER if raw else "")
+    frames = _unwrapped(map(swapped, frames) if swap_bytes else frames, source)
+    laws = readers.radiometries(file, key) if raw is None else [None]
+    if len(laws) > 1:
+        frames = as_of_frame_0(frames, laws, radiometry, source)
+    for frame in frames:
+        lost = lost_samples(np.ma.getdata(frame)[None], frame.dtype)
+        yield frame if lost is None else np.ma.masked_array(frame, np.ma.getmaskarray(frame) | lost[0])
+
+
+def read_data(data: schema.Data) -> Frames:
+    """`read_frames` with the settings of a configuration; `data.crop` is left to the caller."""
+    return read_frames(
+        str(data.path),
+        key=data.key,
+        select=data.frames,
+        raw=data.raw,
+        axes=data.axes,
+        swap_bytes=data.swap_bytes,
+        radiometry=data.radiometry,
+        grey_within=data.crop,
+    )
+
+
+def stream_data(data: schema.Data) -> Iterator[Array]:
+    """`stream_frames` with the settings of a configuration."""
+    return stream_frames(
+        str(data.path),
+        key=data.key,
+        raw=data.raw,
+        axes=data.axes,
+        swap_bytes=data.swap_bytes,
+        radiometry=data.radiometry,
+    )
+
+
+def _stream(file: Path, key: str | None, raw: Raw | None) -> Iterator[Array]:
+    """Frame after frame (h, w) as stored."""
+    for piece in readers.stream(file, key) if raw is None else headerless.stream(file, raw):
         yield from to_stack(piece, str(file))
+
+
+def _first_frames(file: Path, key: str | None, raw: Raw | None, count: int) -> Array:
+    """Up to `count` first frames, of up to `JUDGED_BYTES`; those before a break."""
+    taken: list[Array] = []
+    try:
+        for frame in _stream(file, key, raw):
+            if len(taken) == count or sum(each.nbytes for each in taken) > JUDGED_BYTES:
+                break
+            if taken and frame.shape != taken[0].shape:
+                break
+            taken.append(frame)
+    except DataError:
+        if not taken:
+            raise
+    return np.ma.stack(taken) if any(map(np.ma.isMaskedArray, taken)) else np.stack(taken)
+
+
+def _unwrapped(pieces: Iterable[Array], source: str) -> Iterator[Array]:
+    """Signed counts as unsigned ones, from the first piece on in which those above 32767 have become negative."""
+    wrapped = False
+    for piece in pieces:
+        if not wrapped and (have_wrapped(piece) or any(map(have_wrapped, piece if piece.ndim == 3 else ()))):
+            wrapped = True
+            warn_once(f"{source}: counts above 32767 are stored as negative ones; they are read as unsigned")
+        yield piece.astype(piece.dtype.newbyteorder("=")).view(np.uint16) if wrapped else piece
 
 
 def digest(path: str | os.PathLike[str]) -> str:
@@ -103,7 +200,7 @@ def digest(path: str | os.PathLike[str]) -> str:
 
 
 def to_stack(array: Array, source: str) -> Array:
-    """Frames (N, h, w) of an array (h, w), (N, h, w), (N, 1, h, w) or (N, h, w, 1).
+    """Frames (N, h, w) of an array (h, w), (h, w, 1), (N, h, w), (N, 1, h, w) or (N, h, w, 1).
 
     Raises:
         DataError: The shape is another, or values are neither integers nor floats; the message names `source`.
@@ -117,91 +214,13 @@ def to_stack(array: Array, source: str) -> Array:
         array = array[..., 0]
     elif array.ndim == 2:
         array = array[None]
+    elif array.ndim == 3 and shape[2] == 1 < shape[1]:
+        array = array[None, ..., 0]
     if array.ndim != 3 or 0 in shape:
         raise DataError(
             f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)"
         )
     return array
-
-
-def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Copy in float32: exact up to 24 bits, infinite beyond its range, NaN where the array is masked."""
-    with np.errstate(over="ignore"):
-        return np.ma.filled(array.astype(np.float32), np.nan)
-
-
-def select_frames(frames: Array, select: Select, source: str) -> Array:
-    """The selected frames, see `read_frames`.
-
-    Raises:
-        DataError: `select` does not fit the frames; the message names `source`.
-    """
-    if select is None:
-        return frames
-    count = len(frames)
-    wrong = DataError(
-        f"{source}: data.frames={select!r} does not fit its {count} frames (numbered from 0). "
-        "Give a count (8), a slice ('2:10', '::2') or a list of frame numbers ([0, 3, 5])."
-    )
-    try:
-        picked = _indices(select)
-    except ValueError:
-        raise wrong from None
-    named = [picked.start, picked.stop] if isinstance(picked, slice) else picked
-    # A slice's end may be one beyond the last frame.
-    limit = count + isinstance(picked, slice)
-    if any(i is not None and not -count <= i < limit for i in named) or not len(np.arange(count)[picked]):
-        raise wrong
-    return frames[picked]
-
-
-def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[np.float32]] | None:
-    """Pairs of frames outside the selection, from its neighbourhood.
-
-    The two frames of a pair are half the reach of the burst apart, at most `MAX_PAIR_GAP` frames.
-
-    Args:
-        frames: (N, h, w).
-        select: The selection, see `read_frames`.
-
-    Returns:
-        (2 M, h, w), float32; None if there is no pair.
-    """
-    if select is None:
-        return None
-    numbers = np.arange(len(frames))
-    taken = numbers[_indices(select)]
-    reach = int(np.ptp(taken))
-    gap = int(np.clip(reach // 2, 1, MAX_PAIR_GAP))
-    free = (
-        ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
-    )
-    starts = numbers[:-gap][free[:-gap] & free[gap:]]
-    if not len(starts):
-        return None
-    some = starts[
-        np.unique(np.linspace(0, len(starts) - 1, min(len(starts), MAX_UNSELECTED_PAIRS)).round().astype(int))
-    ]
-    return to_float32(frames[np.stack((some, some + gap), 1).ravel()])
-
-
-def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
-    """A slice or a list of a selection; `ValueError` if it is neither, or has a step of zero."""
-    if isinstance(select, str) and ":" in select:
-        bounds = [int(part) if part.strip() else None for part in select.split(":")]
-        if len(bounds) > 3 or (len(bounds) == 3 and bounds[2] == 0):
-            raise ValueError(select)
-        return slice(*bounds)
-    if isinstance(select, bool) or not isinstance(select, str | int | Sequence):
-        raise ValueError(select)
-    if isinstance(select, str | int):
-        count = int(select)
-        if count < 1:
-            raise ValueError(select)
-        return slice(0, count)
-    if any(isinstance(i, bool) or not isinstance(i, int | np.integer) for i in select):
-        raise ValueError(select)
-    return [int(i) for i in select]
 
 
 def _sha256(path: Path) -> str:

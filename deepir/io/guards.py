@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import functools
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +17,21 @@ from deepir.errors import DataError
 GIB = 2**30  # bytes
 MAX_ARRAY_BYTES = 8 * GIB  # largest array that is read at once
 MAX_COMPRESSION_RATIO = 3000  # bytes out of one byte: deflate reaches 1032, LZW about 2700
+LOSSY_TOLERANCE = (
+    0.02  # difference of the channels that a lossy codec may give a grey pixel, share of the range
+)
+MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
+MAX_COLOURED_LOSSY = 0.05  # the same where a lossy codec spreads their colours over its blocks
 UNCHECKED_BYTES = GIB // 4  # size up to which a claim is not checked: an empty mask may be that compressible
+
+log = logging.getLogger("deepir")
+
+#: Rows and columns of pictures in which colours count: what lies outside is cropped.
+_judged: ContextVar[tuple[slice, slice]] = ContextVar("judged", default=(slice(None), slice(None)))
+
+
+class ColourError(DataError):
+    """A picture is in colour."""
 
 
 def check_size(
@@ -62,27 +80,48 @@ def stack_frames(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarr
     return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
 
-def to_grey(pixels: np.ndarray[Any, Any], path: Path) -> np.ndarray[Any, Any]:
+@functools.cache
+def warn_once(message: str) -> None:
+    """Log a warning, however often the file is read."""
+    log.warning("%s", message)
+
+
+@contextmanager
+def judging_colours_in(box: Sequence[int] | None) -> Iterator[None]:
+    """A context in which `to_grey` judges only the part [y0, y1, x0, x1] of a picture; None: all of it."""
+    part = (slice(None), slice(None)) if box is None or len(box) != 4 else (slice(*box[:2]), slice(*box[2:]))
+    token = _judged.set(part)
+    try:
+        yield
+    finally:
+        _judged.reset(token)
+
+
+def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0) -> np.ndarray[Any, Any]:
     """The one channel of a grey picture that was stored in colour.
 
     Args:
         pixels: (..., C), C = 1 to 4; alpha (C = 2 or 4) is dropped.
         path: The file, for messages.
+        tolerance: Difference of the channels of a grey pixel, as a share of the range: of lossy codecs.
 
     Returns:
-        (...); masked where up to 1 % of the pixels are coloured (a marker or text).
+        (...); masked where few pixels are coloured (a marker or text).
 
     Raises:
-        DataError: More pixels are coloured.
+        ColourError: More pixels are coloured.
     """
     channels = pixels.shape[-1]
     first = pixels[..., 0]
     if channels < 3:
         return first
-    coloured = (first != pixels[..., 1]) | (first != pixels[..., 2])
-    if coloured.mean() > 0.01:
-        raise DataError(
+    wide = pixels[..., :3].astype(np.int32 if pixels.dtype.kind in "iu" else pixels.dtype)
+    most = tolerance * np.iinfo(pixels.dtype).max if tolerance else 0
+    coloured = np.ptp(wide, axis=-1) > most
+    if coloured[(..., *_judged.get())].mean() > (MAX_COLOURED_LOSSY if tolerance else MAX_COLOURED):
+        raise ColourError(
             f"{path}: a colour picture. A palette picture carries no radiometry: colours cannot be turned "
-            "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture."
+            "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture. If only a "
+            "bar or a legend at its edge is in colour, take it off with data.crop"
         )
     return np.ma.masked_array(first, coloured) if coloured.any() else first

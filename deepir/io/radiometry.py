@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from deepir.config import schema
-from deepir.errors import ConfigError
+from deepir.errors import ConfigError, DataError
+from deepir.io.guards import warn_once
 
 Array = np.ndarray[Any, Any]
 ZERO_CELSIUS = 273.15  # K
@@ -30,6 +33,10 @@ class Linear:
     def kelvin(self, counts: Array) -> Array:
         """Temperature of counts of any shape, K, float32."""
         return (self.scale * counts.astype(np.float64) + self.zero).astype(np.float32)
+
+    def counts(self, kelvin: Array) -> Array:
+        """Counts of temperatures of any shape, float32."""
+        return ((kelvin.astype(np.float64) - self.zero) / self.scale).astype(np.float32)
 
     def __str__(self) -> str:
         return f"{self.scale:g} K a count" + (f" from {self.zero:g} K" if self.zero else "")
@@ -61,17 +68,32 @@ class Planck:
 
     def kelvin(self, counts: Array) -> Array:
         """Temperature of counts of any shape, K, float32; NaN where the signal is below that of any temperature."""
-        air, glass = self.transmission, self.window_transmission
-        around = glass * air * (1 - self.emissivity) * self.signal(self.reflected)
-        around += glass * (1 - air) * self.signal(self.atmosphere) + (1 - glass) * self.signal(self.window)
-        own = (counts.astype(np.float64) + self.o - around) / (glass * air * self.emissivity)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        own = (counts.astype(np.float64) + self.o - self._surroundings()) / self._share()
+        with np.errstate(all="ignore"):
             kelvin = self.b / np.log(self.r1 / (self.r2 * own) + self.f)
         return np.where(own > 0, kelvin, np.nan).astype(np.float32)
 
+    def counts(self, kelvin: Array) -> Array:
+        """Counts of temperatures of any shape, float32; NaN where there is none."""
+        own = self.signal(kelvin.astype(np.float64))
+        with np.errstate(over="ignore"):
+            return np.asarray(own * self._share() + self._surroundings() - self.o).astype(np.float32)
+
     def signal(self, kelvin: float | Array) -> Any:
         """Counts of a black body at `kelvin` above zero signal (`-o`)."""
-        return self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f))
+        with np.errstate(all="ignore"):  # of nonsense, infinity
+            return self.r1 / (self.r2 * (np.exp(self.b / kelvin) - self.f))
+
+    def _share(self) -> float:
+        """Of the surface's signal that reaches the camera."""
+        return self.window_transmission * self.transmission * self.emissivity
+
+    def _surroundings(self) -> float:
+        """Signal of all else: what the surface reflects, the air and the window."""
+        air, glass = self.transmission, self.window_transmission
+        around = glass * air * (1 - self.emissivity) * self.signal(self.reflected)
+        around += glass * (1 - air) * self.signal(self.atmosphere) + (1 - glass) * self.signal(self.window)
+        return float(around)
 
     def __str__(self) -> str:
         return (
@@ -148,3 +170,44 @@ def resolve_radiometry(found: Radiometry | None, asked: schema.Radiometry) -> Ra
             f"data.radiometry: {min(given)} needs {' and '.join(missing)} too: the file says nothing of kelvin"
         )
     return law(**known)
+
+
+def as_of_frame_0(
+    frames: Iterable[Array],
+    laws: Sequence[Radiometry | None],
+    asked: schema.Radiometry | None,
+    source: str,
+) -> Iterator[Array]:
+    """Frames, float32, in the counts that frame 0 would have given of the same temperatures.
+
+    Args:
+        frames: (h, w).
+        laws: Radiometry of each frame.
+        asked: The user's settings.
+        source: The file, for messages.
+    """
+    laws = [resolve_radiometry(law, asked or schema.Radiometry()) for law in laws]
+    first = laws[0]
+    for frame, law in zip(frames, itertools.chain(laws, itertools.repeat(laws[-1])), strict=False):
+        if law == first:
+            yield frame.astype(np.float32)
+            continue
+        if first is None or law is None:
+            raise DataError(
+                f"{source}: only some of its frames say what kelvin are; give data.radiometry.scale=..."
+            )
+        warn_once(
+            f"{source}: what makes kelvin of counts changes, {_change(first, laws)}; the counts of such frames are "
+            "converted to those of frame 0"
+        )
+        yield first.counts(law.kelvin(frame))
+
+
+def _change(first: Radiometry, laws: Sequence[Radiometry | None]) -> str:
+    """The first frame whose radiometry is another, and how, in words."""
+    number, other = next((k, law) for k, law in enumerate(laws) if law not in (first, None))
+    before, after = vars(first), vars(other)
+    what = [
+        f"{each} {before.get(each)}, then {after[each]}" for each in after if before.get(each) != after[each]
+    ]
+    return f"at frame {number} first ({'; '.join(what)})"

@@ -17,7 +17,7 @@ from deepir.io.readers import Array, decoding
 
 
 def read(path: Path, layout: Raw) -> Array:
-    """All frames (N, h, w), uint8 or uint16; bits above the layout's are cleared.
+    """All frames (N, h, w), uint8 or uint16 unless the layout names another type; bits above the layout's are cleared.
 
     Raises:
         DataError: The file is missing, or does not hold a whole number of such frames.
@@ -47,17 +47,19 @@ def stored_array(path: Path, layout: Raw) -> tuple[np.dtype[Any], tuple[int, int
     if stored <= 0 or stored % frame:
         raise DataError(
             f"{path}: data.raw does not fit: after {layout.offset} bytes there are {max(stored, 0):,}, and a frame of "
-            f"{layout.height} x {layout.width} px of {layout.bits} bits takes {frame:,}"
+            f"{layout.height} x {layout.width} px of {8 * dtype.itemsize if layout.type else layout.bits} bits takes "
+            f"{frame:,}"
         )
     return dtype, (stored // frame, layout.height, layout.width)
 
 
 def sample_type(layout: Raw) -> np.dtype[Any]:
     """Type of a stored sample, byte order included."""
-    return np.dtype("u1" if layout.bits <= 8 else f"{'<' if layout.endian == 'little' else '>'}u2")
+    name = layout.type or ("uint8" if layout.bits <= 8 else "uint16")
+    return np.dtype(name).newbyteorder("<" if layout.endian == "little" else ">")
 
 
 def clear_unused_bits(samples: Array, layout: Raw) -> Array:
-    """Samples in the machine's byte order, without the bits above the layout's."""
-    kept: Array = samples & samples.dtype.type(2**layout.bits - 1)
+    """Samples in the machine's byte order, without the bits above the layout's, if it does not name their type."""
+    kept = samples if layout.type else samples & samples.dtype.type(2**layout.bits - 1)
     return kept.astype(kept.dtype.newbyteorder("="), copy=False)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from deepir.errors import ConfigError
-from deepir.io.frames import select_frames
+from deepir.io.selection import select_frames
 
 Mask = np.ndarray[Any, Any]
 MAX_FRAMES = 10**6  # more frames than any burst has

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -99,6 +100,26 @@ class WarningHandler(logging.Handler):
 
 
 @contextmanager
+def registering(say: Callable[[str], None], every: float = 10.0) -> Iterator[threading.Event]:
+    """A context that says every `every` seconds that frames are registered, until its event is set."""
+    begun, start = threading.Event(), time.monotonic()
+
+    def wait() -> None:
+        while not begun.wait(every):
+            say(f"registering the frames, {time.monotonic() - start:.0f} s so far")
+
+    threading.Thread(target=wait, daemon=True).start()
+    try:
+        yield begun
+    finally:
+        begun.set()
+
+
+def _print_line(line: str) -> None:
+    print(printable(line), file=sys.stderr, flush=True)
+
+
+@contextmanager
 def show_progress() -> Iterator[Callable[[Progress], None]]:
     """A context with a callback: a bar in a terminal, lines elsewhere; warnings are printed meanwhile."""
     handler = WarningHandler()
@@ -108,6 +129,13 @@ def show_progress() -> Iterator[Callable[[Progress], None]]:
             with ProgressBar() as bar:
                 yield bar
         else:
-            yield ProgressLines(lambda line: print(printable(line), file=sys.stderr, flush=True))
+            with registering(_print_line) as begun:
+
+                def advance(progress: Progress) -> None:
+                    begun.set()
+                    lines(progress)
+
+                lines = ProgressLines(_print_line)
+                yield advance
     finally:
         log.removeHandler(handler)

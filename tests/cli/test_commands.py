@@ -55,12 +55,42 @@ def test_list_has_a_line_for_each_component(deepir):
 
 
 def test_check_says_what_a_run_refuses(deepir, tmp_path):
-    np.save(tmp_path / "last.npy", np.random.default_rng(0).normal(size=(96, 128, 6)))
-    status, said, _ = deepir("check", str(tmp_path / "last.npy"))
-    assert status == 0
+    frames = np.random.default_rng(0).normal(size=(6, 96, 128))
+    frames[:, ::2] = np.nan
+    np.save(tmp_path / "lines.npy", frames)
+    status, said, _ = deepir("check", str(tmp_path / "lines.npy"))
+    assert status == 2
     assert "a run refuses it" in said
-    assert "(frames, height, width)" in said
+    assert "no sample has finite neighbours" in said
     assert "to correct it" not in said
+
+
+def test_check_sees_the_motion_that_a_run_sees(deepir, tmp_path):
+    """Means of blocks show nothing of a fine scene."""
+    scene = np.random.default_rng(0).normal(8000, 100, (96, 300)).astype(np.float32)
+    noise = np.random.default_rng(1).normal(0, 2, (5, 96, 128))
+    np.save(tmp_path / "fine.npy", np.stack([scene[:, 40 * k : 40 * k + 128] for k in range(5)]) + noise)
+    assert (
+        "motion: yes, 40.0 px between frames, as a run registers them"
+        in deepir("check", str(tmp_path / "fine.npy"))[1]
+    )
+
+
+def test_check_and_analyze_name_torn_frames_and_what_is_drawn(deepir, folder, simulation):
+    frames = simulation.frames.copy()
+    frames[1, 24:] = frames[2, 24:]
+    frames[:, 4:8, 4:16] = 9000
+    np.savez("torn.npz", frames=frames)
+    said = deepir("check", "torn.npz")[1]
+    torn = (
+        "torn frame(s), of two times above and below a row: 1 (at row 24); leave them out: data.frames=[0, 2]"
+    )
+    drawn = "48 pixel(s) between rows 4 and 7, columns 4 and 15 hold one value in all frames"
+    assert torn in said
+    assert drawn in said
+    said = deepir("analyze", "torn.npz")[2]
+    assert torn in said
+    assert drawn in said
 
 
 def test_check_describes_a_burst(deepir, folder):

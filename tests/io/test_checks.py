@@ -64,11 +64,6 @@ def test_a_crop_has_four_numbers_and_sixteen_pixels(frames):
         crop(frames, [0, 15, 0, 24])
 
 
-def test_frames_that_are_counted_along_the_last_axis_are_told():
-    with pytest.raises(DataError, match="6 frames, counted along the last axis"):
-        validate(counts((40, 48, 6)), "a")
-
-
 def counts(shape=(4, 40, 48)):
     return np.random.default_rng(0).normal(8000, 300, shape).astype(np.float32)
 

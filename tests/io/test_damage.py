@@ -15,7 +15,7 @@ from PIL import Image
 
 from deepir.errors import DeepIRError
 from deepir.io import read_frames, readers, stream_frames
-from deepir.io.frames import to_float32
+from deepir.io.selection import to_float32
 from deepir.runner import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
@@ -62,13 +62,14 @@ FILES = {
     "flir_sequence, seq": recordings.seq,
     "flir_sequence, csq": recordings.csq,
     "cptv": recordings.cptv,
+    "pgm": recordings.pgm,
     "dji_jpeg": dji,
     "infiray_jpeg": lambda path, frames: recordings.infiray_jpeg(path, np.resize(frames, (1, 120, 160))),
     "video, mkv": recordings.film,
 }
 NEEDS = {"hdf5": "h5py", "video": "av"}
 #: Recordings that do not say how many frames they have: where one ends, there may have been more.
-OPEN_ENDED = ("flir_sequence, seq", "flir_sequence, csq", "video, mkv")
+OPEN_ENDED = ("pgm", "flir_sequence, seq", "flir_sequence, csq", "video, mkv")
 LONGEST = 5.0  # seconds
 MOST = 2**30  # bytes
 
@@ -131,7 +132,7 @@ def refused_in_one_line(path, read):
 
 def test_every_reader_is_tried():
     names = {reader.__name__.rpartition(".")[2] for reader in readers.all_readers()}
-    assert names - {"folder"} == {kind.partition(",")[0] for kind in FILES}
+    assert names - {"folder", "envi"} == {kind.partition(",")[0] for kind in FILES}
 
 
 @pytest.mark.parametrize("kind", FILES)

@@ -42,3 +42,13 @@ def test_a_layout_that_does_not_fit_says_what_there_is(tmp_path, burst):
         read_frames(tmp_path / "a.raw", raw=Raw(width=24, height=20, offset=9999))
     with pytest.raises(DataError, match="no such file"):
         read_frames(tmp_path / "b.raw", raw=Raw(width=24, height=20))
+
+
+@pytest.mark.parametrize("kind", ["int16", "float32", "int32", "float64"])
+@pytest.mark.parametrize("endian", ["little", "big"])
+def test_other_types_of_samples_are_named(tmp_path, burst, kind, endian):
+    frames = (burst / 8).astype(kind) - 100
+    (tmp_path / "a.raw").write_bytes(frames.astype(frames.dtype.newbyteorder(endian)).tobytes())
+    read = read_frames(tmp_path / "a.raw", raw=Raw(width=24, height=20, type=kind, endian=endian))
+    assert read.dtype == kind
+    np.testing.assert_array_equal(read.frames, frames)

@@ -33,6 +33,16 @@ def test_rows_of_words_are_found(sim, rows, share):
     assert telemetry_rows(told(sim.frames, rows, share)) == rows
 
 
+@pytest.mark.parametrize("rows", [[0], [95], [0, 1, 2, 3], [92, 93, 94, 95]])
+def test_rows_of_few_words_among_zeros_are_found(sim, rows):
+    rng, frames = np.random.default_rng(0), sim.frames.copy()
+    frames[:, rows] = 0
+    frames[:, rows[0] : rows[-1] + 1, rng.choice(128, 4)] = rng.integers(
+        0, 65536, (len(frames), len(rows), 4)
+    )
+    assert telemetry_rows(frames) == rows
+
+
 @pytest.mark.parametrize("picture", [procedural, sky])
 @pytest.mark.parametrize("seed", range(6))
 def test_the_edge_of_a_picture_is_a_picture(picture, seed):

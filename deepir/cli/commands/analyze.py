@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Settings, recording_config
-from deepir.cli.terminal import echo
+from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
     from deepir.analysis import Statistics, Verdict
@@ -26,13 +26,14 @@ def analyze(
         typer.Option(help="The picture; runs/NAME-analysis.png, or RUN/analysis.png.", show_default=False),
     ] = None,
     overwrite: Overwrite = False,
-) -> None:
+) -> int:
     """Report the jitter and the frames that a camera needs: deepir analyze burst.npz, or shutter.npz --flat.
 
     A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
     file's format.
     """
     from deepir.analysis.verdict import report_lines
+    from deepir.cli.signals import Interrupted, report_aborted
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
     from deepir.report.analysis import write_analysis
@@ -52,7 +53,10 @@ def analyze(
             raise ConfigError(f"{what}: a finished run takes no settings")
         statistics, verdict, scene_deviation = _of_run(path)
     else:
-        statistics, verdict, scene_deviation = _of_burst(path, settings or [])
+        try:
+            statistics, verdict, scene_deviation = _of_burst(path, settings or [])
+        except Interrupted as error:
+            return report_aborted(error)
     for line in report_lines(statistics, verdict, scene_deviation):
         echo(line)
     picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
@@ -62,6 +66,7 @@ def analyze(
         raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
     write_analysis(picture, statistics, verdict, scene_deviation)
     echo(f"picture: {picture}")
+    return 0
 
 
 def _of_flat(path: Path, settings: list[str]) -> Statistics:
@@ -74,8 +79,14 @@ def _of_flat(path: Path, settings: list[str]) -> Statistics:
 
 def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | None, Array | None]:
     import deepir
+    from deepir.cli.signals import Interruptible
+    from deepir.report.progress import show_progress
 
-    result = deepir.run("nuc", *settings, f"data.path={path}", output={})
+    with Interruptible() as interruptible, show_progress() as progress:
+        callbacks = (interruptible, progress)
+        result = deepir.run("nuc", *settings, f"data.path={path}", output={}, callbacks=callbacks)
+    for message in result.messages:
+        notify(f"warning: {message}")
     scene_deviation = result.uncertainty.get("scene")
     return *_judged(
         result.gain, result.offset, result.scene, result.motion, result.bad_pixels

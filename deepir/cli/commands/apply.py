@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
+from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Settings, recording_config, recording_radiometry
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from deepir.config import Config
 
 MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
-ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")  # keys
+ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys
 
 
 def apply(
@@ -37,8 +37,8 @@ def apply(
 ) -> int:
     """Correct a whole recording, frame by frame: deepir apply maps.npz flight.seq --output flight.mp4.
 
-    The recording may be larger than the memory. Settings: data.key, data.raw, data.radiometry, output.palette,
-    output.tones.
+    The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.swap_bytes,
+    data.radiometry, output.palette, output.tones.
     """
     from deepir.calibration import read_maps
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
@@ -57,12 +57,12 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
     """Write all frames; a line with the result."""
     import itertools
 
-    from deepir.io import stream_frames
+    from deepir.io import stream_data
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
 
     data, shown = config.data, config.output
-    frames = stream_frames(str(data.path), key=data.key, raw=data.raw)
+    frames = stream_data(data)
     first = next(frames)
     maps.check(first, str(data.path))
     if (ratio := maps.roughness_ratio(first)) > MAX_ROUGHNESS_RATIO:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, recording_config, split_arguments
+from deepir.cli.arguments import DATA_SETTINGS, Overwrite, recording_config, split_arguments
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo
 
@@ -64,13 +64,13 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
     import numpy as np
 
     from deepir import calibration
-    from deepir.io import stream_frames
+    from deepir.io import stream_data
     from deepir.io.inspection.describe import visible_motion
 
     means = []
     for file in files:
-        data = recording_config(file, settings, ("data.key", "data.raw")).data
-        frames = stream_frames(file, key=data.key, raw=data.raw)
+        data = recording_config(file, settings, DATA_SETTINGS).data
+        frames = stream_data(data)
         first = list(itertools.islice(frames, MOTION_CHECK_FRAMES))
         means.append(calibration.mean_frame(itertools.chain(first, frames), file))
         if visible_motion(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):

@@ -13,8 +13,10 @@ from deepir.cli.arguments import Plugins, Settings, load_plugins
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
-    from deepir.config import Config, Data
+    from deepir.config import Config
 
+STILL = "  motion: none"  # beginning of the line on frames in which no motion is seen
+MOTION_FRAMES = 8  # frames that are registered where no motion is seen
 REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
 
 
@@ -24,8 +26,8 @@ def check(
     ],
     settings: Settings = None,
     plugin: Plugins = None,
-) -> None:
-    """Describe a burst, or what a configuration would do, without a run."""
+) -> int:
+    """Describe a burst, or what a configuration would do, without a run; status 2: a run refuses the burst."""
     load_plugins(plugin)
     from deepir.config import load, shipped_names
     from deepir.errors import ConfigError
@@ -37,31 +39,35 @@ def check(
             raise ConfigError(
                 f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}"
             )
-        lines = _burst(load("nuc", [f"data.path={what}", *(settings or ())]).data)
+        lines = _burst(load("nuc", [f"data.path={what}", *(settings or ())]))
         for line in lines:
             echo(line)
+        if lines[-1].startswith(REFUSAL):
+            return 2
         if lines[1].startswith("  1 frame"):
             echo(
                 f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
                 f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
             )
-        elif not lines[-1].startswith(REFUSAL):
+        else:
             command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
-            still = any(line.startswith("  motion: none") for line in lines)
+            still = lines[-1].startswith(STILL)
             echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
     else:
-        _configuration(what, settings or [])
+        return _configuration(what, settings or [])
+    return 0
 
 
-def _burst(data: Data) -> list[str]:
+def _burst(config: Config) -> list[str]:
     import numpy as np
 
     from deepir.errors import DataError
-    from deepir.io import crop, describe, read_frames, validate
+    from deepir.io import crop, describe, read_data, validate
     from deepir.io.inspection.checks import unusable_frames
     from deepir.io.radiometry import resolve_radiometry
 
-    frames = read_frames(str(data.path), key=data.key, select=data.frames, raw=data.raw)
+    data = config.data
+    frames = read_data(data)
     if data.crop is not None:
         frames = replace(frames, frames=crop(frames.frames, data.crop))
     kelvin = resolve_radiometry(frames.radiometry, data.radiometry)
@@ -71,10 +77,33 @@ def _burst(data: Data) -> list[str]:
         validate(np.delete(frames.frames, [*unusable_frames(frames.frames)], axis=0), frames.source)
     except DataError as error:
         lines.append(f"{REFUSAL}: {error}")
+        return lines
+    if lines[-1].startswith(STILL) and (step := _registered_step(config)):
+        lines[-1] = f"  motion: yes, {step:.1f} px between frames, as a run registers them"
     return lines
 
 
-def _configuration(name: str, settings: list[str]) -> None:
+def _registered_step(config: Config) -> float:
+    """Motion between consecutive frames, px, median, as a run finds it; zero where it finds none."""
+    import numpy as np
+
+    from deepir.burst import load
+    from deepir.errors import DataError
+    from deepir.pipeline.recipe import make_recipe
+    from deepir.pipeline.register import register_frames
+
+    burst = load(config.data, needs=2)
+    some = np.unique(np.linspace(0, len(burst.frames) - 1, MOTION_FRAMES).astype(int))
+    burst = replace(burst, frames=burst.frames[some], valid=burst.valid[some])
+    try:
+        motion, used, _ = register_frames(burst, config, make_recipe(config))
+    except DataError:
+        return 0.0
+    at = np.empty(0) if motion is None else motion.numpy()[used][:, :2, 2]
+    return float(np.median(np.hypot(*np.diff(at, axis=0).T))) if len(at) > 1 else 0.0
+
+
+def _configuration(name: str, settings: list[str]) -> int:
     from deepir.cli.commands.run import output_folder
     from deepir.config import load
     from deepir.pipeline.method import chosen
@@ -94,6 +123,7 @@ def _configuration(name: str, settings: list[str]) -> None:
         echo(f"output folder: {folder.path} (new)")
     else:
         echo(f"output folder: {folder.path} already contains a run ({state}); use --overwrite")
+    return 2 if data[-1].startswith(REFUSAL) else 0
 
 
 def _data(config: Config) -> list[str]:
@@ -108,7 +138,7 @@ def _data(config: Config) -> list[str]:
         return [f"data: {burst.source}, {len(burst.frames)} frames of {burst.size[0]} x {burst.size[1]} px"]
     if config.data.path is not None:
         prepare(config)
-        return _burst(config.data)
+        return _burst(config)
     frames = np.zeros((2, 64, 80), np.float32)
     check_components(config, Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool)))
     return ["data: none given (data.path=burst.npz)"]

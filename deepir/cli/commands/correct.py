@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Settings, recording_config, recording_radiometry
+from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Settings, recording_config, recording_radiometry
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo, notify
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from deepir.recording.estimate import SensorEstimate
     from deepir.recording.segments import Segment
 
-ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")  # keys
+ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys
 
 
 def correct(
@@ -44,8 +44,8 @@ def correct(
     """Correct a whole recording of a moving camera: deepir correct drive.avi.
 
     Writes the corrected recording, the camera's maps (OUTPUT_maps.npz, for `deepir apply`) and a picture (OUTPUT.png).
-    The recording may be larger than the memory. Settings: data.key, data.raw, data.radiometry, output.palette,
-    output.tones.
+    The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.swap_bytes,
+    data.radiometry, output.palette, output.tones.
     """
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
 
@@ -74,7 +74,7 @@ def _correct(
 
     from deepir.cli.signals import Interrupted
     from deepir.cli.tracking import track
-    from deepir.io import atomic_files, stream_frames
+    from deepir.io import atomic_files, stream_data
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording
@@ -84,7 +84,7 @@ def _correct(
 
     data, shown = config.data, config.output
     begun = time.perf_counter()
-    read = functools.partial(stream_frames, str(data.path), key=data.key, raw=data.raw)
+    read = functools.partial(stream_data, data)
     dtype = output_type(next(read()).dtype, rounded=rounded)
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)

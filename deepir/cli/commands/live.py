@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Plugins, Settings, load_plugins, recording_config
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import notify
 
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from deepir.live.page.session import Session
     from deepir.live.playback import Moment
 
-#: Keys, of a recording.
-ACCEPTED_SETTINGS = ("data.key", "data.raw", "data.radiometry", "output.palette", "output.tones")
+ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys, of a recording
 STATUS_EVERY = 1.0  # s between two lines of status
 STANDARD = "-"  # in place of a file: standard input or output
 
@@ -73,8 +72,8 @@ def live(
 ) -> int:
     """Correct frames as they come, better and better while the camera moves: deepir live drive.avi --page.
 
-    Settings of a recording: data.key, data.raw, data.radiometry, output.palette, output.tones; of a camera: its
-    driver's, such as device=/dev/video2.
+    Settings of a recording: data.key, data.raw, data.axes, data.swap_bytes, data.radiometry, output.palette,
+    output.tones; of a camera: its driver's, such as device=/dev/video2.
     """
     load_plugins(plugin)
     from deepir.calibration import read_maps
@@ -135,12 +134,12 @@ def live(
 def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterable[Array]:
     """The frames of standard input or of a recording; at a rate unless it is None."""
     from deepir.errors import ConfigError
-    from deepir.io import stream_frames
+    from deepir.io import stream_data
     from deepir.live.sources import Paced, stream_raw
 
     config = recording_config(source, settings, ACCEPTED_SETTINGS)
     if source != STANDARD:
-        frames = stream_frames(str(config.data.path), key=config.data.key, raw=config.data.raw)
+        frames = stream_data(config.data)
     elif config.data.raw is None:
         raise ConfigError(
             "frames on standard input have no header: give their size, for example "

@@ -42,13 +42,19 @@ SETTING_OFFSETS = {
 Records = dict[int, bytes]
 
 
-def read_records(data: bytes | FileBytes, path: Path, start: int = 0) -> tuple[Records, int]:
+def read_records(
+    data: bytes | FileBytes,
+    path: Path,
+    start: int = 0,
+    kinds: tuple[int, ...] = (RAW_RECORD, CAMERA_RECORD),
+) -> tuple[Records, int]:
     """Records of an FFF.
 
     Args:
         data: The bytes.
         path: The file, for messages.
         start: First byte of the FFF.
+        kinds: Of the records that are read.
 
     Returns:
         The records by their kind, and the first byte after the FFF.
@@ -69,7 +75,7 @@ def read_records(data: bytes | FileBytes, path: Path, start: int = 0) -> tuple[R
         first, after = start + offset, start + offset + length
         if kind and after > len(data) + MISSING_PADDING:
             raise DataError(f"{path}: truncated: a record of FLIR's ends beyond the end of the file")
-        if kind in (RAW_RECORD, CAMERA_RECORD):
+        if kind in kinds:
             found.setdefault(kind, data[first:after])
         if kind:
             end = max(end, after)
@@ -149,6 +155,8 @@ def _in_order(plane: Array) -> Array:
 
 
 def _jpeg_ls(packed: bytes, path: Path) -> Array:
+    if packed.rfind(jpeg.END_OF_PICTURE) < 0:  # the decoder would take seconds to find that out
+        raise DataError(f"{path}: truncated: a packed raw plane has no end")
     height, width = jpeg.picture_size(io.BytesIO(packed)) or (0, 0)
     check_size(path, 2 * height * width, len(packed), compressed=True)
     return np.asarray(imagecodecs.jpegls_decode(packed))

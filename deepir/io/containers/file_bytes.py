@@ -43,6 +43,8 @@ class FileBytes:
 
     def find(self, what: bytes, start: int) -> int:
         """First place at or after `start` where these bytes are; -1: nowhere."""
+        if self[start : start + len(what)] == what:  # the usual place of a next frame
+            return start
         while start < self._size:
             at = self[start : start + SEARCH_BYTES].find(what)
             if at >= 0:

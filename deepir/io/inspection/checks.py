@@ -38,11 +38,6 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
     count, height, width = frames.shape
     if count < needs:
         raise DataError(f"{source}: {count} frame(s), but this needs at least {needs}")
-    if width < MIN_FRAME_SIDE <= min(count, height):
-        raise DataError(
-            f"{source}: {count} frames of {height} x {width} px are too small, at least {MIN_FRAME_SIDE} px on a side; "
-            f"or are they {width} frames, counted along the last axis? Save them as (frames, height, width)"
-        )
     _check_side(height, width, source)
     for k, why in unusable_frames(frames).items():
         raise DataError(f"{source}: frame {k} is {why}. Leave it out (data.frames)")

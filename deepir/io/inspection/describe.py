@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from deepir.io.frames import Frames
-from deepir.io.inspection.checks import has_neighbours, unusable_frames
+from deepir.io.inspection.checks import has_neighbours, unrecorded_samples, unusable_frames
+from deepir.io.inspection.drawn_pixels import drawn_message, drawn_pixels
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
+from deepir.io.inspection.torn_frames import torn_frames, torn_message
 from deepir.io.radiometry import ZERO_CELSIUS
 
 Array = np.ndarray[Any, np.dtype[np.float32]]
@@ -38,6 +40,15 @@ def describe(burst: Frames) -> list[str]:
     if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
         frames = np.delete(frames, rows, axis=1)
+    lines += torn_message(torn_frames(frames), len(frames))
+    if np.isfinite(frames).any() and (empty := unrecorded_samples(frames)).any():
+        lines.append(
+            f"{int(empty.sum())} sample(s) hold nothing: zeros far below all others, or bars at the edge"
+        )
+        frames = np.where(empty, np.float32(np.nan), frames)
+    if drawn := drawn_message(frames):
+        lines += drawn
+        frames = np.where(drawn_pixels(frames), np.float32(np.nan), frames)
     repeats = [k for k in range(1, len(frames)) if np.array_equal(frames[k], frames[k - 1], equal_nan=True)]
     if 0 < len(repeats) < len(frames) - 1:
         lines.append(f"{len(repeats)} frame(s) repeat the one before them; a run leaves them out")
@@ -60,7 +71,9 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
     frames = burst.frames
     lines = []
     if missing := frames.size - finite.size:
-        why = "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN or infinite"
+        why = (
+            "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN, infinite or a fill value"
+        )
         lines.append(f"{missing} sample(s) are {why} ({missing / frames.size:.2%})")
         if not has_neighbours(np.isfinite(frames)):
             lines.append("no sample has finite neighbours: keep the rows and columns that are there")

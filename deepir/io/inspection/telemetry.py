@@ -10,6 +10,9 @@ MAX_TELEMETRY_ROWS = 4  # telemetry rows at one edge
 COMPARED_ROWS = 4  # picture rows next to them, with which they are compared
 ROUGHNESS_QUANTILE = 0.9  # quantile of a row's absolute differences that is its roughness
 MIN_ROUGHNESS_RATIO = 8.0  # roughness of a telemetry row over that of a picture row
+MIN_STEP_RATIO = (
+    16.0  # of a row of few words: its distance from the picture, and its largest step, over usual steps
+)
 SAMPLED_FRAMES = 8  # frames that are inspected
 ROW_STRIDE = 8  # every n-th row of the middle of a frame is inspected
 
@@ -30,23 +33,39 @@ def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
     some = frames[:: max(1, count // SAMPLED_FRAMES)]
     inside = some[:, edge:-edge:ROW_STRIDE] if height >= 4 * edge else some
     usual = float(np.median(_rough(inside)))
-    above, below = (_at_start(_rough(rows), usual) for rows in (some[:, :edge], some[:, : -edge - 1 : -1]))
+    step = float(np.median(np.abs(np.nan_to_num(np.diff(_known(some), axis=1)))))
+    above, below = (_at_start(rows, usual, step) for rows in (some[:, :edge], some[:, : -edge - 1 : -1]))
     return [*range(above), *range(height - below, height)]
+
+
+def _known(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """NaN in place of what is infinite."""
+    return np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
 
 
 def _rough(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Roughness (K,) of rows (N, K, w): a high quantile of their absolute differences, in a typical frame."""
-    known = np.where(np.isfinite(rows), rows, np.nan).astype(np.float32)
-    steps = np.nan_to_num(np.abs(np.diff(known, axis=-1)))
+    steps = np.nan_to_num(np.abs(np.diff(_known(rows), axis=-1)))
     found: np.ndarray[Any, Any] = np.median(np.quantile(steps, ROUGHNESS_QUANTILE, axis=-1), axis=0)
     return found
 
 
-def _at_start(rough: np.ndarray[Any, Any], usual: float) -> int:
-    """Number of telemetry rows at the start, by the roughness of these and the next rows, from the edge on."""
+def _at_start(rows: np.ndarray[Any, Any], usual: float, step: float) -> int:
+    """Number of telemetry rows at the start.
+
+    Args:
+        rows: (N, K, w), these and the next ones, from the edge on.
+        usual: Roughness of a picture row.
+        step: Usual difference of neighbouring picture rows.
+    """
+    rough, known = _rough(rows), _known(rows)
+    peaks = np.median(np.nan_to_num(np.abs(np.diff(known, axis=-1))).max(-1), axis=0)
     for count in range(MAX_TELEMETRY_ROWS, 0, -1):
         beside = max(usual, float(rough[count : count + COMPARED_ROWS].max()))
-        if rough[:count].min() > MIN_ROUGHNESS_RATIO * beside > 0:
+        is_rough = (rough[:count] > MIN_ROUGHNESS_RATIO * beside) & (beside > 0)
+        apart = np.median(np.nan_to_num(np.abs(known[:, :count] - known[:, count : count + 1])), axis=(0, 2))
+        has_words = (np.minimum(apart, peaks[:count]) > MIN_STEP_RATIO * step) & (step > 0)
+        if (is_rough | has_words).all():
             return count
     return 0
 

@@ -9,7 +9,10 @@ A reader is a module in one of the sub-folders `arrays`, `pictures` and `thermal
 It needs no registration. It may also have
 
     def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in larger pieces
-    def radiometry(path: Path) -> Radiometry | None             conversion of counts to kelvin
+    def radiometry(path: Path, key: str | None) -> Radiometry | None  conversion of counts to kelvin
+    def radiometries(path: Path, key: str | None) -> list[Radiometry | None]  of each frame, where they may differ
+
+    ANY_AXES = True                                     arrays whose axes their users choose
 
 for recordings larger than the memory, and for radiometric ones. A reader of a general format sets `GENERIC = True`
 and is tried last, so that a radiometric JPEG is recognised before a plain one. A reader may raise any exception on a
@@ -88,7 +91,8 @@ def read(path: Path, key: str | None = None) -> Array:
     if reader is None:
         raise DataError(
             f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
-            "Save it as .npz with an array `frames` (frames, height, width)."
+            "Save it as .npz with an array `frames` (frames, height, width); a file of bare samples needs "
+            "data.raw.width=... data.raw.height=..."
         )
     with decoding(path):
         return reader.read(path, key)
@@ -118,15 +122,27 @@ def stream(path: Path, key: str | None = None) -> Iterator[Array]:
         raise DataError(f"{path}: a recording without frames")
 
 
-def radiometry(path: Path) -> Radiometry | None:
-    """Radiometry of a file; None if it has none.
+def radiometry(path: Path, key: str | None = None) -> Radiometry | None:
+    """Radiometry of a file, or of one of its arrays; None if it has none.
 
     Raises:
         DataError: As `read`.
     """
     own = getattr(find_reader(path), "radiometry", None)
     with decoding(path):
-        return own(path) if own else None
+        return own(path, key) if own else None
+
+
+def radiometries(path: Path, key: str | None = None) -> list[Radiometry | None]:
+    """Radiometry of each frame of a file; a single entry if it is that of all frames.
+
+    Raises:
+        DataError: As `read`.
+    """
+    own = getattr(find_reader(path), "radiometries", None)
+    with decoding(path):
+        found = own(path, key) if own else [radiometry(path, key)]
+    return found if len(set(found)) > 1 else found[:1]
 
 
 @contextmanager

@@ -30,3 +30,20 @@ def test_a_plane_that_fits_no_detector_is_refused(tmp_path, frame):
     (tmp_path / "a.jpg").write_bytes(recordings.jpeg_with(0xE3, [bytes(50_000)], (120, 160)))
     with pytest.raises(DataError, match="50,000 bytes of raw plane fit no detector"):
         read_frames(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("marker", [0xE2, 0xE4, 0xE5, 0xE8, 0xEF])
+def test_raw_data_of_an_unknown_kind_are_no_reason_to_read_the_preview(tmp_path, marker):
+    """DJI's XT S keeps them in other segments."""
+    (tmp_path / "a.jpg").write_bytes(recordings.jpeg_with(marker, [bytes(60_000)] * 10, (120, 160)))
+    with pytest.raises(DataError, match=rf"not known \(APP{marker - 0xE0}: 600,000 bytes\).*only a preview"):
+        read_frames(tmp_path / "a.jpg")
+
+
+def test_raw_data_behind_the_picture_are_named_and_a_second_picture_is_none(tmp_path):
+    picture = recordings.jpeg_with(0xE1, [b"Exif\0\0"], (120, 160))
+    (tmp_path / "a.jpg").write_bytes(picture + bytes(40_000))
+    with pytest.raises(DataError, match="after the picture: 40,000 bytes"):
+        read_frames(tmp_path / "a.jpg")
+    (tmp_path / "a.jpg").write_bytes(picture + picture + bytes(40_000))
+    assert read_frames(tmp_path / "a.jpg").dtype == "uint8"

@@ -97,3 +97,9 @@ def test_pngs_are_read_in_either_order_of_bytes(swapped):
     packed = imagecodecs.png_encode(stored)
     record = struct.pack("<HHH", 2, 24, 20) + bytes(26) + packed
     np.testing.assert_array_equal(fff.read_raw_plane({fff.RAW_RECORD: record}, Path("a.jpg")), plane)
+
+
+def test_the_older_kind_of_seq_is_named(tmp_path, burst):
+    (tmp_path / "a.seq").write_bytes(b"AFF\0" + recordings.fff(burst[0])[4:])
+    with pytest.raises(DataError, match=r"older SEQ \(AFF\), which is not read; export"):
+        read_frames(tmp_path / "a.seq")

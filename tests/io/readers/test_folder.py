@@ -73,3 +73,26 @@ def test_folders_without_pictures_and_globs_without_matches_say_so(tmp_path):
         read_frames(tmp_path)
     with pytest.raises(DataError, match="no file matches"):
         read_frames(tmp_path / "*.png")
+
+
+def test_of_thermal_pictures_and_visible_ones_the_thermal_ones_are_read(tmp_path, burst, caplog):
+    for number in range(3):
+        recordings.flir_jpeg(tmp_path / f"IMG_{2 * number + 2:04}.jpg", burst[number : number + 1])
+        Image.new("RGB", (96, 80), (200, 30, 40)).save(tmp_path / f"IMG_{2 * number + 1:04}.jpg")
+    np.testing.assert_array_equal(read_frames(tmp_path).frames, burst)
+    assert "3 pictures hold raw counts; 3 others are left out" in caplog.text
+
+
+def test_a_visible_picture_beside_a_plain_thermal_one_says_what_to_do(tmp_path, burst):
+    Image.fromarray((burst[0] // 64).astype(np.uint8)).save(tmp_path / "DJI_1_T.jpg")
+    Image.new("RGB", (96, 80), (200, 30, 40)).save(tmp_path / "DJI_1_V.jpg")
+    with pytest.raises(DataError, match=r"visible picture.*glob, such as '.*/\*_T\.jpg'"):
+        read_frames(tmp_path)
+    assert read_frames(tmp_path / "*_T.jpg").frames.shape == (1, 20, 24)
+
+
+def test_files_of_several_formats_are_named(tmp_path, burst):
+    recordings.tiff(tmp_path / "a.tif", burst)
+    Image.new("RGB", (24, 20), (200, 30, 40)).save(tmp_path / "a.jpg")
+    with pytest.raises(DataError, match=r"several formats lie side by side \(\.jpg, \.tif\).*/\*\.tif'"):
+        read_frames(tmp_path)

@@ -92,3 +92,36 @@ def test_a_dataset_for_each_frame_is_named(tmp_path, burst):
             file[f"frame{number:03}"] = frame
     with pytest.raises(DataError, match="look like a frame each: join them"):
         read_frames(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"missing_value": np.array([-1, -2], np.int16)},
+        {"valid_range": np.array([0, 32000], np.int16)},
+        {"valid_min": np.int16(0)},
+    ],
+)
+def test_other_names_of_lost_samples_are_known(tmp_path, burst, attributes):
+    frames = burst.astype(np.int16)
+    frames[0, :2], frames[1, :2] = -1, -2
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file.create_dataset("brightness", data=frames).attrs.update(attributes)
+    np.testing.assert_array_equal(np.isnan(read_frames(tmp_path / "a.nc").frames), frames < 0)
+
+
+@pytest.mark.parametrize("unit", ["K", "kelvin", "degrees_celsius", "°C", "Celsius", "deg C"])
+def test_units_have_many_names_and_belong_to_one_array(tmp_path, burst, unit):
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file["frames"] = burst
+        file.create_dataset("heat", data=burst).attrs["units"] = unit
+    law = read_frames(tmp_path / "a.nc", key="heat").radiometry
+    assert law.zero == (0 if unit.lower().startswith("k") else 273.15)
+    assert read_frames(tmp_path / "a.nc", key="frames").radiometry is None
+
+
+def test_unsigned_counts_of_netcdf_are_unsigned(tmp_path, burst):
+    frames = burst + np.uint16(25000)
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file.create_dataset("frames", data=frames.view(np.int16)).attrs["_Unsigned"] = "true"
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.nc").frames, frames)

@@ -31,7 +31,7 @@ def test_every_numeric_class_is_read(tmp_path, burst, dtype):
 
 def test_cells_and_structures_are_no_frames(tmp_path, burst):
     scipy.io.savemat(tmp_path / "a.mat", {"camera": {"frames": burst}, "notes": np.array([burst], object)})
-    with pytest.raises(DataError, match=r"no array of numbers but camera \(struct\), notes \(cell\); join"):
+    with pytest.raises(DataError, match=r"no array of frames but camera \(struct\), notes \(cell\); join"):
         read_frames(tmp_path / "a.mat")
     with pytest.raises(DataError, match="no array 'camera'"):
         read_frames(tmp_path / "a.mat", key="camera")
@@ -67,3 +67,21 @@ def test_version_4_is_named(tmp_path, burst):
     scipy.io.savemat(tmp_path / "a.mat", {"frame": burst[0].astype(float)}, format="4")
     with pytest.raises(DataError, match="MATLAB 4"):
         read_frames(tmp_path / "a.mat")
+
+
+def test_structures_and_cells_beside_numbers_are_named_too(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"camera": {"frames": burst}, "fps": 9.0, "time": np.arange(3.0)})
+    with pytest.raises(DataError, match=r"no array of frames but camera \(struct\), fps"):
+        read_frames(tmp_path / "a.mat")
+
+
+def test_an_axis_of_one_colour_is_dropped(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"video": np.moveaxis(burst, 0, -1)[:, :, None]})
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mat").frames, burst)
+
+
+def test_frames_that_python_has_saved_are_asked_for(tmp_path, burst):
+    scipy.io.savemat(tmp_path / "a.mat", {"frames": burst})
+    with pytest.raises(DataError, match=r"data\.axes=wnh reads 3 frames"):
+        read_frames(tmp_path / "a.mat")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mat", axes="wnh").frames, burst)

@@ -49,3 +49,12 @@ def test_a_png_that_claims_a_huge_picture_is_refused_at_once(tmp_path, burst):
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(DataError, match="declares"):
         read_frames(tmp_path / "a.png")
+
+
+def test_the_colours_of_a_mark_are_lost_where_a_lossy_codec_has_spread_them(tmp_path):
+    ramp = np.repeat(np.tile(np.arange(20, 180, dtype=np.uint8), (120, 1))[..., None], 3, axis=-1)
+    ramp[60, 74:84], ramp[56:64, 79] = (255, 0, 0), (255, 0, 0)
+    Image.fromarray(ramp).save(tmp_path / "a.jpg", quality=85)
+    found = read_frames(tmp_path / "a.jpg").frames[0]
+    assert np.isnan(found[60, 74:84]).all()
+    assert np.isnan(found).mean() < 0.05

@@ -78,7 +78,9 @@ def test_an_empty_file_says_so(tmp_path):
 
 def test_an_unknown_format_lists_those_there_are(tmp_path):
     (tmp_path / "a.npz").write_text("frames")
-    with pytest.raises(DataError, match=r"not a format that deepir reads .*\.npy, \.npz, \.png, .*\.tif"):
+    with pytest.raises(
+        DataError, match=r"not a format that deepir reads .*\.npy, \.npz, \.pgm, \.png, .*\.tif"
+    ):
         read_frames(tmp_path / "a.npz")
 
 

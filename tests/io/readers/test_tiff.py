@@ -108,3 +108,19 @@ def test_samples_of_the_value_that_gdals_tag_names_are_lost(tmp_path, burst, kin
     assert np.array_equal(np.isnan(found), frames == 77)
     streamed = [np.ma.getmaskarray(each) for each in stream_frames(tmp_path / "a.tif")]
     assert np.array_equal(streamed, frames == 77)
+
+
+def test_more_samples_than_colours_are_frames_along_the_last_axis(tmp_path, burst):
+    tifffile.imwrite(tmp_path / "a.tif", np.moveaxis(np.tile(burst, (3, 1, 1)), 0, -1), planarconfig="contig")
+    with pytest.raises(DataError, match=r"data\.axes=hwn reads 9 frames"):
+        read_frames(tmp_path / "a.tif")
+
+
+def test_gdals_nodata_counts_on_whichever_page_it_is(tmp_path, burst):
+    frames = burst | 8
+    frames[0, :2] = 7
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for number, frame in enumerate(frames):
+            tag = [(42113, "s", 0, "7", True)] if number == 1 else []
+            file.write(frame, photometric="minisblack", extratags=tag, metadata=None)
+    np.testing.assert_array_equal(np.isnan(read_frames(tmp_path / "a.tif").frames), frames == 7)

@@ -86,3 +86,81 @@ def test_sixteen_bits_without_a_name_are_not_taken_for_colours(tmp_path, burst):
         container.mux(track.encode())
     with pytest.raises(DataError, match="16 bits a sample without a name"):
         read_frames(tmp_path / "a.avi")
+
+
+def yuv(path, luma, codec="libx264", stored="yuv420p", colour_range=None, box=None):
+    """A film of these luma (N, h, w), colourless but for a box [y0, y1, x0, x1]."""
+    import av
+
+    deep = luma.dtype == np.uint16
+    with av.open(path, "w") as container:
+        track = container.add_stream(codec, rate=9, options={"crf": "4"} if codec == "libx264" else {})
+        track.height, track.width = luma.shape[1:]
+        track.pix_fmt = stored
+        if colour_range is not None:
+            track.codec_context.color_range = colour_range
+        for planes in luma:
+            shown = av.VideoFrame(luma.shape[2], luma.shape[1], stored)
+            for number, plane in enumerate(shown.planes):
+                values = np.full(
+                    (plane.height, plane.line_size // luma.itemsize), 128 << 2 * deep, luma.dtype
+                )
+                if number == 0:
+                    values[:, : plane.width] = planes
+                elif box is not None:
+                    y0, y1, x0, x1 = (edge // 2 for edge in box)
+                    values[y0:y1, x0:x1] = 220
+                shown.planes[number].update(values.tobytes())
+            container.mux(track.encode(shown))
+        container.mux(track.encode())
+
+
+RAMP = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (2, 64, 1))
+
+
+@pytest.mark.parametrize(
+    ("stored", "colour_range", "name"),
+    [
+        ("yuvj420p", None, "a.mp4"),
+        ("yuv420p", 2, "a.mkv"),
+        ("yuv420p", None, "a.mp4"),
+        ("gray", None, "a.mp4"),
+    ],
+)
+def test_grey_of_the_full_range_is_not_cut_off(tmp_path, stored, colour_range, name):
+    yuv(tmp_path / name, RAMP, stored=stored, colour_range=colour_range)
+    np.testing.assert_allclose(read_frames(tmp_path / name).frames, RAMP, atol=4)
+
+
+def test_luma_of_ten_bits_are_the_counts(tmp_path):
+    luma = 4 * RAMP.astype(np.uint16) + 1
+    yuv(tmp_path / "a.mkv", luma, codec="ffv1", stored="yuv420p10le")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mkv").frames, luma)
+
+
+def test_a_colour_bar_is_refused_unless_it_is_cropped(tmp_path):
+    yuv(tmp_path / "a.mp4", RAMP // 2 + 64, box=[8, 56, 56, 62])
+    with pytest.raises(DataError, match=r"take it off with data\.crop"):
+        read_frames(tmp_path / "a.mp4")
+    found = read_frames(tmp_path / "a.mp4", grey_within=[0, 64, 0, 48]).frames
+    assert np.isfinite(found[..., :40]).all()
+
+
+def test_uncompressed_sixteen_bits_by_the_name_of_y16_are_read(tmp_path, burst):
+    import av
+
+    with av.open(tmp_path / "a.avi", "w") as container:
+        track = container.add_stream("rawvideo", rate=9)
+        track.width, track.height, track.pix_fmt = 24, 20, "rgb555le"
+        for frame in burst:
+            shown = av.VideoFrame(24, 20, "rgb555le")
+            shown.planes[0].update(frame.astype("<u2").tobytes().ljust(shown.planes[0].buffer_size, b"\0"))
+            container.mux(track.encode(shown))
+        container.mux(track.encode())
+    content = bytearray((tmp_path / "a.avi").read_bytes())
+    codec = content.index(b"strf") + 8 + 16
+    content[codec : codec + 4] = b"Y16 "
+    at = content.index(b"vids") + 4
+    content[at : at + 4] = b"Y16 "
+    (tmp_path / "a.avi").write_bytes(content)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.avi").frames, burst)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,16 +17,15 @@ from deepir.io.guards import check_size
 from deepir.io.radiometry import ZERO_CELSIUS, Linear, Radiometry
 from deepir.io.readers import Array
 
+ANY_AXES = True
 SUFFIXES = (".h5", ".hdf5", ".mat")
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of an HDF5 file
 MATLAB_SIGNATURE = b"MATLAB 7.3 MAT-file"  # first bytes of MATLAB's user block before it
-UNITS = {
-    "K": 0.0,
-    "kelvin": 0.0,
-    "degC": ZERO_CELSIUS,
-    "degree_Celsius": ZERO_CELSIUS,
-    "celsius": ZERO_CELSIUS,
-}
+#: Kelvin at zero of the units of temperature, in small letters, with `deg` for all words of degrees.
+UNITS = dict.fromkeys(("k", "kelvin", "kelvins", "degk", "degkelvin"), 0.0) | dict.fromkeys(
+    ("c", "celsius", "degc", "degcelsius"), ZERO_CELSIUS
+)
+DEGREES = re.compile("degrees?|°|[ _]")  # in the name of a unit
 MAX_GROUP_DEPTH = 8  # levels of groups that are searched
 MAX_ARRAYS = 10_000  # arrays and groups that are listed
 
@@ -50,20 +50,20 @@ def read(path: Path, key: str | None) -> Array:
         return _turned(_known(data[()], data.attrs), turned)
 
 
-def radiometry(path: Path) -> Radiometry | None:
-    """Kelvin by the scale and offset of the conventions for climate and forecast (CF), of the only recording."""
+def radiometry(path: Path, key: str | None) -> Radiometry | None:
+    """Kelvin by the scale and offset of the conventions for climate and forecast (CF)."""
     try:
-        with _dataset(path, None) as (data, _):
-            unit = data.attrs.get("units", "")
-            unit = unit.decode() if isinstance(unit, bytes) else str(unit)
+        with _dataset(path, key) as (data, _):
+            unit = _text(data.attrs, "units")
             scale, zero = (
                 _number(data.attrs, *each) for each in (("scale_factor", 1.0), ("add_offset", 0.0))
             )
     except DataError:  # several arrays, or none
         return None
-    if unit not in UNITS or not scale > 0:
+    known = DEGREES.sub(lambda found: "" if found[0] in " _" else "deg", unit.lower())
+    if known not in UNITS or not scale > 0:
         return None
-    return Linear(scale, zero + UNITS[unit])
+    return Linear(scale, zero + UNITS[known])
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
@@ -99,11 +99,22 @@ def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
 
 
 def _known(array: Array, attributes: Any) -> Array:
-    """Masked where samples hold the fill value that the file names."""
-    for name in ("_FillValue", "missing_value"):
-        if name in attributes and (lost := array == np.asarray(attributes[name]).ravel()[0]).any():
-            array = np.ma.masked_array(array, np.ma.getmaskarray(array) | lost)
-    return array
+    """Masked where samples hold a fill value that the file names or lie outside the range that it calls valid."""
+    named = [
+        np.asarray(attributes[name]).ravel() for name in ("_FillValue", "missing_value") if name in attributes
+    ]
+    lost = np.isin(array, np.concatenate(named)) if named else np.zeros(1, bool)
+    low, high = np.asarray(attributes.get("valid_range", (np.nan, np.nan))).ravel()[:2]
+    low, high = _number(attributes, "valid_min", low), _number(attributes, "valid_max", high)
+    lost = lost | (array < low) | (array > high)
+    if str(_text(attributes, "_Unsigned")).lower() == "true" and array.dtype.kind == "i":
+        array = array.view(f"{array.dtype.byteorder}u{array.dtype.itemsize}")
+    return np.ma.masked_array(array, lost) if lost.any() else array
+
+
+def _text(attributes: Any, name: str) -> str:
+    value = attributes.get(name, "")
+    return value.decode() if isinstance(value, bytes) else str(value)
 
 
 def _number(attributes: Any, name: str, default: float) -> float:

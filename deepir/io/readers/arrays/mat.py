@@ -11,10 +11,11 @@ import scipy.io
 
 from deepir.errors import DataError
 from deepir.io.containers.matlab_elements import check_elements
-from deepir.io.containers.named_arrays import choose_array
+from deepir.io.containers.named_arrays import can_be_frames, choose_array
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
+ANY_AXES = True
 SUFFIXES = (".mat",)
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
 #: First number of a matrix in version 4, little- or big-endian: 1000 M + 10 P + T, P the type of values, T zero.
@@ -48,19 +49,18 @@ def read(path: Path, key: str | None) -> Array:
     check_elements(path)
     with path.open("rb") as file:
         known = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(file)}
-        if key is None and not any(kind in BYTES_PER_VALUE for _, kind in known.values()):
+        numbers = {each: shape for each, (shape, kind) in known.items() if kind in BYTES_PER_VALUE}
+        if key is None and not any(map(can_be_frames, numbers.values())) and set(known) - set(numbers):
             found = ", ".join(f"{name} ({kind})" for name, (_, kind) in known.items()) or "nothing"
             raise DataError(
-                f"{path}: holds no array of numbers but {found}; join its frames into one, in MATLAB: "
+                f"{path}: holds no array of frames but {found}; join its frames into one, in MATLAB: "
                 "frames = cat(3, c{:}); save('burst.mat', 'frames')"
             )
-        name = choose_array(
-            {each: shape for each, (shape, kind) in known.items() if kind in BYTES_PER_VALUE}, path, key
-        )
+        name = choose_array(numbers, path, key)
         shape, kind = known[name]
         check_size(path, math.prod(shape) * BYTES_PER_VALUE[kind], path.stat().st_size, compressed=True)
         file.seek(0)
         array: Array = scipy.io.loadmat(file, variable_names=[name])[name]
     if array.shape != tuple(shape):
         raise DataError(f"{path}: damaged: {name} is {array.shape} where its header says {shape}")
-    return np.moveaxis(array, -1, 0) if array.ndim == 3 else array
+    return np.moveaxis(array, -1, 0) if array.ndim > 2 else array

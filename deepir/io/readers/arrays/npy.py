@@ -15,6 +15,7 @@ from deepir.io.containers.planes import read_planes
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
+ANY_AXES = True
 SUFFIXES = (".npy",)
 Header = tuple[tuple[int, ...], bool, np.dtype[Any]]
 

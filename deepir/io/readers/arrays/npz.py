@@ -12,6 +12,7 @@ from deepir.io.guards import check_size
 from deepir.io.readers import Array
 from deepir.io.readers.arrays import npy
 
+ANY_AXES = True
 SUFFIXES = (".npz",)
 
 

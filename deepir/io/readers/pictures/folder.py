@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.guards import GIB, MAX_ARRAY_BYTES
+from deepir.io.guards import GIB, MAX_ARRAY_BYTES, ColourError, warn_once
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array
 
 SUFFIXES = ()
+HEADER_SUFFIX = ".hdr"  # of the headers of ENVI, which stand beside their samples
+THERMAL_READERS = "deepir.io.readers.thermal."  # of pictures with a raw plane
 
 
 def sniff(head: bytes, path: Path) -> bool:
@@ -32,7 +35,8 @@ def read(path: Path, key: str | None) -> Array:
     stacks: list[Array] = []
     files, total = burst_files(path), 0
     for file in files:
-        frames = readers.read(file, key)
+        with _of(path):
+            frames = readers.read(file, key)
         stacks.append(frames if frames.ndim == 3 else frames[None])
         _check_alike(files[0], stacks[0], file, stacks[-1])
         total += frames.nbytes
@@ -46,12 +50,24 @@ def read(path: Path, key: str | None) -> Array:
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame, file after file."""
     for file in burst_files(path):
-        yield from readers.stream(file, key)
+        with _of(path):
+            yield from readers.stream(file, key)
 
 
-def radiometry(path: Path) -> Radiometry | None:
+def radiometry(path: Path, key: str | None) -> Radiometry | None:
     """Radiometry of the first picture."""
-    return readers.radiometry(burst_files(path)[0])
+    return readers.radiometry(burst_files(path)[0], key)
+
+
+def radiometries(path: Path, key: str | None) -> list[Radiometry | None]:
+    """Radiometry of each frame of each picture."""
+    of_files = {file: readers.radiometries(file, key) for file in burst_files(path)}
+    if len({law for laws in of_files.values() for law in laws}) == 1:
+        return next(iter(of_files.values()))
+    laws: list[Radiometry | None] = []
+    for file, own in of_files.items():
+        laws += own if len(own) > 1 else own * sum(1 for _ in readers.stream(file, key))
+    return laws
 
 
 def burst_files(path: Path) -> list[Path]:
@@ -60,11 +76,13 @@ def burst_files(path: Path) -> list[Path]:
     A folder's files are those recognised by their contents, or with a known suffix, so that a damaged file is an error
     and not a missing frame. A glob stands for all its files.
 
+    Of a folder in which pictures with a raw plane and others lie side by side, only the former are taken.
+
     Raises:
-        DataError: There are none.
+        DataError: There are none, or of several formats.
     """
     if path.is_dir():
-        entries = [file for file in path.iterdir() if _is_picture(file)]
+        entries = _of_one_format([file for file in path.iterdir() if _is_picture(file)], path)
     else:
         entries = [file for file in _expand(path) if file.is_file() and not file.name.startswith(".")]
     if not entries:
@@ -85,11 +103,44 @@ def _expand(pattern: Path) -> list[Path]:
 
 
 def _is_picture(file: Path) -> bool:
-    if file.name.startswith(".") or not file.is_file():
+    if file.name.startswith(".") or not file.is_file() or file.suffix.lower() == HEADER_SUFFIX:
         return False
     return file.suffix.lower() in readers.suffixes() or (
         file.stat().st_size > 0 and readers.find_reader(file) is not None
     )
+
+
+def _of_one_format(files: list[Path], path: Path) -> list[Path]:
+    """The pictures with a raw plane, if there are any; damaged ones stay, so that they are named."""
+    found = {
+        file: reader.__name__
+        for file in files
+        if file.stat().st_size and (reader := readers.find_reader(file))
+    }
+    thermal = [file for file, reader in found.items() if reader.startswith(THERMAL_READERS)]
+    plain = {file: reader for file, reader in found.items() if not reader.startswith(THERMAL_READERS)}
+    if thermal and plain:
+        warn_once(f"{path}: {len(thermal)} pictures hold raw counts; {len(plain)} others are left out")
+        return [file for file in files if file not in plain]
+    if len(set(plain.values())) > 1:
+        kinds = sorted({file.suffix for file in plain})
+        raise DataError(
+            f"{path}: files of several formats lie side by side ({', '.join(kinds)}); name one kind with a glob, "
+            f"such as '{path}/*{kinds[-1]}'"
+        )
+    return files
+
+
+@contextmanager
+def _of(folder: Path) -> Iterator[None]:
+    """A context in which a colour picture is one of a folder's."""
+    try:
+        yield
+    except ColourError as error:
+        raise DataError(
+            f"{error}. If it is the visible picture beside a thermal one, name the thermal ones with a glob, such as "
+            f"'{folder if folder.is_dir() else folder.parent}/*_T.jpg'"
+        ) from error
 
 
 def _check_alike(first: Path, a: Array, other: Path, b: Array) -> None:

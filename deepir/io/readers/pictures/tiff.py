@@ -20,6 +20,7 @@ from deepir.io.guards import check_size, to_grey
 from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array
 
+ANY_AXES = True
 SUFFIXES = (".tif", ".tiff")
 GDAL_NODATA = 42113  # the tag of the value of lost samples, a text
 PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture
@@ -64,7 +65,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
                     yield _stack(page.asarray(), part.axes, path, nodata=_nodata(part))
 
 
-def radiometry(path: Path) -> Radiometry | None:
+def radiometry(path: Path, key: str | None) -> Radiometry | None:
     """Radiometry that deepir wrote into the description, see `deepir.io.radiometry.unit_metadata`."""
     with _open(path) as tiff:
         try:
@@ -116,8 +117,9 @@ def _check(part: Any, path: Path) -> None:
 
 
 def _nodata(part: Any) -> float | None:
-    """The value of lost samples that GDAL's tag names."""
-    tag = part.keyframe.tags.get(GDAL_NODATA)
+    """The value of lost samples that GDAL's tag names, on whichever page."""
+    tags = (page.tags.get(GDAL_NODATA) for page in part.pages if isinstance(page, tifffile.TiffPage))
+    tag = next((tag for tag in tags if tag is not None), None)
     try:
         return None if tag is None else float(str(tag.value).strip("\0 "))
     except ValueError:
@@ -127,7 +129,9 @@ def _nodata(part: Any) -> float | None:
 def _stack(pixels: Array, axes: str, path: Path, *, nodata: float | None = None) -> Array:
     """Frames (N, h, w) of the axes of a series; masked where samples are lost."""
     # Samples in separate planes are frames: the default of tifffile for a burst of three or four.
-    if axes.endswith("S"):
+    if (
+        axes.endswith("S") and pixels.shape[-1] <= 4
+    ):  # more than colours and alpha: frames along the last axis
         pixels = to_grey(pixels, path)
     frames = pixels.reshape(-1, *pixels.shape[-2:])
     if nodata is None or math.isnan(nodata) or not (lost := frames == nodata).any():

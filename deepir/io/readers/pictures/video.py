@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,16 +13,17 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.extras import import_optional
-from deepir.io.guards import check_size, stack_frames, to_grey
+from deepir.io.guards import LOSSY_TOLERANCE, check_size, stack_frames, to_grey
 from deepir.io.readers import Array
 
 GENERIC = True
-#: Difference of the channels, as a share of the range, that a lossy codec may give a grey film.
-GREY_TOLERANCE = 0.02
 #: Formats of grey films of 9 to 16 bits that keep their counts; in others they are stretched to 16.
 DEEP_GREY = tuple(f"gray{bits}le" for bits in (9, 10, 12, 14, 16))
 #: What uncompressed AVI and MOV of 16 bits are taken for, whatever they hold.
 PACKED_SIXTEEN = ("rgb555le", "rgb555be", "rgb565le", "rgb565be", "bgr555le", "bgr565le")
+AVI_HEAD_BYTES = 2**14  # within which an AVI says what its film is
+LIMITED_RANGE = (12, 239)  # luma for black and white, 16 and 235, with what a lossy codec adds
+MAX_OVERSHOOT = 0.002  # share of the samples beyond it in a film of that range
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
 
 
@@ -47,29 +50,70 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
         if not container.streams.video:
             raise DataError(f"{path}: a film without pictures")
         context = container.streams.video[0].codec_context
+        if context is None and (size := _y16_size(path)) is not None:
+            check_size(path, 2 * math.prod(size), path.stat().st_size)
+            for packet in container.demux(video=0):
+                if packet.size:
+                    yield np.frombuffer(packet, "<u2").reshape(size)
+            return
         if context is None or not context.width:
             raise DataError(
-                f"{path}: a film of a codec that FFmpeg does not know, such as Y16; record it as FFV1 or raw gray16le "
+                f"{path}: a film of a codec that FFmpeg does not know; record it as FFV1 or raw gray16le "
                 "in Matroska, or read the samples with data.raw"
             )
         check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
+        as_stored: bool | None = None  # whether luma are the counts, and not 16 to 235 for 0 to 255
         for frame in container.decode(video=0):
             deep = any(component.bits > 8 for component in frame.format.components)
             grey = "gray16le" if deep else "gray"
+            name = frame.format.name
             if len(frame.format.components) == 1 and not frame.format.has_palette:
-                yield frame.to_ndarray(format=frame.format.name if frame.format.name in DEEP_GREY else grey)
+                exact = name.removesuffix("be").removesuffix("le") + "le"
+                yield frame.to_ndarray(format=exact if exact in DEEP_GREY else grey)
                 continue
-            if frame.format.name in PACKED_SIXTEEN:
+            if name in PACKED_SIXTEEN:
                 raise DataError(
-                    f"{path}: 16 bits a sample without a name, which FFmpeg takes for colours ({frame.format.name}). "
+                    f"{path}: 16 bits a sample without a name, which FFmpeg takes for colours ({name}). "
                     "If they are grey counts, write them as FFV1 or TIFF, or read them with data.raw"
                 )
-            is_yuv = frame.format.name.startswith(("yuv4", "yuvj4")) and not deep
-            pixels = None if is_yuv else frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-            if (_colour(frame) if pixels is None else _channel_difference(pixels)) <= GREY_TOLERANCE:
-                yield frame.to_ndarray(format=grey)
-            else:
-                yield to_grey(frame.to_ndarray(format="rgb24") if pixels is None else pixels, path)
+            is_yuv = name.startswith(("yuv4", "yuvj4"))
+            if is_yuv and as_stored is None:
+                as_stored = deep or _exceeds_limited_range(frame)
+            counts = _luma(frame) if is_yuv and as_stored else frame.to_ndarray(format=grey)
+            if is_yuv and not deep and _colour(frame) <= LOSSY_TOLERANCE:
+                yield counts
+                continue
+            pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
+            coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
+            yield np.ma.masked_array(counts, coloured) if coloured.any() else counts
+
+
+def _y16_size(path: Path) -> tuple[int, int] | None:
+    """Height and width of an AVI of uncompressed 16-bit grey (Y16), from its BITMAPINFOHEADER; None: something else."""
+    with path.open("rb") as file:
+        head = file.read(AVI_HEAD_BYTES)
+    at = head.find(b"strf") + 8
+    if at < 8 or len(head) < at + 20:
+        return None
+    width, height, _, _, codec = struct.unpack_from("<iiHH4s", head, at + 4)
+    return (abs(height), width) if codec[:3] == b"Y16" and width > 0 else None
+
+
+def _luma(frame: Any) -> Array:
+    """The counts (h, w) of the luma plane of a YUV frame, as stored."""
+    plane, name = frame.planes[0], frame.format.name
+    dtype = np.dtype(
+        "u1" if frame.format.components[0].bits <= 8 else ">u2" if name.endswith("be") else "<u2"
+    )
+    stored = np.frombuffer(plane, dtype).reshape(plane.height, plane.line_size // dtype.itemsize)
+    return stored[:, : plane.width].astype(dtype.newbyteorder("="))
+
+
+def _exceeds_limited_range(frame: Any) -> bool:
+    """Whether an 8-bit YUV frame without a word on its range takes all of it: grey that was encoded as it was."""
+    low, high = LIMITED_RANGE
+    luma = _luma(frame)
+    return not frame.color_range and float(((luma < low) | (luma > high)).mean()) > MAX_OVERSHOOT
 
 
 def _colour(frame: Any) -> float:
@@ -81,10 +125,3 @@ def _colour(frame: Any) -> float:
     )
     channels = 1.402 * red, -0.344 * blue - 0.714 * red, 1.772 * blue
     return max(float(np.abs(a - b).max()) for a, b in itertools.combinations(channels, 2)) / 255
-
-
-def _channel_difference(pixels: Array) -> float:
-    """Largest difference of the channels (h, w, 3) of a pixel, as a share of the range."""
-    channels = (pixels[..., channel].astype(np.int32) for channel in range(3))
-    most = max(int(np.abs(a - b).max()) for a, b in itertools.combinations(channels, 2))
-    return most / int(np.iinfo(pixels.dtype).max)

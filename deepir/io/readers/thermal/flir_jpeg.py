@@ -24,7 +24,7 @@ def read(path: Path, key: str | None) -> Array:
     return fff.read_raw_plane(_records(path), path)
 
 
-def radiometry(path: Path) -> Radiometry | None:
+def radiometry(path: Path, key: str | None) -> Radiometry | None:
     """Planck's law with the camera's constants and the user's settings: emissivity, distance ..."""
     return fff.read_radiometry(_records(path))
 

@@ -48,6 +48,6 @@ def read(path: Path, key: str | None) -> Array:
     return np.frombuffer(planes, "<u2", samples, 2 * samples).reshape(height, -1)
 
 
-def radiometry(path: Path) -> Radiometry | None:
+def radiometry(path: Path, key: str | None) -> Radiometry | None:
     """Kelvin x 64."""
     return KELVIN

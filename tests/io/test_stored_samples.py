@@ -1,0 +1,97 @@
+"""Samples in another order of bytes, type or order of axes than a file says."""
+
+import numpy as np
+import pytest
+import tifffile
+
+from deepir.config.schema import Raw
+from deepir.errors import DataError
+from deepir.io import read_frames, stream_frames
+from deepir.io.inspection.stored_samples import are_swapped, have_wrapped
+from deepir.simulate import Settings, simulate
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return simulate(None, Settings(n_frames=20, shape=(48, 64), counts=True), seed=3).frames.astype(np.uint16)
+
+
+def test_swapped_bytes_are_named_with_the_setting_that_mends_them(tmp_path, frames):
+    tifffile.imwrite(tmp_path / "a.tif", frames.byteswap(), photometric="minisblack")
+    for read in (read_frames, lambda path: list(stream_frames(path))):
+        with pytest.raises(DataError, match=r"look swapped.*data\.swap_bytes=true swaps them"):
+            read(tmp_path / "a.tif")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif", swap_bytes=True).frames, frames)
+    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.tif", swap_bytes=True)), frames)
+    assert read_frames(tmp_path / "a.tif", swap_bytes=False).frames[0, 0, 0] == frames.byteswap()[0, 0, 0]
+
+
+def test_a_layout_of_the_wrong_order_of_bytes_is_named(tmp_path, frames):
+    (tmp_path / "a.raw").write_bytes(frames.astype(">u2").tobytes())
+    with pytest.raises(DataError, match=r"data\.raw\.endian=big"):
+        read_frames(tmp_path / "a.raw", raw=Raw(width=64, height=48))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int32])
+def test_longer_numbers_of_swapped_bytes_are_named_too(frames, kind):
+    assert are_swapped(frames.astype(kind).byteswap())
+    assert not are_swapped(frames.astype(kind))
+    if kind != np.int32:
+        assert not are_swapped((frames / 65536).astype(kind))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: f,
+        lambda f: f << 2,
+        lambda f: (f >> 6) << 8,
+        lambda f: (f >> 6).astype(np.uint16),
+        lambda f: np.full_like(f, 8000),
+        lambda f: np.random.default_rng(0).integers(0, 2**16, f.shape).astype(np.uint16),
+        lambda f: f.astype(np.int16),
+        lambda f: f.astype(np.float32),
+    ],
+)
+def test_right_samples_are_not_taken_for_swapped_ones(frames, change):
+    assert not are_swapped(change(frames))
+
+
+def test_counts_that_have_become_negative_are_read_as_they_were(tmp_path, frames, caplog):
+    high = (frames.astype(int) - int(np.median(frames)) + 2**15).astype(np.uint16)
+    np.save(tmp_path / "a.npy", high.view(np.int16))
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.npy").frames, high)
+    assert "read as unsigned" in caplog.text
+    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npy")), high)
+
+
+def test_signed_numbers_stay_signed(frames):
+    celsius = (frames.astype(int) - int(np.median(frames))).astype(np.int16)
+    assert not have_wrapped(celsius)
+    celsius[:, :3] = -32768
+    assert not have_wrapped(celsius)
+
+
+@pytest.mark.parametrize("count", [8, 20])
+@pytest.mark.parametrize("axes", ["hwn", "wnh"])
+def test_a_turned_array_is_asked_for_with_the_setting_that_reads_it(tmp_path, frames, axes, count):
+    some = frames[:count]
+    np.savez(tmp_path / "a.npz", frames=some.transpose(["nhw".index(each) for each in axes]))
+    for read in (read_frames, lambda path: list(stream_frames(path))):
+        with pytest.raises(
+            DataError, match=f"or {count} frames counted along another axis.*data.axes={axes} "
+        ):
+            read(tmp_path / "a.npz")
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.npz", axes=axes).frames, some)
+    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npz", axes=axes)), some)
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_turned_array_of_more_frames_than_rows_is_asked_for_too(tmp_path, frames, moving):
+    noise = np.random.default_rng(0).normal(0, 3, (100, 48, 64))
+    many = (frames[np.arange(100) % (20 if moving else 1)] + noise).astype(np.uint16)
+    np.save(tmp_path / "a.npy", np.moveaxis(many, 0, -1))
+    with pytest.raises(DataError, match=r"data\.axes=hwn reads 100 frames"):
+        read_frames(tmp_path / "a.npy")
+    np.save(tmp_path / "b.npy", many)
+    np.testing.assert_array_equal(read_frames(tmp_path / "b.npy").frames, many)

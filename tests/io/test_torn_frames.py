@@ -1,0 +1,71 @@
+"""Torn frames, and text that a camera draws over its pictures."""
+
+import numpy as np
+import pytest
+
+from deepir.io.inspection.drawn_pixels import drawn_message, drawn_pixels
+from deepir.io.inspection.torn_frames import torn_frames, torn_message
+from deepir.simulate import Settings, simulate
+from deepir.simulate.scenes.procedural import procedural, sky
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return simulate(None, Settings(n_frames=6, shape=(96, 128), counts=True), seed=2).frames
+
+
+@pytest.mark.parametrize("row", [8, 40, 88])
+def test_a_frame_that_ends_as_the_next_one_is_torn(frames, row):
+    torn = frames.copy()
+    torn[3, row:] = torn[4, row:]
+    assert torn_frames(torn) == {3: row}
+    assert "3 (at row" in torn_message(torn_frames(torn), 6)[0]
+    assert "data.frames=[0, 1, 2, 4, 5]" in torn_message(torn_frames(torn), 6)[0]
+
+
+def test_a_frame_that_begins_as_the_one_before_is_torn(frames):
+    torn = frames.copy()
+    torn[3, :40] = torn[2, :40]
+    assert torn_frames(torn) == {3: 40}
+
+
+def test_a_seam_tells_where_no_rows_are_repeated():
+    textured = np.random.default_rng(0).normal(0, 100, (96, 300))
+    noise = np.random.default_rng(1).normal(8000, 3, (6, 96, 128))
+    smooth = (textured[:, :-4] + textured[:, 1:-3] + textured[:, 2:-2]) / 3
+    smooth = np.cumsum(smooth, axis=0) / 5
+    frames = noise + np.stack([smooth[:, 5 * k : 5 * k + 128] for k in range(6)])
+    assert torn_frames(frames) == {}
+    frames[2, 50:] += smooth[50:, 60:188] - smooth[50:, 10:138]
+    assert torn_frames(frames) == {2: 50}
+
+
+@pytest.mark.parametrize("picture", [procedural, sky])
+@pytest.mark.parametrize("seed", range(4))
+def test_whole_frames_are_whole(picture, seed):
+    whole = simulate(
+        picture(seed, (200, 250)), Settings(n_frames=6, shape=(64, 80), counts=True), seed=seed
+    ).frames
+    assert torn_frames(whole) == {}
+    assert drawn_message(whole) == []
+
+
+def test_rows_that_stand_still_in_all_frames_are_not_torn(frames):
+    still = frames.copy()
+    still[:, 60:] = still[0, 60:]
+    assert torn_frames(still) == {}
+
+
+def test_text_is_found_and_single_dead_pixels_are_none(frames):
+    text = frames.copy()
+    text[:, 10:14, 20:40:2] = 16383
+    text[:, 10, 20:40] = 16383
+    text[:, 50, 60] = 0
+    found = drawn_pixels(text)
+    assert found[10, 20:40].all()
+    assert not found[50, 60]
+    assert "between rows 10 and" in drawn_message(text)[0]
+
+
+def test_frames_that_are_alike_show_nothing_drawn(frames):
+    assert not drawn_pixels(frames[[0, 0, 0]]).any()
