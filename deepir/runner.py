@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -122,8 +121,12 @@ def execute(
     return result
 
 
-def peak_memory() -> float:
-    """Peak memory of this process, MB."""
+def peak_memory() -> float | None:
+    """Peak memory of this process, MB; None where the system does not say, as Windows."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)
 

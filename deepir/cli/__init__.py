@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -27,26 +27,43 @@ from deepir.cli.commands.train import train
 from deepir.cli.terminal import echo, notify, standard_streams
 from deepir.errors import DeepIRError, SolverError
 
+#: What `deepir` alone prints.
+WELCOME = """\
+deepir corrects what thermal cameras record.
+
+  deepir correct drive.avi          a recording of a moving camera
+  deepir live --camera v4l2 --page  a camera, shown in the browser
+  deepir demo                       a simulated burst, to see what it does
+
+All commands: deepir --help. Options of one: deepir correct --help.
+"""
+
 app = typer.Typer(
-    help="Corrects bursts of thermal cameras. Try `deepir demo`, then `deepir run nuc data.path=burst.npz`.",
+    help="Corrects what thermal cameras record. Try `deepir correct drive.avi`, or `deepir demo`.",
     add_completion=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(correct)
-app.command()(live)
-app.command()(run)
-app.command()(demo)
-app.command()(capture)
-app.command()(simulate)
-app.command()(resume)
-app.command()(compare)
-app.command()(batch)
-app.command()(calibrate)
-app.command()(apply)
-app.command("list")(list_components)
-app.command()(check)
-app.command()(analyze)
-app.command()(train)
+COMMANDS: tuple[Callable[..., int | None], ...] = (
+    correct,
+    live,
+    run,
+    demo,
+    capture,
+    simulate,
+    resume,
+    compare,
+    batch,
+    calibrate,
+    apply,
+    list_components,
+    check,
+    analyze,
+    train,
+)
+for each in COMMANDS:
+    first_line = (each.__doc__ or "").partition("\n")[0]
+    app.command(each.__name__.partition("_")[0], short_help=first_line.partition(":")[0])(each)
 
 
 def _version(wanted: bool) -> None:
@@ -83,10 +100,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(given: list[str]) -> int:
+    if not given:
+        print(WELCOME, end="", flush=True)
+        return 0
     try:
-        status = typer.main.get_command(app).main(
-            given or ["--help"], prog_name="deepir", standalone_mode=False
-        )
+        status = typer.main.get_command(app).main(given, prog_name="deepir", standalone_mode=False)
         sys.stdout.flush()
         return int(status or 0)
     except Exception as error:
