@@ -100,10 +100,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(given: list[str]) -> int:
-    if not given:
-        print(WELCOME, end="", flush=True)
-        return 0
     try:
+        if not given:
+            print(WELCOME, end="", flush=True)
+            return 0
         status = typer.main.get_command(app).main(given, prog_name="deepir", standalone_mode=False)
         sys.stdout.flush()
         return int(status or 0)

@@ -12,6 +12,7 @@ from deepir.cameras.camera import Camera
 from deepir.cli.terminal import notify
 from deepir.config.components import make, options_schema
 from deepir.config.overrides import parse_settings
+from deepir.errors import DataError
 from deepir.live import sources
 from deepir.live.corrector import Corrector
 from deepir.live.kept_maps import KeptMaps
@@ -41,5 +42,8 @@ def camera_frames(camera: Camera, kept: KeptMaps | None, corrector: Corrector) -
 def keep(corrector: Corrector, kept: KeptMaps) -> None:
     """Keep the maps for the next time, if something was learned and it fits."""
     if corrector.maps is not None and corrector.status.estimates and corrector.status.correcting:
-        kept.save(corrector.maps)
-        notify(f"the maps are kept for the next time: {kept.path}")
+        try:
+            kept.save(corrector.maps)
+            notify(f"the maps are kept for the next time: {kept.path}")
+        except DataError as error:
+            notify(f"warning: {error}")

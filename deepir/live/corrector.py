@@ -86,6 +86,7 @@ class Corrector:
     def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
         self._start = maps
         self._estimator = estimator or Beside()
+        self._outdated = False  # whether the estimate under way is of what was forgotten
         self.reset()
 
     def __enter__(self) -> Corrector:
@@ -102,13 +103,13 @@ class Corrector:
     def reset(self) -> None:
         """Forget all but the maps of the beginning, and learn anew."""
         self.hold = False
-        self._estimator.poll()
-        self._outdated = self._estimator.busy()  # the estimate under way is of what is forgotten
+        self._drop_estimate()
         self._collector = KeyframeCollector(latest=True)
         self._segment: Segment | None = None
         self._former: Segment | None = None
         self._faded = 0  # frames since the newest estimate
         self._checks: deque[bool] = deque(maxlen=CHECKS)  # whether the maps fitted the last frames
+        self._relearns = False  # another pattern than the maps'
         self._quick, self._due = self._start is None, FIRST_KEYFRAMES
         self._frames = self._estimates = self._rejected = 0
         self._message = ""
@@ -126,7 +127,7 @@ class Corrector:
             self._check(frame, corrected)
         self._frames += 1
         self._faded += 1
-        return np.asarray(frame, np.float32) if corrected is None or not self._fits else corrected
+        return _values(frame) if corrected is None or not self._fits else corrected
 
     @property
     def maps(self) -> CorrectionMaps | None:
@@ -176,12 +177,17 @@ class Corrector:
 
     def _check(self, frame: Array, corrected: Array) -> None:
         """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
-        fitted = self._fits
-        self._checks.append(fits(np.asarray(frame, np.float32), corrected, self._bad_pixels))
-        if fitted and not self._fits and not self.hold:
-            self._collector.forget(self._frames - CHECKS * CHECK_INTERVAL)
-            self._outdated = self._estimator.busy()
+        self._checks.append(fits(_values(frame), corrected, self._bad_pixels))
+        if not self._fits and not self._relearns and not self.hold:
+            self._relearns = True
+            self._collector.forget(self._collector.length - CHECKS * CHECK_INTERVAL)
+            self._drop_estimate()
             self._quick, self._due = True, self._collector.taken + FIRST_KEYFRAMES
+
+    def _drop_estimate(self) -> None:
+        """Do not take the estimate that is under way, or done: it is of what was before."""
+        busy = self._estimator.busy()
+        self._outdated = self._estimator.poll() is None and busy
 
     def _take(self, found: Segment, frame: Array) -> None:
         """Take an estimate if it serves the newest frame."""
@@ -192,12 +198,13 @@ class Corrector:
             self._due = self._collector.taken + FIRST_KEYFRAMES
             return
         self._collector.forget(found.first)  # another pattern
-        if not self._serves(found, np.asarray(frame, np.float32)):
+        if not self._serves(found, _values(frame)):
             self._rejected += 1
             return
         self._former, self._faded = self._segment if self._fits else None, 0
         self._segment = found
-        self._checks.clear()
+        self._checks.extend([True] * CHECKS)
+        self._relearns = False
         self._estimates += 1
 
     def _serves(self, found: Segment, frame: Array) -> bool:
@@ -217,3 +224,8 @@ class Corrector:
             former = self._former.correct(frame)
             corrected = former + np.float32(self._faded / FADE_LENGTH) * (corrected - former)
         return corrected
+
+
+def _values(frame: Array) -> Array:
+    """A frame as float32; NaN where a sample is masked."""
+    return np.asarray(np.ma.filled(frame.astype(np.float32), np.nan))

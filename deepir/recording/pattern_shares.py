@@ -25,12 +25,13 @@ BLOB_SIGMAS = (
 )  # px; Gaussians between which the pattern's blobs are: finer are pixels, broader is slow
 REWEIGHTINGS = 8  # by Cauchy's likelihood: the scene's gradients have heavy tails
 MAX_GRADIENTS = 40_000  # of a frame along each axis that are looked at
-#: Share from which a correction fits, without reweighting: too small a share for a pattern as weak as the scene's
-#: gradients. In four simulated recordings it was 0.50 to 0.84 where the correction helped, and 0.11 to 0.43 where not.
-LEAST_CAUTIOUS_SHARE = 0.45
+#: Share of the maps' pattern in a frame from which they fit, by one weighted fit, which underestimates patterns as weak
+#: as the scene's gradients. In four simulated recordings it was 0.50 to 0.84 where the correction helped, and 0.11 to
+#: 0.43 where not.
+MIN_SHARE_TO_FIT = 0.45
 SIGNIFICANCE = 2.0  # standard errors by which a share has to be too small
 CORRELATED_GRADIENTS = 4.0  # gradients that say the same: those of neighbours
-RIDGE = 1e-6  # variance of the noise over that of a slope before: a part may be zero, and then its slope is unknown
+RIDGE = 1e-6  # weak prior on a slope: without it, a part that is zero everywhere makes the system singular
 
 
 def shrink_offset(offset: Array, known: Array, frames: Array) -> tuple[Array, dict[str, float]]:
@@ -59,7 +60,7 @@ def scale_parts(offset: Array, known: Array, by: dict[str, float]) -> Array:
 
 def fits(frame: Array, corrected: Array, bad: Array) -> bool:
     """Whether a frame (h, w) may have most of the pattern that was taken off it; `bad`: pixels that do not count."""
-    return _may_be_above(LEAST_CAUTIOUS_SHARE, frame, corrected, bad, reweightings=1)
+    return _may_be_above(MIN_SHARE_TO_FIT, frame, corrected, bad, reweightings=1)
 
 
 def is_better(corrected: Array, other: Array, bad: Array) -> bool:
@@ -84,7 +85,7 @@ def shares(
         frames: (N, h, w); NaN where a sample does not count.
         parts: (K, h, w), in the same units.
         known: (h, w) bool, pixels that count.
-        reweightings: from weights by the size of the frames' gradients on.
+        reweightings: number of weighted fits: the first weights are by the frames' gradients, the others by residuals.
 
     Returns:
         Slopes (K,) and their standard errors (K,).

@@ -95,7 +95,7 @@ def live(
     session: Session | None = None
     kept: KeptMaps | None = None
     with (
-        held_outputs(*files, overwrite=overwrite),
+        held_outputs(*files, overwrite=overwrite, source=source),
         Corrector(start, estimator=Here() if fast else Beside()) as corrector,
         ExitStack() as shown,
     ):
@@ -201,5 +201,10 @@ def standard_output() -> IO[bytes]:
 
 
 def _send(stream: IO[bytes], frame: Array) -> None:
-    stream.write(frame.tobytes())
-    stream.flush()
+    from deepir.errors import DataError
+
+    try:
+        stream.write(frame.tobytes())
+        stream.flush()
+    except OSError as error:
+        raise DataError(f"standard output cannot be written: {error.strerror or error}") from None
