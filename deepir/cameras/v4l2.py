@@ -71,10 +71,14 @@ class V4L2(Camera):
 
 
 def _identity(device: str) -> str:
-    """The name that udev gives a device by its maker, product and serial number; empty if it has none."""
-    target = Path(device).resolve()
-    links = Path("/dev/v4l/by-id").glob("*")
-    return next((f"v4l2 {each.name}" for each in sorted(links) if each.resolve() == target), "")
+    """Name and USB serial number of a device; empty if it has none."""
+    entry = Path("/sys/class/video4linux") / Path(device).resolve().name
+    usb = next((each for each in (entry / "device").resolve().parents if (each / "serial").is_file()), None)
+    try:
+        serial = (usb / "serial").read_text(encoding="utf-8").strip() if usb else ""
+        return f"v4l2 {(entry / 'name').read_text(encoding='utf-8').strip()} {serial}" if serial else ""
+    except (OSError, UnicodeDecodeError):
+        return ""
 
 
 def _reason(error: Any) -> str:

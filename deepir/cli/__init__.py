@@ -24,7 +24,7 @@ from deepir.cli.commands.live import live
 from deepir.cli.commands.run import resume, run
 from deepir.cli.commands.simulate import simulate
 from deepir.cli.commands.train import train
-from deepir.cli.terminal import echo, notify, standard_streams
+from deepir.cli.terminal import echo, notify, printed_warnings, standard_streams
 from deepir.errors import DeepIRError, SolverError
 
 #: What `deepir` alone prints.
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit status. 0: finished. 1: the solve failed, or an internal error. 2: an error that the user can fix;
         nothing was written. 130, 143: interrupted by Ctrl-C or SIGTERM, the state is saved.
     """
-    with standard_streams():
+    with standard_streams(), printed_warnings():
         try:
             Path.cwd()
         except FileNotFoundError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from collections.abc import Iterator
@@ -20,6 +21,26 @@ def echo(line: str, *, err: bool = False) -> None:
 def notify(line: str) -> None:
     """Print one line on stderr, after the program's name."""
     echo(f"deepir: {line}", err=True)
+
+
+class WarningHandler(logging.Handler):
+    """Prints the package's warnings on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a warning; other records are for the log."""
+        if record.levelno == logging.WARNING:
+            notify(record.getMessage())
+
+
+@contextmanager
+def printed_warnings() -> Iterator[None]:
+    """A context in which warnings of the package are printed."""
+    handler, log = WarningHandler(), logging.getLogger("deepir")
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
 
 
 @contextmanager

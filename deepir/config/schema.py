@@ -55,7 +55,7 @@ class Data(_Strict):
         None  # of an array: frames n, height h, width w
     )
     swap_bytes: bool | None = (
-        None  # the two bytes of each sample; None: as stored, and an error where they look swapped
+        None  # the bytes of each sample; None: as stored, and an error where they look swapped
     )
     raw: Raw | None = None  # layout of a file without a header
     radiometry: Radiometry = Radiometry()

@@ -227,5 +227,5 @@ def _sha256(path: Path) -> str:
     if folder.sniff(b"", path):
         digests = "".join(_sha256(file) for file in folder.burst_files(path))
         return hashlib.sha256(digests.encode()).hexdigest()
-    with path.open("rb") as file:
+    with readers.samples_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -22,6 +22,9 @@ from deepir.recording.estimate import AUTO, estimate_fine_offset
 from deepir.recording.keyframes import Keyframes
 from deepir.recording.segments import Segment, estimate_segments
 
+SWITCH_INTERVAL = (
+    0.5e-3  # s that a thread keeps the interpreter while keyframes are sent: frames wait no longer
+)
 NICENESS = 10  # of the process, where systems have it: frames come first
 ENDED = "the estimating process ended by itself; it is started again"
 
@@ -82,6 +85,8 @@ class Beside:
     def __init__(self) -> None:
         self._process = self._start()
         self._closed = False
+        self._interval = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_INTERVAL)
         self._sender = ThreadPoolExecutor(1)
         self._pending: Future[Segment] | None = None
 
@@ -103,6 +108,7 @@ class Beside:
     def close(self) -> None:
         """End the process."""
         self._closed = True
+        sys.setswitchinterval(self._interval)
         self._end()
         self._sender.shutdown(cancel_futures=True)
 

@@ -86,8 +86,10 @@ class Recorder:
             ended = f"the disk is full, less than {RESERVE / 1e6:.0f} MB are free: " if full else ""
             kept = f"{self.frames} frame(s) are in {stem}-raw.tif and -corrected.tif"
             lost = f"; the disk was too slow for {self.left_out} more" if self.left_out else ""
+            self.recording = False
             self.message = f"{ended}{kept if self.frames else 'nothing was recorded'}{lost}"
         except (DataError, OSError) as error:
+            self.recording = False
             self.message = f"the recording has failed, and is not kept: {error}"
         finally:
             self.recording = False

@@ -29,6 +29,7 @@ MAX_GRADIENTS = 40_000  # of a frame along each axis that are looked at
 #: as the scene's gradients. In four simulated recordings it was 0.50 to 0.84 where the correction helped, and 0.11 to
 #: 0.43 where not.
 MIN_SHARE_TO_FIT = 0.45
+GRADIENTS_OF_A_FRAME = 10_000  # the same, where one frame decides at once
 SIGNIFICANCE = 2.0  # standard errors by which a share has to be too small
 CORRELATED_GRADIENTS = 4.0  # gradients that say the same: those of neighbours
 RIDGE = 1e-6  # weak prior on a slope: without it, a part that is zero everywhere makes the system singular
@@ -72,12 +73,19 @@ def _may_be_above(share: float, before: Array, after: Array, bad: Array, *, rewe
     """Whether the slope of a frame's gradients over what is taken off is, or may be by its standard error, larger."""
     removed = before - after
     known = ~bad & np.isfinite(removed)
-    (slope,), (error,) = shares(before[None], removed[None], known, reweightings=reweightings)
+    (slope,), (error,) = shares(
+        before[None], removed[None], known, reweightings=reweightings, gradients=GRADIENTS_OF_A_FRAME
+    )
     return bool(slope + SIGNIFICANCE * error > share)
 
 
 def shares(
-    frames: Array, parts: Array, known: Array, *, reweightings: int = REWEIGHTINGS
+    frames: Array,
+    parts: Array,
+    known: Array,
+    *,
+    reweightings: int = REWEIGHTINGS,
+    gradients: int = MAX_GRADIENTS,
 ) -> tuple[Array, Array]:
     """Slopes of the gradients of frames over those of parts, by robust least squares.
 
@@ -87,10 +95,12 @@ def shares(
         known: (h, w) bool, pixels that count.
         reweightings: number of weighted fits: the first weights are by the frames' gradients, the others by residuals.
 
+        gradients: of a frame along each axis that are looked at, about.
+
     Returns:
         Slopes (K,) and their standard errors (K,).
     """
-    stride = max(1, known.size // MAX_GRADIENTS)
+    stride = max(1, known.size // gradients)
     design = sampled_gradients(np.where(known, parts, np.nan), stride, stride)
     good = np.isfinite(design).all(0)
     design, steps = design[:, good], sampled_gradients(frames, stride, stride)[:, good]
@@ -105,12 +115,17 @@ def shares(
             rest = step - slopes @ each
             scale = max(MAD_TO_SIGMA * float(np.median(np.abs(rest))), tiny) if rest.size else 1.0
             weighted = each / (scale**2 + rest**2)
-            normal += weighted @ each.T
-            score += weighted @ step
-            scatter += CORRELATED_GRADIENTS * (weighted * rest) @ (weighted * rest).T
+            normal += _products(weighted, each)
+            score += _products(weighted, step[None])[:, 0]
+            scatter += CORRELATED_GRADIENTS * _products(weighted * rest, weighted * rest)
         slopes = np.linalg.solve(normal, score)
     covariance = np.linalg.solve(normal, np.linalg.solve(normal, scatter).T)
     return slopes, np.sqrt(np.diag(covariance))
+
+
+def _products(one: Array, other: Array) -> Array:
+    """Sums of products of (K, S) and (L, S): (K, L). Not by BLAS: its threads wait for each other on busy cores."""
+    return np.asarray(np.einsum("ks,ls->kl", one, other))
 
 
 def _parts(offset: Array, known: Array) -> Array:

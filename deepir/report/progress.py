@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import sys
 import threading
@@ -16,8 +15,6 @@ from deepir.paths import printable
 
 if TYPE_CHECKING:
     from deepir.optim.solve import Progress
-
-log = logging.getLogger("deepir")
 
 
 class ProgressLines:
@@ -90,15 +87,6 @@ class ProgressBar:
         )
 
 
-class WarningHandler(logging.Handler):
-    """Prints the package's warnings on stderr, above the bar."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print a warning; other records are for the log."""
-        if record.levelno == logging.WARNING:
-            print(f"deepir: {printable(record.getMessage())}", file=sys.stderr, flush=True)
-
-
 @contextmanager
 def registering(say: Callable[[str], None], every: float = 10.0) -> Iterator[threading.Event]:
     """A context that says every `every` seconds that frames are registered, until its event is set."""
@@ -121,21 +109,16 @@ def _print_line(line: str) -> None:
 
 @contextmanager
 def show_progress() -> Iterator[Callable[[Progress], None]]:
-    """A context with a callback: a bar in a terminal, lines elsewhere; warnings are printed meanwhile."""
-    handler = WarningHandler()
-    log.addHandler(handler)
-    try:
-        if sys.stderr.isatty():
-            with ProgressBar() as bar:
-                yield bar
-        else:
-            with registering(_print_line) as begun:
+    """A context with a callback: a bar in a terminal, lines elsewhere."""
+    if sys.stderr.isatty():
+        with ProgressBar() as bar:
+            yield bar
+        return
+    with registering(_print_line) as begun:
 
-                def advance(progress: Progress) -> None:
-                    begun.set()
-                    lines(progress)
+        def advance(progress: Progress) -> None:
+            begun.set()
+            lines(progress)
 
-                lines = ProgressLines(_print_line)
-                yield advance
-    finally:
-        log.removeHandler(handler)
+        lines = ProgressLines(_print_line)
+        yield advance

@@ -72,12 +72,10 @@ class FileCheckpoint:
             if about.pop("sha256", None) != _checksum(tensors, about):
                 raise ValueError("its contents do not fit their checksum")
             if about["run"] != self.run:
-                raise ValueError("of other frames, another configuration or another version")
+                raise ValueError("it is of other frames, another configuration or another version")
             return tensors, json.loads(about["position"])
         except (SafetensorError, KeyError, ValueError, OSError) as error:
-            raise DataError(
-                f"{self.path}: not a readable checkpoint ({error}); delete it to start again"
-            ) from error
+            raise DataError(f"{self.path}: this checkpoint cannot be used: {error}") from error
 
 
 def _checksum(tensors: dict[str, Tensor], about: dict[str, str]) -> str:

@@ -157,7 +157,7 @@ class _Work:
             if self.checkpoint.exists():
                 self.checkpoint.load()
         except DataError as error:
-            log.warning("%s; starting again", error)
+            log.warning("%s; the run starts again", error)
             self.folder.checkpoint.unlink()
 
     def run(self) -> Result:

@@ -9,7 +9,7 @@ import pytest
 
 from deepir.calibration import CorrectionMaps
 from deepir.config.schema import Raw
-from deepir.live.corrector import FADE_LENGTH, FIRST_KEYFRAMES, Corrector
+from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, FIRST_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, Beside, Here
 from deepir.live.sources import Paced, camera_frames, stream_raw
 from deepir.recording.estimate import SensorEstimate
@@ -62,6 +62,24 @@ def test_frames_that_maps_do_not_fit_pass_as_they_are(walk):
     with Corrector(CorrectionMaps(np.ones_like(wrong), wrong, walk.bad), estimator=Here()) as corrector:
         assert np.array_equal(corrector(walk.frames[0]), walk.frames[0])
         assert not corrector.status.correcting
+
+
+def test_another_pattern_is_noticed_and_learned_anew(walk, corrector):
+    """As after a closure of the shutter."""
+    other = np.random.default_rng(3).permutation(walk.fine.ravel()).reshape(walk.fine.shape)
+    changed = walk.frames[::-1] - walk.fine + other
+    for frame in walk.frames:
+        corrector(frame)
+    assert corrector.status.correcting
+
+    passed = [corrector(frame) for frame in changed[: 3 * CHECK_INTERVAL]]
+    assert not corrector.status.fits
+    assert np.array_equal(passed[-1], changed[3 * CHECK_INTERVAL - 1].astype(np.float32))
+    corrected = [corrector(frame) for frame in changed[3 * CHECK_INTERVAL :]]
+
+    assert corrector.status.correcting
+    scenes = walk.scenes[::-1][-20:]
+    assert left(corrected[-20:], scenes, walk) < 0.5 * left(changed[-20:], scenes, walk)
 
 
 def test_new_maps_fade_in(walk):

@@ -11,6 +11,7 @@ It needs no registration. It may also have
     def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in larger pieces
     def radiometry(path: Path, key: str | None) -> Radiometry | None  conversion of counts to kelvin
     def radiometries(path: Path, key: str | None) -> list[Radiometry | None]  of each frame, where they may differ
+    def samples_file(path: Path) -> Path  the file of the samples, where a header may be named instead
 
     ANY_AXES = True                                     arrays whose axes their users choose
 
@@ -75,6 +76,12 @@ def find_reader(path: Path) -> Reader | None:
     with decoding(path):
         head = _head(path)
         return next((reader for reader in all_readers() if reader.sniff(head, path)), None)
+
+
+def samples_file(path: Path) -> Path:
+    """The file that holds the samples of one: another one where a header was named."""
+    own = getattr(find_reader(path), "samples_file", None)
+    return own(path) if own else path
 
 
 def read(path: Path, key: str | None = None) -> Array:

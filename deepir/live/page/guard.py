@@ -60,7 +60,7 @@ class Guard:
         host, origin = headers.get("host", ""), headers.get("origin")
         if not self._known(host):
             return "this host name is not known here: use the address that deepir has printed"
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and origin.partition("://")[2] != host:
             return "pages of other sites may not look here"
         begin = scope["path"][: len(self._prefix) + 1].encode()
         if self._token and not secrets.compare_digest(begin, f"{self._prefix}/".encode()):
@@ -71,7 +71,7 @@ class Guard:
         """Whether a host is an address, this machine or what the server is bound to: no site can claim these."""
         try:
             name = urlsplit(f"//{host}").hostname or ""
-            if name in ("localhost", self._host):
+            if name in ("localhost", self._host.lower()):
                 return True
             ipaddress.ip_address(name)
         except ValueError:

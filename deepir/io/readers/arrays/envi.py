@@ -43,18 +43,23 @@ def read(path: Path, key: str | None) -> Array:
     size = math.prod(shape) * dtype.itemsize
     check_size(path, size, size)
     stored = np.fromfile(samples, dtype, math.prod(shape), offset=offset).reshape(shape)
-    axes = INTERLEAVES[fields["interleave"].lower()]
+    axes = INTERLEAVES[fields["interleave"]]
     return _known(stored.transpose([axes.index(each) for each in "nhw"]), fields)
 
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame (h, w) where they follow each other, else all at once."""
     samples, dtype, offset, shape, fields = _layout(path)
-    if fields["interleave"].lower() != "bsq":
+    if fields["interleave"] != "bsq":
         yield read(path, key)
         return
     for frame in stream_planes(samples, dtype, offset, shape):
         yield _known(frame, fields)
+
+
+def samples_file(path: Path) -> Path:
+    """The file of samples, also where its header was named."""
+    return _layout(path)[0]
 
 
 def _layout(path: Path) -> tuple[Path, np.dtype[Any], int, tuple[int, ...], dict[str, str]]:
@@ -66,11 +71,11 @@ def _layout(path: Path) -> tuple[Path, np.dtype[Any], int, tuple[int, ...], dict
         name.strip().lower(): value.strip()
         for name, value in re.findall(r"^([^=\n]+)=\s*(\{[^}]*\}|[^\n]*)", text, re.MULTILINE)
     }
-    fields["interleave"] = fields.get("interleave", "bsq")
+    fields["interleave"] = fields.get("interleave", "bsq").lower()
     try:
         kind, order = TYPES[int(fields["data type"])], int(fields.get("byte order", 0))
         sides = {"h": int(fields["lines"]), "w": int(fields["samples"]), "n": int(fields.get("bands", 1))}
-        shape = tuple(sides[each] for each in INTERLEAVES[fields["interleave"].lower()])
+        shape = tuple(sides[each] for each in INTERLEAVES[fields["interleave"]])
     except (KeyError, ValueError) as error:
         raise DataError(
             f"{header}: no ENVI header of real numbers: it needs samples, lines, data type (of {sorted(TYPES)}) and "

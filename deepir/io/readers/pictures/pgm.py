@@ -48,7 +48,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
         dtype = np.dtype("u1" if largest < 2**8 else ">u2")
         at = header.end()
         if header[1] == b"P2":
-            check_size(path, 2 * width * height, len(data) - at)
+            check_size(path, 2 * width * height - 1, len(data) - at)
             words = data[at:].split(None, width * height)
             if len(words) < width * height:
                 raise DataError(f"{path}: truncated: {len(words)} samples of {width * height}")

@@ -5,7 +5,8 @@ const RETRY_AFTER = 1000; // ms, where the connection is lost
 const ZERO_CELSIUS = 273.15; // K
 const chosen = { palette: data.palette, tones: data.tone };
 let socket = null;
-let seen = 0; // number of the frame that is shown; 0 asks for it again
+let seen = 0; // number of the frame that is shown
+let isStale = false; // whether it is to be shown again, in another way
 let order = null;
 let parts = []; // pictures whose status has not come yet
 let limits = null; // values, and kelvin if they are known, that the palette begins and ends with
@@ -14,14 +15,14 @@ let now = { number: 0 };
 
 /** What each state means, and what to do. */
 const STATES = {
-  "waiting for motion": () => [
+  "waiting for motion": [
     "Waiting for motion",
     "Move the camera: the correction is learned from frames that show the same things displaced.",
   ],
-  learning: () => ["Learning", "Keep moving: frames are corrected from the first estimate on."],
-  correcting: () => ["Correcting", "It gets better while the camera moves."],
-  holding: () => ["Holding", "Nothing further is learned."],
-  "uncorrected: the maps do not fit": () => [
+  learning: ["Learning", "Keep moving: frames are corrected from the first estimate on."],
+  correcting: ["Correcting", "It gets better while the camera moves."],
+  holding: ["Holding", "Nothing further is learned."],
+  "uncorrected: the maps do not fit": [
     "The maps do not fit",
     "Frames pass as they are until the next estimate. Move the camera.",
   ],
@@ -45,7 +46,9 @@ function connect() {
 function ask() {
   requestAnimationFrame(() => {
     if (socket.readyState !== WebSocket.OPEN) return;
-    socket.send(JSON.stringify({ seen, ...chosen, raw: showsRaw(), point: point(), order }));
+    const number = isStale ? 0 : seen;
+    socket.send(JSON.stringify({ seen: number, ...chosen, raw: showsRaw(), point: point(), order }));
+    isStale = false;
     order = null;
   });
 }
@@ -70,7 +73,7 @@ function tell(status) {
   now = status;
   document.documentElement.dataset.frame = status.number;
   if (status.ended) headline("Ended", sentence(`${status.ended}; this is the last frame.`), "still");
-  else if (status.state) headline(...STATES[status.state](), status.state.split(":")[0]);
+  else if (status.state) headline(...(STATES[status.state] ?? [status.state, ""]), status.state.split(":")[0]);
   else headline("Waiting for frames", "None has come yet.", "still");
   text(find("#message"), sentence(status.message ?? ""));
   find("#estimating").hidden = !status.estimating || status.ended !== "";
@@ -155,7 +158,7 @@ function choices(box, names, key, picture) {
 
 function choose(key, name) {
   chosen[key] = name;
-  seen = 0;
+  isStale = true;
   find("#bar").src = `palettes/${chosen.palette}.png`;
   find("#png").href = `snapshot.png?${new URLSearchParams(chosen)}`;
 }
@@ -164,7 +167,7 @@ text(find("#title"), data.title);
 document.title = data.title ? `${data.title} – deepir live` : "deepir live";
 choices("#palettes", data.palettes, "palette", (name) => [make("img", { src: `palettes/${name}.png`, alt: "" })]);
 choices("#tones", data.tones, "tones", () => []);
-slider.addEventListener("input", () => (seen = 0));
+slider.addEventListener("input", () => (isStale = true));
 find("#hold").addEventListener("click", () => (order = now.holding ? "learn" : "hold"));
 find("#record").addEventListener("click", () => (order = now.recording ? "stop" : "record"));
 find("#reset").addEventListener("click", () => {
