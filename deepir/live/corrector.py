@@ -86,7 +86,6 @@ class Corrector:
     def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
         self._start = maps
         self._estimator = estimator or Beside()
-        self._outdated = False  # whether the estimate under way is of what was forgotten
         self.reset()
 
     def __enter__(self) -> Corrector:
@@ -103,7 +102,7 @@ class Corrector:
     def reset(self) -> None:
         """Forget all but the maps of the beginning, and learn anew."""
         self.hold = False
-        self._drop_estimate()
+        self._estimator.cancel()
         self._collector = KeyframeCollector(latest=True)
         self._segment: Segment | None = None
         self._former: Segment | None = None
@@ -162,10 +161,7 @@ class Corrector:
     def _learn(self, frame: Array) -> None:
         """Take an estimate that is done, consider the frame as a keyframe, and begin an estimate if it is time."""
         if (found := self._estimator.poll()) is not None:
-            if self._outdated:
-                self._outdated = False
-            else:
-                self._take(found, frame)
+            self._take(found, frame)
         self._collector.add(frame)
         taken = self._collector.taken
         if taken >= self._due and not self._estimator.busy():
@@ -181,13 +177,8 @@ class Corrector:
         if not self._fits and not self._relearns and not self.hold:
             self._relearns = True
             self._collector.forget(self._collector.length - CHECKS * CHECK_INTERVAL)
-            self._drop_estimate()
+            self._estimator.cancel()
             self._quick, self._due = True, self._collector.taken + FIRST_KEYFRAMES
-
-    def _drop_estimate(self) -> None:
-        """Do not take the estimate that is under way, or done: it is of what was before."""
-        busy = self._estimator.busy()
-        self._outdated = self._estimator.poll() is None and busy
 
     def _take(self, found: Segment, frame: Array) -> None:
         """Take an estimate if it serves the newest frame."""

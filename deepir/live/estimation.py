@@ -41,6 +41,9 @@ class Estimator(Protocol):
     def poll(self) -> Segment | None:
         """The newest estimate, once; None if there is none."""
 
+    def cancel(self) -> None:
+        """Give up the estimate that is under way, or done and not polled."""
+
     def close(self) -> None:
         """End it, an estimate under way too."""
 
@@ -75,6 +78,10 @@ class Here:
         found, self._found = self._found, None
         return found
 
+    def cancel(self) -> None:
+        """Forget what was not polled."""
+        self._found = None
+
     def close(self) -> None:
         """Nothing is under way."""
 
@@ -105,12 +112,24 @@ class Beside:
         found, self._pending = self._pending.result(), None
         return found
 
+    def cancel(self) -> None:
+        """Give the estimate up: its process ends, and another one takes its place."""
+        if self.busy():
+            self._process.kill()
+        self._pending = None
+
     def close(self) -> None:
         """End the process."""
         self._closed = True
         sys.setswitchinterval(self._interval)
-        self._end()
+        self._process.kill()
         self._sender.shutdown(cancel_futures=True)
+        self._end()
+
+    def _restart(self) -> None:
+        if not self._closed:
+            self._end()
+            self._process = self._start()
 
     def _end(self) -> None:
         self._process.kill()
@@ -131,9 +150,8 @@ class Beside:
     def _estimate(self, chosen: Callable[[], Keyframes], quick: bool) -> Segment:
         """Send keyframes, frame by frame, and wait for the estimate."""
         keyframes = chosen()
-        if self._process.poll() is not None and not self._closed:
-            self._end()
-            self._process = self._start()
+        if self._process.poll() is not None:
+            self._restart()
         to, back = self._process.stdin, self._process.stdout
         assert to is not None
         assert back is not None
@@ -145,6 +163,7 @@ class Beside:
             to.flush()
             found: Segment = pickle.load(back)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError):  # ValueError: closed meanwhile
+            self._restart()
             return Segment(int(keyframes.numbers[0]), int(keyframes.numbers[-1]), None, ENDED)
         return found
 
@@ -159,7 +178,9 @@ def serve(requests: IO[bytes], answers: IO[bytes]) -> None:
         frames = np.empty(shape, np.float32)
         for frame in frames:
             frame[:] = np.frombuffer(requests.read(frame.nbytes), np.float32).reshape(frame.shape)
-        pickle.dump(newest_segment(Keyframes(frames, **rest), quick=quick), answers)
+        found = newest_segment(Keyframes(frames, **rest), quick=quick)
+        found.correct(frames[-1])  # what it computes once goes with it: no frame waits for it
+        pickle.dump(found, answers)
         answers.flush()
 
 

@@ -183,6 +183,27 @@ def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_repla
         assert corrector.status.message != ENDED
 
 
+def test_an_estimate_that_is_cancelled_does_not_come(walk):
+    """And the next one does not wait for it."""
+    keyframes = choose_keyframes(iter(walk.frames))
+    estimator = Beside()
+    try:
+        estimator.submit(lambda: keyframes, quick=False)
+        estimator.cancel()
+        assert not estimator.busy()
+        assert estimator.poll() is None
+        estimator.submit(lambda: keyframes.some(np.arange(FIRST_KEYFRAMES)), quick=True)
+        until = time.monotonic() + 60
+        while estimator.busy() and time.monotonic() < until:
+            time.sleep(0.05)
+        found = estimator.poll()
+        assert found is not None
+        assert found.estimate is not None
+        assert found.estimate.kept == "fine_offset"
+    finally:
+        estimator.close()
+
+
 class Unplugged:
     def __init__(self, frames):
         self.frames = list(frames)
