@@ -205,7 +205,7 @@ def _draw(courses: dict[str, dict[str, Course]], path: Path) -> None:
         axis.set(title=kind, xlabel="time, s", yscale="log")
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("pattern that is left, sigmas")
-    axes[-1].legend(fontsize=7, loc="lower left")
+    figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=6)
     figure.savefig(path, dpi=100)
 
 
