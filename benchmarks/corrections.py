@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from recordings import DATA, alike, left
+from recordings import DATA, alike, calibrated_drive, left
 from rivals import OVER_TIME, Maps
 from written import write
 
@@ -62,12 +62,10 @@ def main() -> None:
 def drive() -> Iterator[str]:
     """Likeness with the calibrated frames of a drive."""
     yield "# Whole recordings\n\n## Lynred, a drive of 600 frames\n"
-    if not (DATA / "lynred_car").is_dir():
+    if (frames := calibrated_drive()) is None:
         yield f"Not run: {DATA} is not there; `DEEPIR_DATA` names the folder of the data."
         return
-    raw, calibrated = (
-        deepir.read_frames(DATA / "lynred_car" / f"{name}.avi").frames for name in ("raw", "calibrated")
-    )
+    raw, calibrated = frames
     begun = time.perf_counter()
     corrected = deepir.correct(raw)
     seconds = time.perf_counter() - begun

@@ -17,11 +17,10 @@ import matplotlib
 import numpy as np
 import psutil
 from live_stream import Moment, Stream
-from recordings import DATA, alike
+from recordings import DATA, alike, calibrated_drive
 from rivals import OVER_TIME
 from written import write
 
-import deepir
 from deepir.live.corrector import Corrector
 from deepir.live.estimation import Here
 from deepir.live.sources import Paced
@@ -178,12 +177,10 @@ def _live(stream: Stream, moments: list[Moment]) -> Course:
 def drive() -> Iterator[str]:
     """A real drive as fast as possible: likeness with the calibrated frames."""
     yield "\n## Lynred, a drive of 600 frames\n"
-    if not (DATA / "lynred_car").is_dir():
+    if (frames := calibrated_drive()) is None:
         yield f"Not run: {DATA} is not there; `DEEPIR_DATA` names the folder of the data."
         return
-    raw, calibrated = (
-        deepir.read_frames(DATA / "lynred_car" / f"{name}.avi").frames for name in ("raw", "calibrated")
-    )
+    raw, calibrated = frames
     with Corrector(estimator=Here()) as corrector:
         found = [alike(corrector(frame), truth) for frame, truth in zip(raw, calibrated, strict=True)]
     yield "`deepir live --fast`: median likeness with the calibrated frames, a hundred at a time.\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -72,6 +71,7 @@ class Stream:
 
     def moments(self, seconds: float) -> Iterator[Moment]:
         """So many seconds of it."""
+        residual, closure = self.offset, 0
         for k in range(round(seconds * self.rate)):
             time = k / self.rate
             scene = self.scene[self._place(time)]
@@ -80,7 +80,10 @@ class Stream:
             if self.closures and time >= self.closures:
                 number, since = divmod(time, self.closures)
                 closed = since < CLOSED
-                offset = self._residual(int(number))
+                if number != closure:  # another pattern, and a weaker one
+                    closure = int(number)
+                    residual = RESIDUAL * np.roll(self.offset, (7 * closure, 11 * closure), (0, 1))
+                offset = residual
             shown = np.full_like(scene, self.flat) if closed else scene
             clean = (self.gain * shown + offset + np.float32(since**0.5) * self.drift).astype(np.float32)
             noise = self.noises[k % NOISE_FRAMES]
@@ -92,11 +95,6 @@ class Stream:
         """Deviation of the pattern that a correction leaves, in sigmas of the noise of a sample."""
         error = ((moment.clean - offset) / gain - moment.scene)[self.good]
         return float(error.std() / self.noise)
-
-    @functools.lru_cache(maxsize=1)  # noqa: B019
-    def _residual(self, number: int) -> Array:
-        """The offset after a closure: another one, and weaker."""
-        return RESIDUAL * np.roll(self.offset, (7 * number, 11 * number), (0, 1))
 
     def _place(self, time: float) -> int:
         """Number of the recording's frame: it is played forth and back, and waits while the camera stands."""

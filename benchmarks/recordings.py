@@ -292,6 +292,15 @@ def fine(pattern: np.ndarray) -> np.ndarray:
     return np.asarray((pattern - ndimage.uniform_filter(pattern, 5))[8:-8, 8:-8])
 
 
+def calibrated_drive() -> tuple[np.ndarray, np.ndarray] | None:
+    """The Lynred drive, raw and calibrated by a black body; None if it is not there."""
+    folder = DATA / "lynred_car"
+    if not folder.is_dir():
+        return None
+    raw, calibrated = (deepir.read_frames(folder / f"{name}.avi").frames for name in ("raw", "calibrated"))
+    return raw, calibrated
+
+
 def alike(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.corrcoef(first.ravel(), second.ravel())[0, 1])
 

@@ -132,28 +132,17 @@ def stream_frames(
 
 def read_data(data: schema.Data) -> Frames:
     """`read_frames` with the settings of a configuration; `data.crop` is left to the caller."""
-    return read_frames(
-        str(data.path),
-        key=data.key,
-        select=data.frames,
-        raw=data.raw,
-        axes=data.axes,
-        swap_bytes=data.swap_bytes,
-        radiometry=data.radiometry,
-        grey_within=data.crop,
-    )
+    return read_frames(str(data.path), select=data.frames, grey_within=data.crop, **_layout(data))
 
 
 def stream_data(data: schema.Data) -> Iterator[Array]:
     """`stream_frames` with the settings of a configuration."""
-    return stream_frames(
-        str(data.path),
-        key=data.key,
-        raw=data.raw,
-        axes=data.axes,
-        swap_bytes=data.swap_bytes,
-        radiometry=data.radiometry,
-    )
+    return stream_frames(str(data.path), **_layout(data))
+
+
+def _layout(data: schema.Data) -> dict[str, Any]:
+    """The settings that say how stored numbers are to be understood."""
+    return {name: getattr(data, name) for name in ("key", "raw", "axes", "swap_bytes", "radiometry")}
 
 
 def _stream(file: Path, key: str | None, raw: Raw | None) -> Iterator[Array]:

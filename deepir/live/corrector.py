@@ -23,7 +23,7 @@ CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
 FADE_LENGTH = (
     15  # frames over which new maps take the place of former ones, so that the picture does not jump
 )
-CHECKS = 3  # of which most say whether the maps fit
+CHECKS = 3  # newest checks, whose majority decides whether the maps fit
 
 
 @dataclass(frozen=True)

@@ -91,8 +91,8 @@ def remove_temporaries(folder: Path, names: Collection[str]) -> None:
 def _locked(path: Path, output: Path) -> Iterator[Lock]:
     """Hold a lock file; the system releases it when the process ends, however that is.
 
-    Nothing moves the file while it is held. It is removed last: whoever has opened it until then sees that it has
-    lost its name, and makes the next one.
+    The lock file is not moved while it is held, and is deleted before it is released. A process that opened it earlier
+    notices that it is gone, and creates a new one.
     """
     holder = path.with_name(f"{path.name}.holder")
     lock = FileLock(path, timeout=LOCK_WAIT)

@@ -1,4 +1,4 @@
-"""Who may look: browsers that the user pointed at this page, and no page of somebody else in the same browser."""
+"""Access control of the page: requests from other sites, for foreign host names, or without the token are refused."""
 
 from __future__ import annotations
 
