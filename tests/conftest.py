@@ -17,6 +17,14 @@ def seed():
     torch.manual_seed(0)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def quiet_compiler():
+    """A cold cache of compiled kernels does not change what commands print; the notice has a test of its own."""
+    from deepir.kernels.compile import _FirstUse
+
+    _FirstUse.said = True
+
+
 @pytest.fixture(scope="session")
 def burst():
     """A simulated burst with its truth: three frames of 40 x 48 px in counts."""
