@@ -9,9 +9,9 @@ from documentation import ROOT
 from deepir.cli import main
 from deepir.config import SHIPPED_CONFIGS
 
-TUTORIAL = ROOT / "docs/tutorial.md"
-GALLERY = ROOT / "docs/gallery.md"
-WHICH_PRIOR = ROOT / "docs/which-prior.md"
+TUTORIAL = ROOT / "docs/tutorials/burst.md"
+GALLERY = ROOT / "docs/tutorials/gallery.md"
+WHICH_PRIOR = ROOT / "docs/how-to/which-prior.md"
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), re.MULTILINE | re.DOTALL))
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
@@ -75,7 +75,7 @@ def test_the_gallery_runs(name, capfd, working_folder):
 
 @pytest.mark.parametrize("name", SECTIONS)
 def test_the_gallerys_pictures_are_small(name):
-    assert f"(images/gallery/{name}.png)" in SECTIONS[name]
+    assert f"(../images/gallery/{name}.png)" in SECTIONS[name]
     assert (ROOT / f"docs/images/gallery/{name}.png").stat().st_size < 60_000
 
 
