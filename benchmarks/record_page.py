@@ -26,12 +26,12 @@ INTRODUCTION = """\
 All methods on the same bursts, each run a cell of `deepir compare`. {what}
 
 PSNR and SSIM are taken after one gain and level (the [gauge](../docs/reference/conventions.md#gauge)), never after
-warping a result onto the truth. Gap: to `oracle`, total variation that is given the true sensor, motion and noise, and
-the weight that is best on the truth. Radiometric: root mean square error after one level, the gain as it is, in mK or in % of the
-scene's range. Columns and pixels: what is left of a fixed pattern, from what neighbours differ by. Roughness: what
-neighbours differ by, to the level. Motion: how far the corners of a frame are off. Gain, offset and stray flux: root
-mean squares over good pixels. Seconds are of one thread, and MB the most that the process held. Figures are medians
-over bursts; PSNR has its quartiles.
+warping a result onto the truth. Gap: to `oracle`, total variation that is given the true sensor, motion and noise,
+and the weight that is best on the truth. Radiometric: root mean square error after one level, the gain as it is, in
+mK or in % of the scene's range. Columns and pixels: what is left of a fixed pattern, from what neighbours differ by.
+Roughness: what neighbours differ by, to the level. Motion: how far the corners of a frame are off. Gain, offset and
+stray flux: root mean squares over good pixels. Seconds are of one thread, and MB the most that the process held.
+Figures are medians over bursts; PSNR has its quartiles.
 
 `joint` is deepir's default, `joint NAME` deepir with that prior; the others are
 [rivals](../docs/reference/methods.md), and every one has deepir's registration and the mask of bad pixels. Told more
@@ -69,7 +69,7 @@ PICTURES = (
     ("Gap to the oracle", "benchmarks_gap.png", record_plots.gaps),
 )
 
-#: Pictures of docs/reference/methods.md: protocol, burst and number of frames.
+#: Pictures of docs/reference/methods.md and notes/rivals.md: protocol, burst and number of frames.
 PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "coffee-441", "16"))
 
 
