@@ -29,6 +29,7 @@ lint: setup  ## ruff and mypy
 
 docs: setup  ## the documentation as a site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "to look at it: $(BIN)/python -m http.server --directory site 8000, then http://localhost:8000"
 
 golden: setup  ## small bursts of all problems against their kept results: two minutes
 	$(BIN)/python benchmarks/golden.py
@@ -40,7 +41,7 @@ bench-full: setup  ## the benchmark of record, all of it: hours; goes on where i
 	$(BIN)/python benchmarks/record.py --full
 
 bench-nuc: setup  ## quality against the oracle, and speed: non-uniformity correction
-	$(BIN)/python benchmarks/nuc.py --output docs/bench-nuc.md
+	$(BIN)/python benchmarks/nuc.py --output notes/bench-nuc.md
 
 bench-sr: setup  ## quality against the oracle, and seconds: super-resolution
 	$(BIN)/python benchmarks/sr.py
@@ -52,38 +53,38 @@ bench-multiview: setup  ## quality and seconds: frames of different scenes
 	$(BIN)/python benchmarks/multiview.py
 
 bench-flow: setup  ## dense motion: simulated parallax, and a held-out frame of a real burst
-	$(BIN)/python benchmarks/flow.py --output docs/bench-flow.md
+	$(BIN)/python benchmarks/flow.py --output notes/bench-flow.md
 
 bench-narcissus: setup  ## quality against the oracle, and seconds: stray flux
-	$(BIN)/python benchmarks/narcissus.py --output docs/bench-narcissus.md
+	$(BIN)/python benchmarks/narcissus.py --output notes/bench-narcissus.md
 
 bench-deconv: setup  ## quality against scikit-image's, and the widths found: deconvolution
 	$(BIN)/python benchmarks/deconv.py
 
 bench-priors: setup  ## quality and time of every prior, goes on where it was cut short
-	$(BIN)/python benchmarks/priors.py --workers $(WORKERS) --output docs/bench-priors.md --panels docs/images/priors.png
+	$(BIN)/python benchmarks/priors.py --workers $(WORKERS) --output notes/bench-priors.md --panels docs/images/priors.png
 
 bench-paper: setup  ## the 2021 formulation and every prior on its paper's protocol: an hour and more, goes on
-	$(BIN)/python benchmarks/paper.py --workers $(WORKERS) --output docs/bench-paper.md
+	$(BIN)/python benchmarks/paper.py --workers $(WORKERS) --output notes/bench-paper.md
 
 bench-switches: setup  ## what a network's switches gain in time, and cost in quality
 	$(BIN)/python benchmarks/switches.py --workers $(WORKERS)
 
 bench-problems: setup  ## every problem with several priors: one table
-	$(BIN)/python benchmarks/problems.py --output docs/bench-problems.md
+	$(BIN)/python benchmarks/problems.py --output notes/bench-problems.md
 
 bench-live: setup  ## live correction: delay, memory, quality over time: half an hour
-	$(BIN)/python benchmarks/live.py --output docs/bench-live.md --plot docs/images/live-quality.png
+	$(BIN)/python benchmarks/live.py --output docs/benchmarks/live.md --plot docs/images/live-quality.png
 
 bench-effects: setup  ## what each effect is worth: one left out at a time
-	$(BIN)/python benchmarks/effects.py --output docs/bench-effects.md
+	$(BIN)/python benchmarks/effects.py --output notes/bench-effects.md
 
 bench-correct: setup  ## whole recordings: the pattern that is left, against methods that take recordings too
-	$(BIN)/python benchmarks/corrections.py --output docs/bench-correct.md
+	$(BIN)/python benchmarks/corrections.py --output docs/benchmarks/correct.md
 
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
-	$(BIN)/python benchmarks/recordings.py --output docs/bench-real.md
+	$(BIN)/python benchmarks/recordings.py --output notes/bench-real.md
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache

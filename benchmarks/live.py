@@ -57,8 +57,8 @@ def main() -> None:
 def delay(seconds: float) -> Iterator[str]:
     """Delay, dropped frames and memory at 60 frames a second."""
     yield "# Live correction\n\n## Delay and memory\n"
-    yield f"A simulated walk with people at 60 frames a second for {seconds / 60:g} minutes: the offset drifts, the"
-    yield "shutter closes every 30 s, the camera stands still for 10 s of each minute. Delay of the correction of a"
+    yield f"A simulated walk with people at 60 frames a second for {seconds / 60:g} minutes. The offset drifts, the"
+    yield "shutter closes every 30 s, and the camera stands still for 10 s of each minute. Delay of the correction of a"
     yield "frame, ms. Memory of both processes, the simulated scenes among it, after a quarter and at the end.\n"
     yield "| frame | cores | median | 99 of 100 | longest | dropped | estimates | memory, MB |"
     yield "|---|---|---|---|---|---|---|---|"

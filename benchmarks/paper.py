@@ -37,7 +37,7 @@ Medians over seeds of PSNR in dB, after one gain and level, with a peak of one a
 thread. A frame is `Poisson(1000 G R_k X)`: 160 x 192 px of the paper's `test1.png`, columns of the gain in U(v, 1),
 shifts up to 10 px, and rotations. "Over `paper/nuc`": the median over bursts of the difference. The paper's own code
 was measured on another such burst, and after a warp of its result onto the truth.
-[priors.md](priors.md#the-2021-formulation) says what `paper/nuc` is.
+[Priors](../docs/explanation/priors.md#the-2021-formulation) says what `paper/nuc` is.
 """
 
 

@@ -42,9 +42,10 @@ EXPLAINED = f"""# Every prior
 Medians of PSNR in dB, after one gain and level, and of seconds of one thread. Non-uniformity correction:
 {" and ".join(CHOSEN)}, 160 x 192 px. Super-resolution: {" and ".join(FINE_PICTURES)}, frames of 40 x 48 px. "Over own
 start": over what the prior is fitted from, the sensor already known. "From the average": the same network started from
-the registered average, over what it reaches from its own start. [priors.md](priors.md) says what the priors are.
+the registered average, over what it reaches from its own start. [Priors](../docs/explanation/priors.md) says what the
+priors are.
 
-![Errors of the scenes that the priors find](images/priors.png)"""
+![Errors of the scenes that the priors find](../docs/images/priors.png)"""
 
 Burst = tuple[str, str, int, int]  # problem, regime or picture, frames or factor, seed
 

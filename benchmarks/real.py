@@ -1,7 +1,7 @@
 """Real data: a burst of a FLIR A65 from a moving car, and a 640 x 512 burst simulated from a clean thermal picture.
 
 Is the pattern gone, and is a frame that was not used predicted? `make bench-real` prints the figures and writes the
-pictures of docs/results.md. The data are not part of the project: `DEEPIR_DATA` names their folder (default
+pictures of notes/results.md. The data are not part of the project: `DEEPIR_DATA` names their folder (default
 ../shared/data).
 """
 

@@ -25,7 +25,9 @@ from deepir.sweep.sweep import Sweep, prepare
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "runs" / "bench"
-PAGE = ROOT / "docs" / "benchmarks.md"
+PAGE = ROOT / "notes" / "benchmark-of-record.md"
+SUMMARY = ROOT / "docs" / "benchmarks" / "record.md"
+IMAGES = ROOT / "docs" / "images"
 PLUGINS = ("record_methods", "record_deepinv")
 
 
@@ -47,9 +49,9 @@ def main() -> int:
         whole = Sweep(FOLDER, [cell for each in found.values() for cell in each], options.workers)
         status = run(whole)
     if not options.protocol:
-        from record_page import write_page
+        from record_page import write_pages
 
-        write_page(PAGE, chosen, found, errors(), full=options.full)
+        write_pages(PAGE, SUMMARY, IMAGES, chosen, found, errors(), full=options.full)
     return status
 
 

@@ -1,4 +1,4 @@
-"""The page of the benchmark of record, written from the cells that are finished."""
+"""The pages of the benchmark of record, written from the cells that are finished: all of it, and a summary."""
 
 from __future__ import annotations
 
@@ -25,48 +25,71 @@ INTRODUCTION = """\
 
 All methods on the same bursts, each run a cell of `deepir compare`. {what}
 
-PSNR and SSIM are taken after one gain and level (the [gauge](conventions.md#gauge)), never after warping a result
-onto the truth. Gap: to `oracle`, total variation that is given the true sensor, motion and noise, and the weight that
-is best on the truth. Radiometric: root mean square error after one level, the gain as it is, in mK or in % of the
-scene's range. Columns and pixels: what is left of a fixed pattern, from what neighbours differ by. Roughness: what
-neighbours differ by, to the level. Motion: how far the corners of a frame are off. Gain, offset and stray flux: root
-mean squares over good pixels. Seconds are of one thread, and MB the most that the process held. Figures are medians
-over bursts; PSNR has its quartiles.
+PSNR and SSIM are taken after one gain and level (the [gauge](../docs/reference/conventions.md#gauge)), never after
+warping a result onto the truth. Gap: to `oracle`, total variation that is given the true sensor, motion and noise,
+and the weight that is best on the truth. Radiometric: root mean square error after one level, the gain as it is, in
+mK or in % of the scene's range. Columns and pixels: what is left of a fixed pattern, from what neighbours differ by.
+Roughness: what neighbours differ by, to the level. Motion: how far the corners of a frame are off. Gain, offset and
+stray flux: root mean squares over good pixels. Seconds are of one thread, and MB the most that the process held.
+Figures are medians over bursts; PSNR has its quartiles.
 
-`joint` is deepir's default, `joint NAME` deepir with that prior; the others are [rivals](rivals.md), and every one has
-deepir's registration and the mask of bad pixels. Told more than the burst, and so no rival's figure, are `oracle` and
-`flat_field` (sixteen frames each of a cold and a hot black body). In deconvolution the rivals have the setting that is
-best on the truth.
+`joint` is deepir's default, `joint NAME` deepir with that prior; the others are
+[rivals](../docs/reference/methods.md), and every one has deepir's registration and the mask of bad pixels. Told more
+than the burst, and so no rival's figure, are `oracle` and `flat_field` (sixteen frames each of a cold and a hot black
+body). In deconvolution the rivals have the setting that is best on the truth.
 
 Each picture is seen with a seed of its own, both in the burst's name, and nobody tunes on them. Results and bursts lie
 in `runs/bench`, beside each its configuration, versions, machine and the digests of its input."""
-REASON = "Why the margin is what it is, and where it is less than 3 dB: [rivals.md](rivals.md#how-far-ahead)."
+SUMMARY = """\
+# Against other methods
+
+All methods on the same bursts, each run a cell of `deepir compare`. {what}
+
+- PSNR in dB, after one gain and level: the median over bursts.
+- Best rival: the best method that knows only the burst. [Methods](../reference/methods.md) lists them.
+- Gap: to an oracle that knows the true sensor, motion and noise, and the best weight of total variation.
+- Nothing was tuned on these pictures and seeds.
+
+| protocol | bursts |
+|---|---|
+{key}
+
+{margins}
+
+![Quality against the number of frames](../images/benchmarks_frames.png)
+
+![Quality against seconds](../images/benchmarks_seconds.png)
+
+`make bench` runs a part in a quarter of an hour, `make bench-full` all of it in hours. Every method, with quartiles,
+is in `notes/benchmark-of-record.md` of the source."""
+REASON = "Why the margin is what it is, and where it is less than 3 dB: [rivals](rivals.md#how-far-ahead)."
 PICTURES = (
     ("Quality against frames", "benchmarks_frames.png", record_plots.against_frames),
     ("Quality against seconds", "benchmarks_seconds.png", record_plots.against_seconds),
     ("Gap to the oracle", "benchmarks_gap.png", record_plots.gaps),
 )
 
-#: Pictures of docs/rivals.md: protocol, burst and number of frames.
+#: Pictures of docs/reference/methods.md and notes/rivals.md: protocol, burst and number of frames.
 PANELS = (("rivals.png", "a", "procedural60-404", "5"), ("rivals_sr.png", "sr4", "coffee-441", "16"))
 
 
-def write_page(
+def write_pages(
     path: Path,
+    summary: Path,
+    images: Path,
     protocols: Sequence[Protocol],
     cells: Mapping[str, Sequence[Cell]],
     errors: Mapping[str, str],
     *,
     full: bool,
 ) -> None:
-    """Write the page, and its pictures into images/ beside it."""
+    """Write the page of all methods, the summary for the site, and the pictures of both."""
     everything = {each.key: found(each, cells[each.key], errors) for each in protocols}
     lines = [HEADER, INTRODUCTION.format(what=_what(everything, full=full))]
     lines += ["", "## Margin over the rivals", "", *margins(everything), "", REASON]
-    images = path.parent / "images"
     for title, name, draw in PICTURES:
         if draw(images / name, everything):
-            lines += ["", f"## {title}", "", f"![{title}](images/{name})"]
+            lines += ["", f"## {title}", "", f"![{title}](../docs/images/{name})"]
     for name, key, burst, n in PANELS:
         write_methods(images / name, cells[key], burst, n)
     for each in everything.values():
@@ -76,6 +99,12 @@ def write_page(
         lines += _missing(each)
     lines += ["", "## What was run, and on what", "", *_record(everything, cells)]
     path.write_text("\n".join(lines) + "\n")
+    summary.write_text(f"{HEADER}\n{_summary(everything, full=full)}\n")
+
+
+def _summary(everything: Mapping[str, Found], *, full: bool) -> str:
+    key = "\n".join(f"| ({each.protocol.key}) | {each.protocol.title} |" for each in everything.values())
+    return SUMMARY.format(what=_what(everything, full=full), key=key, margins="\n".join(margins(everything)))
 
 
 def found(protocol: Protocol, cells: Sequence[Cell], errors: Mapping[str, str]) -> Found:

@@ -6,7 +6,7 @@ import importlib
 import os
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # The threads of OpenMP and OpenBLAS wait by spinning: as soon as another program wants a core, a solve takes many times
 # as long. So they sleep soon; those of OpenMP after a tenth of a millisecond or so, as to wake them takes nearly as

@@ -1,53 +1,60 @@
 """The site's pages in order, its home and its reference: mkdocs calls this, see mkdocs.yml.
 
-A new page of docs/ needs no line here: what no other section names is a problem's page.
+A new page of docs/ needs no line here: the section is its folder.
 """
 
 from __future__ import annotations
 
+import re
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parent.parent
-PROBLEMS = "Problems"
-#: Topics of how-it-estimates.md, in its order.
-ESTIMATES = [
-    "noise",
-    "start",
-    "motion",
-    "bend",
-    "walkers",
-    "strengths",
-    "shading",
-    "rows",
-    "defects",
-    "inputs",
-    "scene",
-    "solve",
-    "limits",
-]
+#: Sections: pages in order, `*` for those of the folder that are not named; a page is in the first that names it.
 SECTIONS = {
-    "Use": [
-        "tutorial",
-        "whole-recordings",
-        "live",
-        "raw-cameras",
-        "gallery",
-        "cli",
-        "configuration",
-        "files",
-        "which-prior",
-        "priors",
-        "ablations",
+    "Tutorials": ["tutorials/first-recording", "tutorials/burst", "tutorials/python", "tutorials/*"],
+    "How-to": [
+        "how-to/wrong-result",
+        "how-to/cameras",
+        "how-to/jitter",
+        "how-to/whole-recordings",
+        "how-to/live",
+        "how-to/apply-maps",
+        "how-to/*",
     ],
-    PROBLEMS: ["super-resolution"],
-    "Concepts": ["how-it-works", "jitter", "sensor-physics", "conventions", "extending"],
-    "Estimation": ["how-it-estimates", *(f"estimates-{each}" for each in ESTIMATES), "judging"],
-    "Figures": ["results", "benchmarks", "bench-*", "rivals", "performance", "reliability"],
-    "Reference": ["glossary", "components", "reference/*", "CHANGELOG"],
+    "Reference": [
+        "reference/cli",
+        "reference/configuration",
+        "reference/files",
+        "reference/messages",
+        "reference/components",
+        "reference/*",
+        "CHANGELOG",
+    ],
+    "Python API": ["reference/api/*"],
+    "Explanation": [
+        "explanation/how-it-works",
+        "explanation/sensor-physics",
+        "explanation/estimation",
+        "explanation/solve",
+        "explanation/motion",
+        "explanation/moving-objects",
+        "explanation/noise",
+        "explanation/sensor-pattern",
+        "explanation/shading",
+        "explanation/inputs",
+        "explanation/scene",
+        "explanation/priors",
+        "explanation/accuracy",
+        "explanation/judging",
+        "explanation/recordings",
+        "explanation/*",
+    ],
+    "Benchmarks": ["benchmarks/overview", "benchmarks/record", "benchmarks/*"],
 }
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
@@ -75,9 +82,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name in ("CITATION.cff", "LICENSE"):
         files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
     for title, names in REFERENCE.items():
-        files.append(File.generated(config, f"reference/{_slug(title)}.md", content=_reference(title, names)))
+        files.append(
+            File.generated(config, f"reference/api/{_slug(title)}.md", content=_reference(title, names))
+        )
     config.nav = _nav([file.src_uri.removesuffix(".md") for file in files.documentation_pages()])
     return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Leave out the comment that says which script wrote a page: it would hide the title."""
+    return re.sub(r"\A<!--.*?-->\n", "", markdown)
 
 
 def _reference(title: str, names: list[str]) -> str:
@@ -92,15 +106,20 @@ def _reference(title: str, names: list[str]) -> str:
 
 
 def _nav(pages: list[str]) -> list[dict[str, object]]:
-    """Sections of pages; each page is in the first that names it, or else in `PROBLEMS`."""
+    """Sections of pages; each page is in the section of its folder, where the order of `SECTIONS` puts it."""
     left = [page for page in pages if page != "index"]
-    found: dict[str, list[str]] = {}
+    nav: list[dict[str, object]] = [{"Home": "index.md"}]
     for section, patterns in SECTIONS.items():
-        chosen = [page for pattern in patterns for page in left if fnmatchcase(page, pattern)]
-        found[section] = [f"{page}.md" for page in chosen]
-        left = [page for page in left if page not in chosen]
-    found[PROBLEMS] += [f"{page}.md" for page in left]
-    return [{"Home": "index.md"}, *({name: list(each)} for name, each in found.items())]
+        chosen: list[str] = []
+        for pattern in patterns:
+            folder = pattern.rpartition("/")[0]
+            found = [
+                page for page in left if fnmatchcase(page, pattern) and page.rpartition("/")[0] == folder
+            ]
+            chosen += found
+            left = [page for page in left if page not in found]
+        nav.append({section: [f"{page}.md" for page in chosen]})
+    return nav
 
 
 def _slug(title: str) -> str:

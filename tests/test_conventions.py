@@ -1,4 +1,4 @@
-"""Each convention of docs/conventions.md, pinned."""
+"""Each convention of docs/reference/conventions.md, pinned."""
 
 import math
 

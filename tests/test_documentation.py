@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from documentation import PAGES, ROOT, blocks, rows
+from documentation import OFF_THE_SITE, PAGES, ROOT, blocks, rows
 from pydantic import BaseModel
 
 from deepir.burst import Burst
@@ -20,10 +20,10 @@ from deepir.runner import check_components
 from deepir.simulate import Settings
 
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
-README = ROOT / "README.md"
-CONFIGURATION = ROOT / "docs/configuration.md"
+PARTS = ROOT / "docs/tutorials/python.md"
+CONFIGURATION = ROOT / "docs/reference/configuration.md"
 #: Pages whose blocks belong together and are run by tests of their own.
-APART = {ROOT / "docs/extending.md"}
+APART = {ROOT / "docs/how-to/extending.md"}
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def anchors(page):
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=ids)
+@pytest.mark.parametrize("page", [*PAGES, *OFF_THE_SITE], ids=ids)
 def test_links_resolve(page):
     for link in LINK.findall(page.read_text()):
         if link.startswith("https://"):
@@ -59,7 +59,7 @@ def test_links_resolve(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_files_that_are_named_are_there(page):
-    for path in re.findall(r"`((?:deepir|docs|configs|tests)/[\w./-]+)`", page.read_text()):
+    for path in re.findall(r"`((?:deepir|docs|configs|tests|benchmarks|notes)/[\w./-]+)`", page.read_text()):
         assert (ROOT / path).exists(), path
 
 
@@ -79,7 +79,7 @@ def test_the_composed_form_finds_the_scene(burst, tmp_path, monkeypatch, one_thr
     monkeypatch.chdir(tmp_path)
     np.savez("burst.npz", frames=burst.frames)
     namespace = {}
-    exec(next(text for _, text in blocks(README, "python") if "Problem(" in text), namespace)
+    exec(next(text for _, text in blocks(PARTS, "python") if "Problem(" in text), namespace)
     scene = namespace["solution"].values["scene"][0, 0, 20:-20, 20:-20].numpy()
     truth = burst.truth.scene
     assert scores(scene, truth)["psnr_aligned"] > scores(burst.frames[0], truth)["psnr_aligned"] + 10
@@ -101,7 +101,7 @@ def test_yaml_blocks_make_problems(page):
 
 def test_the_configuration_that_is_shown_is_the_one_that_is_shipped():
     shipped = yaml.safe_load((SHIPPED_CONFIGS / "nuc.yaml").read_text())
-    for page in (README, CONFIGURATION):
+    for page in (PARTS, CONFIGURATION):
         assert yaml.safe_load(blocks(page, "yaml")[0][1]) == shipped
 
 
@@ -153,7 +153,7 @@ def test_what_a_slot_may_hold_is_documented():
 def test_every_setting_of_the_simulator_is_documented_with_its_default():
     table = {
         key.strip("`"): literal(default)
-        for key, default, _ in rows(ROOT / "docs/cli.md", "## Simulated bursts")
+        for key, default, _ in rows(ROOT / "docs/reference/simulator.md", "## Bursts")
     }
     settings = {each.name: each.default for each in dataclass_fields(Settings)}
     assert table.keys() == settings.keys()
@@ -162,7 +162,7 @@ def test_every_setting_of_the_simulator_is_documented_with_its_default():
 
 
 def test_every_command_is_documented():
-    shown = {cell.split()[1] for cell, _ in rows(ROOT / "docs/cli.md", "# Command line")}
+    shown = {cell.split()[1] for cell, _ in rows(ROOT / "docs/reference/cli.md", "# Command line")}
     assert {name.strip("`") for name in shown} == {
         each.name or each.callback.__name__ for each in app.registered_commands
     }
@@ -171,13 +171,13 @@ def test_every_command_is_documented():
 def test_every_file_of_a_run_is_documented():
     from deepir.storage.folder import RUN_FILES
 
-    text = (ROOT / "docs/cli.md").read_text()
+    text = (ROOT / "docs/reference/cli.md").read_text()
     assert [name for name in RUN_FILES if f"`{name}`" not in text] == ["checkpoint.part"]
 
 
 def test_the_table_of_components_is_current():
-    current = (ROOT / "docs/components.md").read_text() == components_page()
-    assert current, "run: python -m deepir.report.components docs/components.md"
+    current = (ROOT / "docs/reference/components.md").read_text() == components_page()
+    assert current, "run: python -m deepir.report.components docs/reference/components.md"
 
 
 def test_the_citation_names_this_version_and_the_paper():

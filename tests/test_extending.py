@@ -1,4 +1,4 @@
-"""What docs/extending.md shows, added to deepir as an outsider would add it."""
+"""What docs/how-to/extending.md shows, added to deepir as an outsider would add it."""
 
 import json
 import os
@@ -24,7 +24,7 @@ from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural
 from deepir.testing import check_operator
 
-PAGE = ROOT / "docs/extending.md"
+PAGE = ROOT / "docs/how-to/extending.md"
 PACKAGE = "deepir_inpainting"
 NOISE = 5.0
 QUICK = ("threads=1", "output.dir=null")

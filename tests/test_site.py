@@ -1,5 +1,6 @@
 """The documentation as a site: it builds without a warning, every page is in it, and its links hold."""
 
+import json
 import os
 import re
 import subprocess
@@ -27,8 +28,9 @@ def test_every_page_is_in_the_navigation_once(site):
     home = (site / "index.html").read_text()
     linked = re.findall(r'href="([\w./-]+)" class="md-nav__link"', home)
     for page in PAGES:
-        if page.parent.name == "docs":
-            assert linked.count(f"{page.stem}/") == 1, page
+        if page.is_relative_to(ROOT / "docs"):
+            name = page.relative_to(ROOT / "docs").with_suffix("").as_posix()
+            assert linked.count(f"{name}/") == 1, page
 
 
 def test_links_lead_to_pages_and_headings_that_are_there(site):
@@ -46,11 +48,39 @@ def test_links_lead_to_pages_and_headings_that_are_there(site):
 
 
 def test_the_reference_says_what_a_docstring_says(site):
-    text = (site / "reference/running/index.html").read_text()
+    text = (site / "reference/api/running/index.html").read_text()
     assert "Correct a burst" in text
     assert 'id="deepir.api.run"' in text
 
 
-def test_a_page_asks_other_servers_for_nothing(site):
+def test_formulas_are_drawn(site):
+    text = (site / "explanation/noise/index.html").read_text()
+    assert 'aria-label="\\sigma^2(s) = ' in text
+    assert not re.search(r"\$[^$<]*\\[a-z]+[^$<]*\$|FORMULA\d", text)
+
+
+def test_a_page_that_a_script_wrote_has_its_title(site):
     home = (site / "index.html").read_text()
-    assert not re.findall(r'(?:src|<link[^>]*href)="https?://', home)
+    assert re.search(
+        r'href="benchmarks/record/"[^>]*>\s*<span class="md-ellipsis">\s*Against other methods', home
+    )
+
+
+def test_the_site_loads_nothing_from_another_server(site):
+    for page in site.rglob("*.html"):
+        text = page.read_text()
+        assert not re.findall(
+            r'<(?:script|img|iframe|source|link)\b[^>]*(?:src|href)="(?:https?:)?//[^"]*"', text
+        ), page
+        assert 'class="mermaid"' not in text, page  # drawn by a script of another server
+    for sheet in site.rglob("*.css"):
+        assert not re.findall(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", sheet.read_text()), sheet
+
+
+def test_the_search_is_part_of_the_site(site):
+    index = json.loads((site / "search/search_index.json").read_text())
+    assert any("dead pixels" in each["text"] for each in index["docs"])
+    settings = json.loads(
+        re.search(r'id="__config"[^>]*>(.*?)</script>', (site / "index.html").read_text())[1]
+    )
+    assert (site / settings["search"]).is_file()

@@ -105,7 +105,7 @@ def make_penalties(settings: Mapping[str, Any], where: str, shape: tuple[int, ..
 
 @torch.no_grad()
 def demand_sense(slot: str, field: Field, where: str) -> None:
-    """Raise `ConfigError` for a start that docs/conventions.md rules out."""
+    """Raise `ConfigError` for a start that docs/reference/conventions.md rules out."""
     value = field()
     if slot == "gain" and not value.mean() > 0:
         raise ConfigError(f"{where}: a gain has a positive mean, not {float(value.mean()):g}")

@@ -16,7 +16,7 @@ TEXTURE_WINDOW = 7
 #: Side of the windows over which the information of samples is averaged, px.
 INFORMATION_WINDOW = 5
 #: Numerator a of the weight `2 ** ((a / r)² - b)` at gradients of r noise standard deviations; fitted on the truth of
-#: the bursts in docs/estimates-scene.md, as the next two are.
+#: the bursts in notes/estimates-scene.md, as the next two are.
 LOCAL_SMOOTHNESS_SCALE = 2.75
 #: Offset b of that exponent.
 LOCAL_EXPONENT_OFFSET = 0.3

@@ -1,4 +1,4 @@
-"""The table of components: `python -m deepir.report.components docs/components.md` writes it."""
+"""The table of components: `python -m deepir.report.components docs/reference/components.md` writes it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from deepir.registry import components, summary
 
 PAGE_HEADER = """# Components
 
-What a configuration may name. `deepir list` prints the same, with plugins. This page is written by
-`python -m deepir.report.components docs/components.md`; [extending.md](extending.md) says how to add to it.
+What a configuration may name. `deepir list` prints the same, with plugins.
+`python -m deepir.report.components docs/reference/components.md` writes this page.
+[Extending](../how-to/extending.md) says how to add to it.
 """
 #: Kind -> heading and description.
 COMPONENT_KINDS = {
@@ -31,9 +32,12 @@ COMPONENT_KINDS = {
         "Imperfections that a problem estimates: `effects.NAME` is false, or a mapping of options.",
     ),
     "problem": ("Problems", "How a problem is started and solved: `problem`."),
-    "method": ("Methods", "What runs: `method`. [rivals.md](rivals.md) has their sources."),
+    "method": ("Methods", "What runs: `method`. [Methods](methods.md) has their sources."),
     "training": ("Trainings", "What `deepir train NAME` trains."),
-    "camera": ("Cameras", "Drivers for `deepir capture --camera NAME`; [files.md](files.md#a-live-camera)."),
+    "camera": (
+        "Cameras",
+        "Drivers for `deepir capture --camera NAME`; [cameras](../how-to/cameras.md#take-a-burst).",
+    ),
 }
 
 

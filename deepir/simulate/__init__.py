@@ -1,4 +1,7 @@
-"""A simulated camera: bursts with truth, `y_k = g · (D B M_k x + s) + o + l_k + n_k` (docs/conventions.md)."""
+"""A simulated camera: bursts with truth, `y_k = g · (D B M_k x + s) + o + l_k + n_k`.
+
+Symbols as in docs/reference/conventions.md.
+"""
 
 from deepir.simulate.burst import Simulation, Truth, simulate
 from deepir.simulate.detector.sensor import ADC_MAX

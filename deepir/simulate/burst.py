@@ -34,7 +34,7 @@ from deepir.simulate.views import render_own_scenes
 
 @dataclass(frozen=True)
 class Truth:
-    """Everything that made a burst: float64, in the data's units and in the gauge of docs/conventions.md."""
+    """Everything that made a burst: float64, in the data's units and in the gauge of docs/reference/conventions.md."""
 
     #: Frame 0 without pattern, stray flux, level, noise and walker, on a grid `factor` times as fine; with the pixel's
     #: box and, unless `sharp`, the optics.

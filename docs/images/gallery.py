@@ -1,4 +1,4 @@
-"""The pictures in docs/gallery.md: run this in the repository's root; it runs the commands of that page."""
+"""The pictures in docs/tutorials/gallery.md: run this in the repository's root; it runs the commands of that page."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from PIL import Image
 from deepir.report.panels import montage
 
 HERE = Path(__file__).parent
-PAGE = HERE.parent / "gallery.md"
+PAGE = HERE.parent / "tutorials" / "gallery.md"
 SECTION = re.compile(r"^## (\w+)$.*?^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 GAP = 4  # px, between the two
 WIDEST = 800  # px

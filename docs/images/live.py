@@ -1,4 +1,4 @@
-"""The picture in docs/live.md: run its commands with `walk.npz`, and this meanwhile. Wants Chromium."""
+"""The picture in docs/how-to/live.md: run its commands with `walk.npz`, and this meanwhile. Needs Chromium."""
 
 import io
 import shutil

@@ -1,4 +1,4 @@
-"""The picture in docs/files.md: run its commands with `flight.npz` first, then this, in the same folder."""
+"""The picture in docs/how-to/apply-maps.md: run its commands with `flight.npz` first, then this, in the same folder."""
 
 from pathlib import Path
 

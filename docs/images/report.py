@@ -1,4 +1,4 @@
-"""The picture of a report in docs/cli.md: `deepir demo`, then this, both in the repository's root. Wants Chromium."""
+"""The picture of a report in docs/reference/cli.md: `deepir demo`, then this, both in the root. Needs Chromium."""
 
 import io
 import shutil

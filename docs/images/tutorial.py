@@ -1,4 +1,4 @@
-"""The pictures in docs/tutorial.md: run its commands first, then this, in the same folder."""
+"""The pictures in docs/tutorials/burst.md: run its commands first, then this, in the same folder."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The pictures in docs/which-prior.md: run this in the repository's root; it runs the commands of that page.
+"""The pictures in docs/how-to/which-prior.md: run this in the repository's root; it runs the commands of that page.
 
 With DEEPIR_DATA it draws the real burst too.
 """
@@ -17,7 +17,7 @@ from deepir.metrics import scores
 from deepir.report.panels import write_panels
 
 HERE = Path(__file__).parent
-PAGE = HERE.parent / "which-prior.md"
+PAGE = HERE.parent / "how-to" / "which-prior.md"
 PRIORS = ("tv", "red", "tgv", "dip")
 DETAIL = (slice(20, 84), slice(50, 136))
 REAL = "[130,226,280,408]"  # of the A65's frames: trees before the sky

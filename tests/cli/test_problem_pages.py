@@ -17,7 +17,7 @@ QUICK = ["solver.max_iterations=1", "threads=1"]
 
 def commands(page):
     """The arguments of each `deepir ...` in a page's blocks, frames made small."""
-    text = (ROOT / f"docs/{page}.md").read_text()
+    text = (ROOT / f"docs/explanation/{page}.md").read_text()
     lines = "".join(re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)).replace("\\\n", " ")
     small = re.sub(r"shape=\[\d+,\d+\]", "shape=[48,64]", lines)
     return [shlex.split(each, comments=True)[1:] for each in small.splitlines() if each.startswith("deepir ")]

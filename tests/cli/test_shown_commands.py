@@ -1,4 +1,4 @@
-"""The commands of the tutorial, the gallery and the page on priors, with smaller frames and fewer iterations."""
+"""The commands of the tutorials, the gallery and the page on priors, with smaller frames and fewer iterations."""
 
 import re
 import shlex
@@ -9,9 +9,10 @@ from documentation import ROOT
 from deepir.cli import main
 from deepir.config import SHIPPED_CONFIGS
 
-TUTORIAL = ROOT / "docs/tutorial.md"
-GALLERY = ROOT / "docs/gallery.md"
-WHICH_PRIOR = ROOT / "docs/which-prior.md"
+FIRST_RECORDING = ROOT / "docs/tutorials/first-recording.md"
+TUTORIAL = ROOT / "docs/tutorials/burst.md"
+GALLERY = ROOT / "docs/tutorials/gallery.md"
+WHICH_PRIOR = ROOT / "docs/how-to/which-prior.md"
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), re.MULTILINE | re.DOTALL))
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
@@ -44,7 +45,7 @@ def commands(text):
     return text.replace("\\\n", " ").splitlines()
 
 
-def told(line):
+def without_figures(line):
     """A line without its figures and how a solve ends, which are others on smaller frames."""
     return re.sub(r"converged|stopped as planned|[\d.]+(e[+-]\d+)?", "#", line.strip())
 
@@ -53,11 +54,24 @@ def test_the_tutorial_runs_and_prints_what_it_shows(capfd, working_folder):
     printed: set[str] = set()
     for kind, text in shown(TUTORIAL):
         if kind == "text":
-            assert {told(line) for line in text.splitlines()} <= printed
+            assert {without_figures(line) for line in text.splitlines()} <= printed
             continue
         printed = set()
         for line in commands(text):
-            printed |= {told(each) for each in command(line, capfd).splitlines()}
+            printed |= {without_figures(each) for each in command(line, capfd).splitlines()}
+
+
+@pytest.mark.slow
+def test_the_first_recording_is_corrected_as_shown(capfd, working_folder):
+    printed = ""
+    for _, text in shown(FIRST_RECORDING):
+        for line in commands(text):
+            if line.startswith("deepir ") and "--page" not in line:
+                printed += command(line.replace("n_frames=240", "n_frames=120 shape=[96,128]"), capfd)
+    assert "120 frame(s) of 80 x 96 px (height x width), stored as uint16" in printed
+    assert "walk_corrected.tif: 120 frame(s)" in printed
+    written = {path.name for path in working_folder.iterdir()}
+    assert written >= {"walk_corrected.tif", "walk_corrected_maps.npz", "walk_corrected.png", "again.tif"}
 
 
 def test_every_shipped_configuration_is_in_the_gallery():
@@ -75,7 +89,7 @@ def test_the_gallery_runs(name, capfd, working_folder):
 
 @pytest.mark.parametrize("name", SECTIONS)
 def test_the_gallerys_pictures_are_small(name):
-    assert f"(images/gallery/{name}.png)" in SECTIONS[name]
+    assert f"(../images/gallery/{name}.png)" in SECTIONS[name]
     assert (ROOT / f"docs/images/gallery/{name}.png").stat().st_size < 60_000
 
 

@@ -127,7 +127,7 @@ def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
 
 
 def test_the_comparison_that_is_documented_is_one(tmp_path):
-    text = next(text for _, text in blocks(ROOT / "docs/ablations.md", "sh") if "compare" in text)
+    text = next(text for _, text in blocks(ROOT / "docs/how-to/ablations.md", "sh") if "compare" in text)
     _, _, name, *settings = shlex.split(text)
     fixed, axes = parse_axes(settings)
     assert len(make_cells(name, fixed, axes, tmp_path, 1)) == 36

@@ -1,4 +1,4 @@
-"""The detector from its physics: thermal and electrical constants of its pixels (docs/sensor-physics.md).
+"""The detector from its physics: thermal and electrical constants of its pixels (docs/explanation/sensor-physics.md).
 
 Source: Saragadam et al. 2021, "Sensor modeling".
 """

@@ -104,7 +104,7 @@ def test_a_pipe_does_not_block(tmp_path):
 def test_the_table_of_formats_is_that_of_the_readers():
     shown = {
         name.strip("`"): tuple(re.findall(r"`(\.\w+)`", suffixes))
-        for name, suffixes, _ in rows(ROOT / "docs/files.md", "# Files")
+        for name, suffixes, _ in rows(ROOT / "docs/reference/files.md", "# Files")
     }
     there = {reader.__name__.rpartition(".")[2]: tuple(reader.SUFFIXES) for reader in readers.all_readers()}
     assert shown == there
