@@ -10,13 +10,14 @@ import numpy as np
 
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, Beside, Estimator
-from deepir.recording.keyframes import KeyframeCollector
+from deepir.live.keyframes import LiveKeyframes
 from deepir.recording.pattern_shares import fits, is_better
 from deepir.recording.segments import Segment
 
 Array = np.ndarray[Any, Any]
 
-FIRST_KEYFRAMES = 12  # before the first estimate
+QUICK_KEYFRAMES = 8  # before a quick estimate, of the fine offset, where frames are not corrected
+KEYFRAMES = 24  # before an estimate of all: the slow part needs more
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
 CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
@@ -103,13 +104,13 @@ class Corrector:
         """Forget all but the maps of the beginning, and learn anew."""
         self.hold = False
         self._estimator.cancel()
-        self._collector = KeyframeCollector(latest=True)
+        self._keyframes = LiveKeyframes()
         self._segment: Segment | None = None
         self._former: Segment | None = None
         self._faded = 0  # frames since the newest estimate
         self._checks: deque[bool] = deque(maxlen=CHECKS)  # whether the maps fitted the last frames
         self._relearns = False  # another pattern than the maps'
-        self._quick, self._due = self._start is None, FIRST_KEYFRAMES
+        self._due = 0
         self._frames = self._estimates = self._rejected = 0
         self._message = ""
 
@@ -148,7 +149,7 @@ class Corrector:
         """How far it is."""
         return Status(
             self._frames,
-            self._collector.taken,
+            self._keyframes.taken,
             self._estimates,
             self._rejected,
             self.maps is not None and self._fits,
@@ -162,35 +163,38 @@ class Corrector:
         """Take an estimate that is done, consider the frame as a keyframe, and begin an estimate if it is time."""
         if (found := self._estimator.poll()) is not None:
             self._take(found, frame)
-        self._collector.add(frame)
-        taken = self._collector.taken
-        if taken >= self._due and not self._estimator.busy():
-            keyframes = self._collector.keyframes()
-            if keyframes is not None:
-                quick, self._quick = self._quick, False
-                self._estimator.submit(keyframes, quick=quick)
-                self._due = taken + (0 if quick else min(MAX_NEW_KEYFRAMES, round((GROWTH - 1) * taken)))
+        self._keyframes.add(frame)
+        taken = self._keyframes.taken
+        former = self.maps if self._fits else None
+        quick = former is None and self._keyframes.count < KEYFRAMES
+        enough = taken >= self._due and self._keyframes.count >= (QUICK_KEYFRAMES if quick else KEYFRAMES)
+        if enough and not self._estimator.busy():
+            self._estimator.submit(self._keyframes.chosen(), quick=quick, former=former)
+            self._due = taken + (
+                0 if quick else min(MAX_NEW_KEYFRAMES, round((GROWTH - 1) * self._keyframes.count))
+            )
 
     def _check(self, frame: Array, corrected: Array) -> None:
         """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
         self._checks.append(fits(_values(frame), corrected, self._bad_pixels))
         if not self._fits and not self._relearns and not self.hold:
             self._relearns = True
-            self._collector.forget(self._collector.length - CHECKS * CHECK_INTERVAL)
+            self._keyframes.forget(self._keyframes.length - CHECK_INTERVAL)  # two checks have failed since
             self._estimator.cancel()
-            self._quick, self._due = True, self._collector.taken + FIRST_KEYFRAMES
+            self._due = self._keyframes.taken
 
     def _take(self, found: Segment, frame: Array) -> None:
         """Take an estimate if it serves the newest frame."""
         self._message = found.refused
         if found.estimate is None:
             if found.refused != ENDED:  # the camera stood still: begin again
-                self._collector.forget(found.last + 1)
-            self._due = self._collector.taken + FIRST_KEYFRAMES
+                self._keyframes.forget(found.last + 1)
+            self._due = self._keyframes.taken + QUICK_KEYFRAMES
             return
-        self._collector.forget(found.first)  # another pattern
+        self._keyframes.forget(found.first)  # another pattern
         if not self._serves(found, _values(frame)):
             self._rejected += 1
+            self._due = max(self._due, self._keyframes.taken + QUICK_KEYFRAMES)
             return
         self._former, self._faded = self._segment if self._fits else None, 0
         self._segment = found

@@ -11,15 +11,16 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import IO, Any, Protocol
 
 import numpy as np
 
+from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.recording.estimate import AUTO, estimate_fine_offset
-from deepir.recording.keyframes import Keyframes
+from deepir.recording.keyframes import ChosenFrames, Keyframes
 from deepir.recording.segments import Segment, estimate_segments
 
 SWITCH_INTERVAL = (
@@ -35,8 +36,8 @@ class Estimator(Protocol):
     def busy(self) -> bool:
         """Whether an estimate is under way."""
 
-    def submit(self, keyframes: Callable[[], Keyframes], *, quick: bool) -> None:
-        """Begin an estimate, only when not busy; `quick`: of the fine offset alone."""
+    def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
+        """Begin an estimate, only when not busy; arguments as in `newest_segment`."""
 
     def poll(self) -> Segment | None:
         """The newest estimate, once; None if there is none."""
@@ -48,13 +49,19 @@ class Estimator(Protocol):
         """End it, an estimate under way too."""
 
 
-def newest_segment(keyframes: Keyframes, *, quick: bool) -> Segment:
-    """The estimate of the sensor at the end of the keyframes; a `Segment` without one if it is not possible."""
+def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps | None = None) -> Segment:
+    """The estimate of the sensor at the end of the keyframes; a `Segment` without one if it is not possible.
+
+    Args:
+        keyframes: Of the newest frames.
+        quick: Whether the fine offset alone is estimated.
+        former: That frames are corrected with now.
+    """
     first, last = int(keyframes.numbers[0]), int(keyframes.numbers[-1])
     try:
         if quick:
             return Segment(first, last, estimate_fine_offset(keyframes))
-        return estimate_segments(keyframes, AUTO)[-1]
+        return estimate_segments(keyframes, AUTO, former=former)[-1]
     except DataError as error:
         return Segment(first, last, None, str(error))
 
@@ -69,9 +76,9 @@ class Here:
         """Never."""
         return False
 
-    def submit(self, keyframes: Callable[[], Keyframes], *, quick: bool) -> None:
+    def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
         """Estimate."""
-        self._found = newest_segment(keyframes(), quick=quick)
+        self._found = newest_segment(chosen.copied(), quick=quick, former=former)
 
     def poll(self) -> Segment | None:
         """The estimate, once."""
@@ -101,9 +108,9 @@ class Beside:
         """Whether an estimate is under way."""
         return self._pending is not None and not self._pending.done()
 
-    def submit(self, keyframes: Callable[[], Keyframes], *, quick: bool) -> None:
+    def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
         """Begin an estimate."""
-        self._pending = self._sender.submit(self._estimate, keyframes, quick)
+        self._pending = self._sender.submit(self._estimate, chosen, quick, former)
 
     def poll(self) -> Segment | None:
         """The estimate, once it is there."""
@@ -147,24 +154,23 @@ class Beside:
             stderr=subprocess.DEVNULL,
         )
 
-    def _estimate(self, chosen: Callable[[], Keyframes], quick: bool) -> Segment:
+    def _estimate(self, chosen: ChosenFrames, quick: bool, former: CorrectionMaps | None) -> Segment:
         """Send keyframes, frame by frame, and wait for the estimate."""
-        keyframes = chosen()
         if self._process.poll() is not None:
             self._restart()
         to, back = self._process.stdin, self._process.stdout
         assert to is not None
         assert back is not None
         try:
-            rest = {name: value for name, value in vars(keyframes).items() if name != "frames"}
-            pickle.dump((keyframes.frames.shape, rest, quick), to)
-            for frame in keyframes.frames:
-                to.write(np.ascontiguousarray(frame, np.float32).data)
+            empty = chosen.keyframes(np.empty((0, *chosen.shape[1:]), np.float32))
+            pickle.dump((chosen.shape, empty, quick, former), to)
+            for values in chosen.values():
+                to.write(np.ascontiguousarray(values).data)
             to.flush()
             found: Segment = pickle.load(back)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError):  # ValueError: closed meanwhile
             self._restart()
-            return Segment(int(keyframes.numbers[0]), int(keyframes.numbers[-1]), None, ENDED)
+            return Segment(int(chosen.numbers[0]), int(chosen.numbers[-1]), None, ENDED)
         return found
 
 
@@ -172,13 +178,13 @@ def serve(requests: IO[bytes], answers: IO[bytes]) -> None:
     """Answer requests until there are no more."""
     while True:
         try:
-            shape, rest, quick = pickle.load(requests)
+            shape, empty, quick, former = pickle.load(requests)
         except EOFError:
             return
         frames = np.empty(shape, np.float32)
         for frame in frames:
             frame[:] = np.frombuffer(requests.read(frame.nbytes), np.float32).reshape(frame.shape)
-        found = newest_segment(Keyframes(frames, **rest), quick=quick)
+        found = newest_segment(replace(empty, frames=frames), quick=quick, former=former)
         found.correct(frames[-1])  # what it computes once goes with it: no frame waits for it
         pickle.dump(found, answers)
         answers.flush()

@@ -13,16 +13,18 @@ from typing import Any
 
 import numpy as np
 
+from deepir.calibration import CorrectionMaps
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.multiview.camera_at_rest import is_at_rest
+from deepir.multiview.low_order_part import slow_part
 from deepir.multiview.texture_flow import Displacement
 from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
 from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels
 from deepir.recording.held_out import HeldOutFrames
 from deepir.recording.keyframes import Keyframes, spread
-from deepir.recording.offset import SeparatedOffset, fine_offset, separate_offset
+from deepir.recording.offset import fine_offset, separate_offset
 from deepir.recording.pattern_shares import scale_parts, shrink_offset
 from deepir.recording.responses import noise_deviation, refine_responses
 
@@ -34,7 +36,6 @@ MIN_KEYFRAMES = 4
 CORRECTIONS = ("none", "fine_offset", "offset", "registered_offset", "gain_and_offset")
 AUTO = "auto"
 LEAST_NATS = 30.0  # by which a larger correction makes held-out frames likelier, to be chosen
-LEAST_SHARE_NATS = 3.0  # by which a slow part that is like the scenes' mean makes them likelier than without
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
@@ -72,12 +73,15 @@ class SensorEstimate:
     messages: tuple[str, ...] = ()
 
 
-def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: bool = True) -> SensorEstimate:
+def estimate_sensor(
+    keyframes: Keyframes, correction: str = AUTO, *, former: CorrectionMaps | None = None, shrink: bool = True
+) -> SensorEstimate:
     """Estimate gain, offset and bad pixels.
 
     Args:
         keyframes: of a recording.
         correction: one of `CORRECTIONS`; "auto": the one that serves held-out frames best.
+        former: of the same sensor; held-out frames choose between the slow part of their offset and the new one.
         shrink: whether the parts of the offset are scaled by the shares of them that held-out frames hold.
 
     Raises:
@@ -98,9 +102,15 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: boo
     bad = defective_pixels(frames, usable, offset)
     pairs = spread(estimated.pairs, MAX_PAIRS)
     separated = separate_offset(frames, usable, ~bad, offset, pairs, level)
-    held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, separated)
+    offsets = {"fine": separated.fine}
+    if separated.whole is not None:
+        offsets["whole"] = separated.whole
+    if former is not None and gains is None:
+        rest = former.offset + (former.gain - 1) * level - separated.fine
+        offsets["former"] = separated.fine + slow_part(rest, ~bad)
+    held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, list(offsets.values()))
     masked = np.where(usable, frames, np.nan).astype(np.float32)
-    base, messages = _base(separated, held_out, correction)
+    base, messages = _base(offsets, held_out, correction)
     candidates = _candidates(masked, base, separated.displacements, level, with_gain=gains is None)
     bad |= _unresponsive(candidates["gain_and_offset"][0]) if "gain_and_offset" in candidates else False
     nats = {name: found for name, each in candidates.items() if np.isfinite(found := held_out.nats(*each))}
@@ -234,26 +244,28 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
         )
 
 
-def _held_out_frames(held: Keyframes, usable: Array, separated: SeparatedOffset) -> HeldOutFrames:
-    """Frames that judge; the displacements of their scenes are sought with either offset."""
-    offsets = [each for each in (separated.fine, separated.whole) if each is not None]
+def _held_out_frames(held: Keyframes, usable: Array, offsets: Sequence[Array]) -> HeldOutFrames:
+    """Frames that judge; the displacements of their scenes are sought with each offset."""
     level = _median(held.frames, usable) if usable.any() else 0.0
     return HeldOutFrames(held, usable, level, [(np.ones_like(each), each) for each in offsets])
 
 
 def _base(
-    separated: SeparatedOffset, held_out: HeldOutFrames, correction: str
+    offsets: dict[str, Array], held_out: HeldOutFrames, correction: str
 ) -> tuple[tuple[str, Array], list[str]]:
-    """The offset with or without what is slow, named as in `CORRECTIONS`; and messages."""
-    fine = separated.fine
+    """The offset with or without what is slow, new or former, named as in `CORRECTIONS`; and messages."""
     if correction == "fine_offset":
-        return (correction, fine), []
-    slow = _slow_part(separated, held_out)
-    if slow is not None and (
-        correction == "offset" or _slow_nats(held_out, fine) - _slow_nats(held_out, slow) > LEAST_NATS
-    ):
-        return ("offset", slow), []
-    return ("fine_offset", fine), [
+        return (correction, offsets["fine"]), []
+    whole = offsets.get("whole")
+    if correction == "offset" and whole is not None:
+        return (correction, whole), []
+    left = {name: _slow_nats(held_out, each) for name, each in offsets.items()}
+    better = [
+        name for name in offsets if left["fine"] - left[name] > (LEAST_NATS if name == "whole" else 0.0)
+    ]
+    if better:
+        return ("offset", offsets[min(better, key=left.__getitem__)]), []
+    return ("fine_offset", offsets["fine"]), [
         "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
         "or the camera moves too little, or turns only one way"
     ]
@@ -272,18 +284,6 @@ def _candidates(
         "registered_offset": (one, registered),
     }
     return candidates | ({"gain_and_offset": (gain, registered)} if with_gain else {})
-
-
-def _slow_part(separated: SeparatedOffset, held_out: HeldOutFrames) -> Array | None:
-    """The offset with what is slow, like the scenes' mean only if held-out frames say so."""
-    whole, orthogonal = separated.whole, separated.orthogonal
-    if whole is None or orthogonal is None:
-        return None
-    return (
-        whole
-        if _slow_nats(held_out, orthogonal) - _slow_nats(held_out, whole) > LEAST_SHARE_NATS
-        else orthogonal
-    )
 
 
 def _slow_nats(held_out: HeldOutFrames, offset: Array) -> float:

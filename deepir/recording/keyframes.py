@@ -7,8 +7,7 @@ evenly spread.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 Array = np.ndarray[Any, Any]
+Chosen = tuple[int, Array, int]  # number, frame (h, w), spacing
 
 GROUP_SIZE = 4  # frames of a group
 MAX_GROUPS = 32  # groups that are kept, at most
@@ -86,13 +86,63 @@ def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
         shown = [k for k in range(len(head)) if k == 0 or not np.array_equal(head[k], head[k - 1])]
         spacing, _ = motion_spacing(np.stack([coarse(head[k]) for k in shown[:WINDOW]]))
         kept = [(k, head[k], spacing) for k in shown]
-        return _keyframes(kept, np.arange(len(kept)) // GROUP_SIZE, len(head))
+        return ChosenFrames.of_groups(in_groups(kept), len(head)).copied()
     collector = KeyframeCollector()
     for frame in chain(head, stream):
         collector.add(frame)
-    found = collector.keyframes()
-    assert found is not None  # the first frame is one
-    return found()
+    return ChosenFrames.of_groups(collector.groups, collector.length).copied()
+
+
+def in_groups(kept: list[Chosen]) -> list[list[Chosen]]:
+    """Frames one after the other, in groups."""
+    return [kept[k : k + GROUP_SIZE] for k in range(0, len(kept), GROUP_SIZE)]
+
+
+@dataclass(frozen=True)
+class ChosenFrames:
+    """Keyframes that are not copied yet.
+
+    Attributes:
+        frames: (h, w) each, as they came.
+        numbers, groups, spacings, length: as in `Keyframes`.
+    """
+
+    frames: Sequence[Array]
+    numbers: Array
+    groups: Array
+    spacings: Array
+    length: int
+
+    @classmethod
+    def of_groups(cls, groups: Sequence[Sequence[Chosen]], length: int) -> ChosenFrames:
+        """Those of groups; `length`: frames of the recording."""
+        sizes = [len(group) for group in groups]
+        numbers, frames, spacings = zip(*chain.from_iterable(groups), strict=True)
+        return cls(
+            frames, np.array(numbers), np.repeat(np.arange(len(sizes)), sizes), np.array(spacings), length
+        )
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(N, h, w)."""
+        return (len(self.frames), *self.frames[0].shape)
+
+    def values(self) -> Iterator[Array]:
+        """The frames, float32, one by one; NaN where a sample is masked."""
+        for frame in self.frames:
+            yield np.ma.filled(frame.astype(np.float32), np.nan)
+
+    def keyframes(self, frames: Array) -> Keyframes:
+        """Keyframes with these values (N, h, w), float32."""
+        eight_bits = self.frames[0].dtype.itemsize == 1
+        return Keyframes(frames, self.numbers, self.groups, self.spacings, self.length, eight_bits)
+
+    def copied(self) -> Keyframes:
+        """Keyframes with a copy of the frames."""
+        frames = np.empty(self.shape, np.float32)
+        for copy, values in zip(frames, self.values(), strict=True):
+            copy[:] = values
+        return self.keyframes(frames)
 
 
 class KeyframeCollector:
@@ -100,6 +150,10 @@ class KeyframeCollector:
 
     Args:
         latest: True: of too many groups the latest are kept. False: every second one, again and again.
+
+    Attributes:
+        groups: Keyframes that are kept, of more than `WINDOW` frames.
+        length: Frames so far.
     """
 
     def __init__(self, *, latest: bool = False) -> None:
@@ -108,7 +162,7 @@ class KeyframeCollector:
         self._head: list[tuple[int, Array, Array]] = []  # until the motion is measured
         self._recent: list[Array] = []  # the last frames, averaged
         self._measured = False
-        self._groups: list[list[tuple[int, Array, int]]] = []
+        self.groups: list[list[Chosen]] = []
         self._every, self._opened, self._opening = 1, 0, -WINDOW
         self._last: Array | None = None  # first frame of the last group, averaged
         self._before: Array | None = None
@@ -120,10 +174,15 @@ class KeyframeCollector:
         """Keyframes chosen since the start, those that were dropped included."""
         return self._taken
 
+    @property
+    def count(self) -> int:
+        """Keyframes that are kept."""
+        return sum(len(group) for group in self.groups)
+
     def forget(self, number: int) -> None:
         """Drop the keyframes before a frame."""
-        self._groups = [[each for each in group if each[0] >= number] for group in self._groups]
-        self._groups = [group for group in self._groups if group]
+        self.groups = [[each for each in group if each[0] >= number] for group in self.groups]
+        self.groups = [group for group in self.groups if group]
 
     def add(self, frame: Array) -> None:
         """The next frame (h, w); one that repeats the frame before it is no keyframe."""
@@ -144,21 +203,11 @@ class KeyframeCollector:
                 self._consider(*each)
             self._head = []
 
-    def keyframes(self) -> Callable[[], Keyframes] | None:
-        """What gives those chosen so far, also in another thread, as it copies all; None without a frame."""
-        groups = self._groups
-        if not self._measured:  # few frames: all that differ
-            shown = [(number, frame, 1) for number, frame, _ in self._head]
-            groups = [shown[k : k + GROUP_SIZE] for k in range(0, len(shown), GROUP_SIZE)]
-        places = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
-        kept = [each for group in groups for each in group]
-        return functools.partial(_keyframes, kept, places, self.length) if kept else None
-
     def _consider(self, number: int, frame: Array, small: Array) -> None:
         """Add a frame to the last group, or begin one with it, if it is time."""
-        if self._groups and len(self._groups[-1]) < GROUP_SIZE:
-            if number - self._groups[-1][-1][0] >= self._spacing:
-                self._groups[-1].append((number, frame, self._spacing))
+        if self.groups and len(self.groups[-1]) < GROUP_SIZE:
+            if number - self.groups[-1][-1][0] >= self._spacing:
+                self.groups[-1].append((number, frame, self._spacing))
                 self._taken += 1
             return
         stands = (
@@ -170,28 +219,14 @@ class KeyframeCollector:
             self._spacing, self._typical = motion_spacing(np.stack(self._recent))
         self._last, self._opening = small, number
         if self._opened % self._every == 0:
-            self._groups.append([(number, frame, self._spacing)])
+            self.groups.append([(number, frame, self._spacing)])
             self._taken += 1
         self._opened += 1
-        if len(self._groups) > MAX_GROUPS:
+        if len(self.groups) > MAX_GROUPS:
             if self._latest:
-                del self._groups[0]
+                del self.groups[0]
             else:
-                self._groups, self._every = self._groups[::2], 2 * self._every
-
-
-def _keyframes(kept: list[tuple[int, Array, int]], groups: Array, length: int) -> Keyframes:
-    frames = np.empty((len(kept), *kept[0][1].shape), np.float32)
-    for copy, (_, frame, _) in zip(frames, kept, strict=True):  # one by one: other threads go on in between
-        copy[:] = np.ma.filled(frame.astype(np.float32), np.nan)
-    return Keyframes(
-        frames=frames,
-        numbers=np.array([number for number, _, _ in kept]),
-        groups=groups,
-        spacings=np.array([spacing for _, _, spacing in kept]),
-        length=length,
-        eight_bits=kept[0][1].dtype.itemsize == 1,
-    )
+                self.groups, self._every = self.groups[::2], 2 * self._every
 
 
 def coarse(frame: Array) -> Array:

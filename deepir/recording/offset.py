@@ -33,6 +33,10 @@ LEAST_COMMON = 200  # px of the averaged frames whose displacement has to be kno
 #: Ratio of the changes along displacements with a low cut-off to those with a high one, from which the texture in
 #: between is the sensor's: 1.2 to 1.4 where it is, up to 1.03 where it is the scenes', in real and simulated drives.
 LEAST_AGREEMENT_RATIO = 1.1
+#: px of the averaged frames that the scene has to move somewhere once, so that the place does not rest. With this the
+#: share of the scenes' mean that is left in the offset is the share of the frame that rests, in six simulated
+#: recordings and a real one.
+REST_MOTION = 2.0
 #: Where the camera turns only one way: px of the averaged frames that the scene moves along one axis at least, and what
 #: it seems to move across, relative to that.
 TURN_MOTION, CROSS_RATIO = 2.5, 0.2
@@ -48,14 +52,11 @@ class SeparatedOffset:
     Attributes:
         fine: (h, w), without what is slow.
         whole: (h, w), with it; None where the scenes do not move, or along one axis only.
-        orthogonal: (h, w), the whole less what of it is proportional to the scenes' mean, which displacements that are
-            too short copy into it; None likewise.
         displacements: of the scenes, between frames averaged over blocks.
     """
 
     fine: Array
     whole: Array | None
-    orthogonal: Array | None
     displacements: tuple[Displacement, ...]
 
 
@@ -99,14 +100,14 @@ def separate_offset(
         )
         found = slow.displacements
         if not slow.related:
-            return SeparatedOffset(fine, None, None, found)
+            return SeparatedOffset(fine, None, found)
         offset = (offset + slow.offset).astype(np.float32)
     corrected = frames - offset
     lines = _scene_lines(fine, corrected, found)
     fine, offset = fine - lines, offset - lines
     if _axes_at_rest(found):
-        return SeparatedOffset(fine, None, None, found)
-    return SeparatedOffset(fine, offset, offset - _shared_with(corrected.mean(0), offset, known), found)
+        return SeparatedOffset(fine, None, found)
+    return SeparatedOffset(fine, offset - _scene_left(corrected.mean(0), known, found), found)
 
 
 def fine_offset(consensus: Array, known: Array) -> Array:
@@ -164,13 +165,22 @@ def _agreement(frames: Array, found: Displacement, where: Array) -> float:
     return max(MAD_TO_SIGMA * float(np.median(np.abs(change - slow)[where])), np.finfo(float).tiny)
 
 
-def _shared_with(mean: Array, offset: Array, known: Array) -> Array:
-    """What of the slow part of an offset (h, w) is proportional to that of the scenes' mean, by least squares."""
-    sigma = TEXTURE_SIGMA * coarsening(offset.shape)
-    pattern, scenes = (slow_part(each, known, sigma) for each in (offset, mean))
-    centred = scenes[known] - scenes[known].mean()
-    share = (pattern[known] @ centred) / max(float(centred @ centred), np.finfo(np.float32).tiny)
-    return np.asarray(share * scenes, np.float32)
+def _scene_left(mean: Array, known: Array, found: Sequence[Displacement]) -> Array:
+    """What of the slow part of the scenes' mean (h, w) is left in an offset: the share of the frame that rests.
+
+    Where the scene never moves, as the sky of a drive, nothing separates it from the pattern.
+    """
+    sigma = TEXTURE_SIGMA * coarsening(mean.shape)
+    return np.asarray(_share_at_rest(found) * slow_part(mean, known, sigma), np.float32)
+
+
+def _share_at_rest(found: Sequence[Displacement]) -> float:
+    """Share of the frame where no displacement is known that is as long as `REST_MOTION`."""
+    rows, columns = np.indices(found[0].y.shape)
+    moved = np.zeros(rows.shape, bool)
+    for each in found:
+        moved |= each.known & (np.hypot(each.y - rows, each.x - columns) >= REST_MOTION)
+    return float(1 - moved.mean())
 
 
 def _axes_at_rest(found: Sequence[Displacement]) -> list[int]:

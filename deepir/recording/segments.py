@@ -60,12 +60,14 @@ class Segment:
         return CorrectionMaps(found.gain, found.offset + found.level * (1 - found.gain), found.bad_pixels)
 
 
-def estimate_segments(keyframes: Keyframes, correction: str) -> list[Segment]:
+def estimate_segments(
+    keyframes: Keyframes, correction: str, *, former: CorrectionMaps | None = None
+) -> list[Segment]:
     """Find where the pattern jumps, and estimate the sensor of each part.
 
     Args:
         keyframes: of a recording.
-        correction: see `estimate_sensor`.
+        correction, former: see `estimate_sensor`.
 
     Raises:
         ConfigError: There is no such correction.
@@ -74,12 +76,12 @@ def estimate_segments(keyframes: Keyframes, correction: str) -> list[Segment]:
     ends = [0, *pattern_jumps(keyframes.frames), len(keyframes.frames)]
     parts = [np.arange(*each) for each in itertools.pairwise(ends)]
     if len(parts) == 1:
-        return [_segment(keyframes, estimate_sensor(keyframes, correction))]
+        return [_segment(keyframes, estimate_sensor(keyframes, correction, former=former))]
     found, refused = [], []
     for part in parts:
         some = keyframes.some(part)
         try:
-            found.append(_segment(some, estimate_sensor(some, correction)))
+            found.append(_segment(some, estimate_sensor(some, correction, former=former)))
         except DataError as error:
             refused.append(error)
             found.append(_segment(some, None, str(error)))

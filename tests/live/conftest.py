@@ -50,8 +50,8 @@ class Knowing(Here):
             np.ones_like(pattern), pattern, np.zeros(pattern.shape, bool), 8000.0, None, "offset", {}
         )
 
-    def submit(self, keyframes, *, quick):
-        numbers = keyframes().numbers
+    def submit(self, chosen, *, quick, former):
+        numbers = chosen.numbers
         self._found = Segment(int(numbers[0]), int(numbers[-1]), self.estimate)
 
 

@@ -77,7 +77,6 @@ def headline(page, words):
 
 
 def test_frames_arrive_and_are_corrected_from_the_first_estimate_on(page, running):
-    headline(page, "Waiting for motion")
     headline(page, "Correcting")
     arrive(page)
     assert page.inner_text("#figures [data-name=estimates] dd") != "0"
@@ -104,8 +103,9 @@ def test_reset_asks_first(page, running):
     arrive(page)
     headline(page, "Correcting")
     page.once("dialog", lambda dialog: dialog.accept())
+    seen = running.corrector.status.frames
     page.click("#reset")
-    headline(page, "Waiting for motion")
+    until(page, lambda: running.corrector.status.frames < seen)
 
 
 def test_a_palette_colours_the_picture_and_its_scale(page, live):

@@ -9,11 +9,11 @@ import pytest
 
 from deepir.calibration import CorrectionMaps
 from deepir.config.schema import Raw
-from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, FIRST_KEYFRAMES, Corrector
+from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, QUICK_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, Beside, Here
 from deepir.live.sources import Paced, camera_frames, stream_raw
 from deepir.recording.estimate import SensorEstimate
-from deepir.recording.keyframes import WINDOW, choose_keyframes
+from deepir.recording.keyframes import WINDOW, ChosenFrames, in_groups
 from deepir.recording.segments import Segment
 
 
@@ -21,6 +21,10 @@ from deepir.recording.segments import Segment
 def corrector():
     with Corrector(estimator=Here()) as made:
         yield made
+
+
+def chosen(frames):
+    return ChosenFrames.of_groups(in_groups([(k, frame, 1) for k, frame in enumerate(frames)]), len(frames))
 
 
 def left(frames, scenes, walk):
@@ -67,18 +71,22 @@ def test_frames_that_maps_do_not_fit_pass_as_they_are(walk):
 def test_another_pattern_is_noticed_and_learned_anew(walk, corrector):
     """As after a closure of the shutter."""
     other = np.random.default_rng(3).permutation(walk.fine.ravel()).reshape(walk.fine.shape)
-    changed = walk.frames[::-1] - walk.fine + other
+    back_and_forth = [*range(119, -1, -1), *range(60)]
+    changed = (walk.frames - walk.fine + other)[back_and_forth]
     for frame in walk.frames:
         corrector(frame)
     assert corrector.status.correcting
 
-    passed = [corrector(frame) for frame in changed[: 3 * CHECK_INTERVAL]]
-    assert not corrector.status.fits
-    assert np.array_equal(passed[-1], changed[3 * CHECK_INTERVAL - 1].astype(np.float32))
-    corrected = [corrector(frame) for frame in changed[3 * CHECK_INTERVAL :]]
+    corrected, fitted = [], []
+    for frame in changed:
+        corrected.append(corrector(frame))
+        fitted.append(corrector.status.fits)
+    noticed = fitted.index(False)
+    assert noticed < 3 * CHECK_INTERVAL
+    assert np.array_equal(corrected[noticed], changed[noticed].astype(np.float32))
 
     assert corrector.status.correcting
-    scenes = walk.scenes[::-1][-20:]
+    scenes = walk.scenes[back_and_forth][-20:]
     assert left(corrected[-20:], scenes, walk) < 0.5 * left(changed[-20:], scenes, walk)
 
 
@@ -122,7 +130,7 @@ def test_an_estimate_of_what_was_forgotten_is_not_taken(walk):
 
     estimator = Late()
     with Corrector(estimator=estimator) as corrector:
-        estimator.submit(lambda: choose_keyframes(iter(walk.frames)), quick=True)
+        estimator.submit(chosen(walk.frames), quick=True, former=None)
         corrector.reset()
         estimator.done = True
         corrector(walk.frames[0])
@@ -132,12 +140,12 @@ def test_an_estimate_of_what_was_forgotten_is_not_taken(walk):
 def test_nothing_further_is_learned_while_it_holds(walk, corrector):
     for frame in walk.frames[:WINDOW]:
         corrector(frame)
-    taken = corrector.status.keyframes
+    before = corrector.status
     corrector.hold = True
     for frame in walk.frames[WINDOW:]:
         corrector(frame)
-    assert corrector.status.keyframes == taken > 0
-    assert corrector.status.estimates == 0
+    assert corrector.status.keyframes == before.keyframes > 0
+    assert corrector.status.estimates == before.estimates
     assert corrector.status.state == "holding"
 
 
@@ -174,7 +182,7 @@ def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_repla
         corrector._estimator._process.wait()
         for frame in walk.frames:
             corrector(frame)
-        assert corrector.status.keyframes >= FIRST_KEYFRAMES
+        assert corrector.status.keyframes >= QUICK_KEYFRAMES
         until = time.monotonic() + 60
         while corrector.status.estimates == 0 and time.monotonic() < until:
             corrector(walk.frames[-1])
@@ -185,14 +193,13 @@ def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_repla
 
 def test_an_estimate_that_is_cancelled_does_not_come(walk):
     """And the next one does not wait for it."""
-    keyframes = choose_keyframes(iter(walk.frames))
     estimator = Beside()
     try:
-        estimator.submit(lambda: keyframes, quick=False)
+        estimator.submit(chosen(walk.frames), quick=False, former=None)
         estimator.cancel()
         assert not estimator.busy()
         assert estimator.poll() is None
-        estimator.submit(lambda: keyframes.some(np.arange(FIRST_KEYFRAMES)), quick=True)
+        estimator.submit(chosen(walk.frames[:QUICK_KEYFRAMES]), quick=True, former=None)
         until = time.monotonic() + 60
         while estimator.busy() and time.monotonic() < until:
             time.sleep(0.05)

@@ -1,0 +1,90 @@
+"""Keyframes of frames that come: the newest ones while there are few, groups that are spread over time afterwards."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from deepir.recording.keyframes import (
+    WINDOW,
+    Chosen,
+    ChosenFrames,
+    KeyframeCollector,
+    coarse,
+    in_groups,
+    motion_spacing,
+)
+
+Array = np.ndarray[Any, Any]
+
+NEWEST = 48  # newest frames that are kept
+FEW = 32  # keyframes in groups, below which the newest frames count too
+#: Change from one newest frame to the next, relative to that between frames: of a camera that stands still it is 1.
+LEAST_CHANGE = 1.5
+
+
+class LiveKeyframes:
+    """Chooses keyframes, the first of them at once.
+
+    Attributes:
+        length: Frames so far.
+    """
+
+    def __init__(self) -> None:
+        self.length = 0
+        self._groups = KeyframeCollector(latest=True)
+        self._newest: deque[tuple[int, Array, Array]] = deque(maxlen=NEWEST)  # and averaged
+        self._steps: deque[float] = deque(maxlen=WINDOW)  # changes from frame to frame
+        self._before: tuple[Array, Array] | None = None
+        self._taken = 0
+
+    @property
+    def taken(self) -> int:
+        """Keyframes chosen since the start, those that were dropped included."""
+        return self._taken + self._groups.taken
+
+    @property
+    def count(self) -> int:
+        """About as many keyframes are there now."""
+        return max(len(self._newest), self._groups.count)
+
+    def add(self, frame: Array) -> None:
+        """The next frame (h, w); one that repeats the frame before it is no keyframe."""
+        self._groups.add(frame)
+        number, self.length = self.length, self.length + 1
+        if self._before is not None and np.array_equal(frame, self._before[0]):
+            return
+        small = coarse(frame)
+        if self._before is not None:
+            self._steps.append(_change(small, self._before[1]))
+        self._before = frame, small
+        if not self._newest or _change(small, self._newest[-1][2]) > LEAST_CHANGE * np.median(self._steps):
+            self._taken += len(self._newest) < NEWEST
+            self._newest.append((number, frame, small))
+
+    def forget(self, number: int) -> None:
+        """Drop the keyframes before a frame."""
+        self._groups.forget(number)
+        while self._newest and self._newest[0][0] < number:
+            self._newest.popleft()
+
+    def chosen(self) -> ChosenFrames:
+        """Those that are there now; at least one."""
+        groups = self._groups.groups
+        if self._groups.count < FEW:
+            first = self._newest[0][0]
+            groups = [group for group in groups if group[-1][0] < first] + in_groups(self._spaced())
+        return ChosenFrames.of_groups(groups, self.length)
+
+    def _spaced(self) -> list[Chosen]:
+        """The newest frames, with the spacing that their motion asks for."""
+        numbers, _, averaged = zip(*self._newest, strict=True)
+        spacing, _ = motion_spacing(np.stack(averaged))
+        spacing *= max(1, round((numbers[-1] - numbers[0]) / len(numbers)))  # in frames of the camera
+        return [(number, frame, spacing) for number, frame, _ in self._newest]
+
+
+def _change(one: Array, other: Array) -> float:
+    return float(np.abs(one - other).mean())
