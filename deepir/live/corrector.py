@@ -16,8 +16,8 @@ from deepir.recording.segments import Segment
 
 Array = np.ndarray[Any, Any]
 
-QUICK_KEYFRAMES = 8  # before a quick estimate, of the fine offset, where frames are not corrected
-KEYFRAMES = 24  # before an estimate of all: the slow part needs more
+QUICK_KEYFRAMES = 16  # before a quick estimate, of the fine offset, where frames are not corrected
+KEYFRAMES = 48  # before an estimate of all: the slow part needs more
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
 CHECK_INTERVAL = 8  # frames between two checks whether the maps fit

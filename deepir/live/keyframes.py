@@ -19,10 +19,12 @@ from deepir.recording.keyframes import (
 
 Array = np.ndarray[Any, Any]
 
-NEWEST = 48  # newest frames that are kept
+NEWEST = 64  # newest frames that are kept
 FEW = 32  # keyframes in groups, below which the newest frames count too
-#: Change from one newest frame to the next, relative to that between frames: of a camera that stands still it is 1.
+PENDING = 16  # frames since the camera last moved that are kept, in case it goes on
+#: Change since then, relative to that between frames, from which it moves: of a camera that stands still it is 1.
 LEAST_CHANGE = 1.5
+Averaged = tuple[int, Array, Array]  # number, frame (h, w), the frame averaged over blocks
 
 
 class LiveKeyframes:
@@ -35,7 +37,8 @@ class LiveKeyframes:
     def __init__(self) -> None:
         self.length = 0
         self._groups = KeyframeCollector(latest=True)
-        self._newest: deque[tuple[int, Array, Array]] = deque(maxlen=NEWEST)  # and averaged
+        self._newest: deque[Averaged] = deque(maxlen=NEWEST)
+        self._pending: deque[Averaged] = deque(maxlen=PENDING)
         self._steps: deque[float] = deque(maxlen=WINDOW)  # changes from frame to frame
         self._before: tuple[Array, Array] | None = None
         self._taken = 0
@@ -60,15 +63,18 @@ class LiveKeyframes:
         if self._before is not None:
             self._steps.append(_change(small, self._before[1]))
         self._before = frame, small
+        self._pending.append((number, frame, small))
         if not self._newest or _change(small, self._newest[-1][2]) > LEAST_CHANGE * np.median(self._steps):
-            self._taken += len(self._newest) < NEWEST
-            self._newest.append((number, frame, small))
+            self._taken += min(len(self._pending), NEWEST - len(self._newest))
+            self._newest.extend(self._pending)
+            self._pending.clear()
 
     def forget(self, number: int) -> None:
         """Drop the keyframes before a frame."""
         self._groups.forget(number)
-        while self._newest and self._newest[0][0] < number:
-            self._newest.popleft()
+        for frames in (self._newest, self._pending):
+            while frames and frames[0][0] < number:
+                frames.popleft()
 
     def chosen(self) -> ChosenFrames:
         """Those that are there now; at least one."""
@@ -80,9 +86,7 @@ class LiveKeyframes:
 
     def _spaced(self) -> list[Chosen]:
         """The newest frames, with the spacing that their motion asks for."""
-        numbers, _, averaged = zip(*self._newest, strict=True)
-        spacing, _ = motion_spacing(np.stack(averaged))
-        spacing *= max(1, round((numbers[-1] - numbers[0]) / len(numbers)))  # in frames of the camera
+        spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
         return [(number, frame, spacing) for number, frame, _ in self._newest]
 
 

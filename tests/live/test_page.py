@@ -106,7 +106,7 @@ def test_a_viewer_gets_the_newest_frame_raw_too_if_he_wants(live, viewer):
     live.show(3)
     (corrected,), status = looking.ask()
     assert corrected.shape == (60, 80)
-    assert (status["number"], status["state"], status["keyframes"]) == (3, "learning", 2)
+    assert (status["number"], status["state"], status["keyframes"]) == (3, "learning", 3)
     live.show()
     pictures, status = looking.ask(seen=3, raw=True, palette="ironbow")
     assert [picture.shape for picture in pictures] == [(60, 80, 3)] * 2
