@@ -60,7 +60,7 @@ def test_the_wheel_holds_all_files_of_the_package(wheel):
 
 def test_commands_work_from_the_wheel_alone(installed):
     installed("-m", "deepir", "simulate", "burst.npz", "n_frames=3", "shape=[40,48]")
-    assert "3 frames" in installed("-m", "deepir", "check", "burst.npz")
+    assert "3 frame(s)" in installed("-m", "deepir", "check", "burst.npz")
 
 
 @pytest.mark.slow  # its kernels are compiled anew
