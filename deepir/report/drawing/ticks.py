@@ -35,8 +35,8 @@ def labels(ticks: list[float]) -> list[str]:
         return []
     steps = [b - a for a, b in itertools.pairwise(ticks)] or [abs(ticks[0]) or 1.0]
     decimals = max(0, -math.floor(math.log10(min(steps)) + 1e-9))
-    if decimals > MAX_DECIMALS or max(map(abs, ticks)) >= 1e6:
-        return [f"{each:.3g}" for each in ticks]
     if max(steps) > 1.5 * min(steps):  # a logarithmic scale
         return [f"{each:g}" for each in ticks]
+    if decimals > MAX_DECIMALS or max(map(abs, ticks)) >= 1e6:
+        return [f"{each:.3g}" for each in ticks]
     return [f"{each:.{decimals}f}" for each in ticks]
