@@ -86,7 +86,10 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 	$(BIN)/python benchmarks/recordings.py --output notes/bench-real.md
 
+bench-startup: setup  ## seconds from the start of a run to its end, beside torch's import and the solve
+	$(BIN)/python benchmarks/startup.py
+
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-live bench-effects clean
+.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-live bench-effects bench-startup clean

@@ -22,6 +22,8 @@ def printable(text: str) -> str:
     >>> printable("a\n\x1b[31m.npz")
     'a\\n\\x1b[31m.npz'
     """
+    if text.isprintable():  # the map of a page has a million characters
+        return text
     return "".join(
         each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text
     )

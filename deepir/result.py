@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -76,20 +77,27 @@ class Result:
         from deepir.report.panels import montage
         from deepir.report.summary import write_summary
 
-        output = config.output
-        write_npz(folder / "result.npz", self.arrays())
+        output, arrays, unit = config.output, self.arrays(), unit_metadata(self.radiometry)
+        files: list[tuple[Callable[..., None], str, tuple[Any, ...]]] = [
+            (write_summary, "summary.png", (self, example)),
+            (write_report, "report.html", (self, example, config)),
+            (write_npz, "result.npz", (arrays,)),
+            (write_tiff, "scene.tiff", (self.scene, unit)),
+            (write_preview, "scene_preview.png", (montage(self.scene), output.palette, output.tones)),
+        ]
         if output.mat:
-            write_mat(folder / "result.mat", self.arrays())
+            files.append((write_mat, "result.mat", (arrays,)))
         if self.uncertainty:
-            write_npz(folder / "uncertainty.npz", self.uncertainty)
-        write_tiff(folder / "scene.tiff", self.scene, unit_metadata(self.radiometry))
+            files.append((write_npz, "uncertainty.npz", (self.uncertainty,)))
         if "scene_kelvin" in self.extra:
-            write_tiff(folder / "scene_kelvin.tiff", self.extra["scene_kelvin"], unit_metadata(KELVIN))
-        write_preview(folder / "scene_preview.png", montage(self.scene), output.palette, output.tones)
-        write_summary(folder / "summary.png", self, example)
+            kelvin = self.extra["scene_kelvin"], unit_metadata(KELVIN)
+            files.append((write_tiff, "scene_kelvin.tiff", kelvin))
         if "flow" in self.extra:
-            write_flow(folder / "flow.png", self.extra["flow"], self.motion)
-        write_report(folder / "report.html", self, example, config)
+            files.append((write_flow, "flow.png", (self.extra["flow"], self.motion)))
+        with ThreadPoolExecutor() as pool:  # one compresses while another waits for the disk
+            written = [pool.submit(write, folder / name, *what) for write, name, what in files]
+            for each in written:
+                each.result()
         write_json(folder / "metrics.json", self.metrics)
 
 

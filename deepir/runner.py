@@ -133,11 +133,12 @@ def peak_memory() -> float | None:
 
 def machine() -> str:
     """The processor and its number of cores, on which timings depend."""
-    names = [platform.processor() or platform.machine()]
+    names = []
     with suppress(OSError, UnicodeDecodeError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        names += [line.partition(":")[2].strip() for line in lines if line.startswith("model name")][:1]
-    return f"{names[-1]}, {os.cpu_count()} cores"
+        names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    name = names[0] if names else platform.processor() or platform.machine()  # which may start a program
+    return f"{name}, {os.cpu_count()} cores"
 
 
 def versions() -> dict[str, str]:

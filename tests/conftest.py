@@ -1,5 +1,6 @@
 """Shared by all tests."""
 
+import logging
 import shutil
 
 import pytest
@@ -20,9 +21,9 @@ def seed():
 @pytest.fixture(scope="session", autouse=True)
 def quiet_compiler():
     """A cold cache of compiled kernels does not change what commands print; the notice has a test of its own."""
-    from deepir.kernels.compile import _FirstUse
+    from deepir.kernels import ahead
 
-    _FirstUse.said = True
+    ahead.log = logging.Logger("quiet", logging.CRITICAL)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """The structure of the package: a folder imports only folders below it."""
 
 import ast
+import functools
 from collections import defaultdict
 from pathlib import Path
 
@@ -47,9 +48,14 @@ def modules():
         yield ".".join(parts).removesuffix(".__init__"), path
 
 
+@functools.cache
+def parsed(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def imported(path, known):
     """Modules that a file imports when it runs: those for type checkers only are left out."""
-    tree = ast.parse(path.read_text())
+    tree = parsed(path)
     hidden = {
         id(inner)
         for node in ast.walk(tree)

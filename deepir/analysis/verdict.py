@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deepir.analysis.statistics import MIN_REPORTED_SHARE, STABILITY_LEVEL, Array, Statistics
-from deepir.operators.geometry import MIN_MOTION_SPAN
 
+#: Range of the motion along an axis below which lines and scene cannot be separated well, px.
+MIN_MOTION_SPAN = 3.0
 MIN_LATERAL_MOTION = 1.5  # px across a line; a burst that moves less across a line moves along that line only
 MIN_INDEPENDENT_LOOKS = 3.0  # independent views of the pattern that a burst needs
 UNCERTAIN_PIXEL_RATIO = 1.5  # scene deviation over its median from which a pixel is weakly determined

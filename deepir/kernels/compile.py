@@ -4,38 +4,39 @@ from __future__ import annotations
 
 import functools
 import itertools
-import logging
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
-from numba.core import event
-from torch import Tensor
 
-from deepir.kernels.threads import count as available
+from deepir.kernels import ahead
 
-log = logging.getLogger("deepir")
-
-
-class _FirstUse(event.Listener):
-    """Says once why it takes long: a loop is compiled, which is not in the cache."""
-
-    said = False
-
-    def on_start(self, event: event.Event) -> None:
-        """Before each."""
-        if not self.said:
-            log.warning("compiling kernels for this machine: about 20 s, once")
-        self.said = True
-
-    def on_end(self, event: event.Event) -> None:
-        """After each."""
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
-event.register("numba:compile", _FirstUse())
+class _Cache:
+    """numba's cache of one kernel; what it lacks is compiled by processes beside this one.
+
+    Code that was compiled here may call another copy of an inner function than the same code from the cache, and round
+    differently: so it is always loaded from the cache.
+    """
+
+    def __init__(self, cache: Any, function: Callable[..., Any]) -> None:
+        self.cache, self.name = cache, ahead.kernel_name(function)
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The compiled kernel; None if it is not in the cache, and nobody else compiles it."""
+        found = self.cache.load_overload(signature, context)
+        if found is None and ahead.wait_for(self.name):
+            found = self.cache.load_overload(signature, context)
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.cache, name)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -47,11 +48,13 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
         "nogil": True,
         "error_model": "numpy",  # a division by zero is no exception
         "fastmath": {"contract", "reassoc", "nsz"},
+        "no_cfunc_wrapper": True,
     }
     try:
-        found: Callable[..., Any] = njit(cache=True, **options)(function)
+        found: Any = njit(cache=True, **options)(function)
     except RuntimeError:  # no folder for the cache can be written to
-        found = njit(**options)(function)
+        return njit(**options)(function)
+    found._cache = _Cache(found._cache, function)
     return found
 
 
@@ -63,7 +66,9 @@ def parallel_for(
     On threads of Python's own, which sleep until they are needed. Of numba's, one pool does not outlive a fork, and
     the other takes the process down when two threads use it at once.
     """
-    arrays = [each.numpy() if isinstance(each, Tensor) else each for each in arguments]
+    from deepir.kernels.threads import count as available
+
+    arrays = [each if isinstance(each, np.ndarray | float | int) else each.numpy() for each in arguments]
     threads = min(available(), max(count, 1))
     mine, *others = itertools.pairwise(count * i // threads for i in range(threads + 1))
     waiting = [_pool(os.getpid()).submit(loop, *part, *arrays) for part in others]

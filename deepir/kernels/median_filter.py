@@ -72,11 +72,14 @@ def window_medians(first, last, padded, side, pairs, found):
     values = np.empty((side * side, width), padded.dtype)
     for i in range(first, last):
         for k in range(side * side):
-            values[k] = padded[i + k // side, k % side : k % side + width]
+            row, into, start = padded[i + k // side], values[k], k % side
+            for j in range(width):
+                into[j] = row[start + j]
         for k in range(len(pairs)):
             low, high = values[pairs[k, 0]], values[pairs[k, 1]]
             for j in range(width):
                 one, other = low[j], high[j]
                 low[j] = one if one < other else other
                 high[j] = other if one < other else one
-        found[i] = values[side * side // 2]
+        for j in range(width):
+            found[i, j] = values[side * side // 2, j]

@@ -48,11 +48,16 @@ def box_sum(values, radius, sums, rows):
             rows[i, j] = total
             total += values[i, min(j + radius + 1, width - 1)] - values[i, max(j - radius, 0)]
     columns = np.zeros(width)
+    # Arrays as a whole would take two seconds to compile.
     for i in range(-radius, radius + 1):
-        columns += rows[min(max(i, 0), height - 1)]
+        row = rows[min(max(i, 0), height - 1)]
+        for j in range(width):
+            columns[j] += row[j]
     for i in range(height):
-        sums[i] = columns
-        columns += rows[min(i + radius + 1, height - 1)] - rows[max(i - radius, 0)]
+        entering, leaving = rows[min(i + radius + 1, height - 1)], rows[max(i - radius, 0)]
+        for j in range(width):
+            sums[i, j] = columns[j]
+            columns[j] += entering[j] - leaving[j]
 
 
 @compiled

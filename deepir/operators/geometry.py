@@ -82,7 +82,3 @@ def rescale_motion(motion: Tensor, ratio: float) -> Tensor:
     """Homographies in px of a grid that is `ratio` times finer, with the same centre."""
     s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
     return motion * (s[:, None] / s)
-
-
-#: Range of the motion along an axis below which lines and scene cannot be separated well, px.
-MIN_MOTION_SPAN = 3.0

@@ -6,13 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepir.analysis.verdict import MIN_MOTION_SPAN
 from deepir.arrays.fill import fill_nearest
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.diagnostics.interlacing import are_interlaced
 from deepir.diagnostics.shutter import longest_shutter_segment, shutter_message
 from deepir.errors import DataError
-from deepir.operators.geometry import MIN_MOTION_SPAN
 from deepir.problems.recipe import Recipe
 from deepir.registration import register
 from deepir.registry import components

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
-from deepir.analysis import Statistics, Verdict
 from deepir.analysis.statistics import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL, Array
-from deepir.io import atomic_file
-from deepir.report.summary import DEVIATION_PALETTE, draw_map
+from deepir.io.output.palettes import DEVIATIONS, SIGNED, colour_table
+from deepir.report.drawing.axes import COLOURS, Axes
+from deepir.report.drawing.figure import write_figure
+from deepir.report.drawing.scaled_map import draw_map
+
+if TYPE_CHECKING:
+    from deepir.analysis import Statistics, Verdict
+
+PANEL = (520, 390)  # px, width and height
+FARTHEST_LAG = 25  # px, of the curves along x and y
 
 
 def write_analysis(
@@ -25,69 +32,63 @@ def write_analysis(
         verdict: Of the burst, if there is one.
         scene_deviation: (H, W), standard deviation of the scene, if it is known.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 7.5), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(2, 2)
-    draw_map(
-        grid[0, 0], statistics.pattern, f"pattern (σ {statistics.pattern.std():.3g})", "RdBu_r", centre=0.0
-    )
-    _around(grid[0, 1], statistics, verdict)
-    _along(grid[1, 0], statistics)
+    pattern = statistics.pattern
     if statistics.temporal is not None:
-        _over_time(grid[1, 1], statistics.temporal)
+        last = _over_time(statistics.temporal)
     elif scene_deviation is not None:
-        draw_map(grid[1, 1], scene_deviation, "standard deviation of the scene", DEVIATION_PALETTE)
+        last = draw_map(scene_deviation, "standard deviation of the scene", DEVIATIONS, PANEL)
     else:
-        grid[1, 1].set_axis_off()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
-    with atomic_file(path) as part:
-        part.write_bytes(buffer.getvalue())
+        last = Image.new("RGB", PANEL, "white")
+    above = [
+        draw_map(pattern, f"pattern, std {pattern.std():.3g}", SIGNED, PANEL, centre=0.0),
+        _around(statistics, verdict),
+    ]
+    write_figure(path, [above, [_along(statistics), last]])
 
 
-def _around(axes: Any, statistics: Statistics, verdict: Verdict | None) -> None:
+def _around(statistics: Statistics, verdict: Verdict | None) -> Image.Image:
     """The autocorrelation, with the displacements of the frames: pale at points off the centre."""
-    edge = len(statistics.correlation) // 2 + 0.5
-    shown = axes.imshow(
-        statistics.correlation,
-        cmap="magma",
-        vmin=0,
-        vmax=1,
-        extent=(-edge, edge, edge, -edge),
-        interpolation="nearest",
-    )
-    view, title = min(edge, 3 * max(statistics.lengths) + 8), "autocorrelation"
+    middle = len(statistics.correlation) // 2
+    edge = middle + 0.5
+    view, title = min(edge, 3 * max(statistics.lengths) + 8), "autocorrelation, 0 dark to 1 bright"
+    if verdict is not None:
+        view = min(edge, max(view, float(np.abs(verdict.displacements).max()) + 2))
+        title += ", and where the frames look"
+    axes = Axes(PANEL, title, (-view, view), (view, -view), "lag in x and y (px)", square=True)
+    near = min(middle, int(view) + 1)
+    shown = np.s_[middle - near : middle + near + 1]
+    levels = np.round(255 * statistics.correlation[shown, shown].clip(0, 1)).astype(np.uint8)
+    end = near + 0.5
+    axes.image(colour_table("magma")[levels], (-end, end, end, -end))
     if verdict is not None:
         for k, place in enumerate(verdict.displacements):
             centre = k == len(verdict.displacements) // 2
-            axes.plot(
-                *place.T, "o", color="deepskyblue" if centre else "steelblue", markersize=5 if centre else 2
-            )
-        view = min(edge, max(view, float(np.abs(verdict.displacements).max()) + 2))
-        title += ", and where the frames look"
-    axes.set(xlim=(-view, view), ylim=(view, -view), xlabel="x (px)", ylabel="y (px)")
-    axes.set_title(title, fontsize=10)
-    axes.figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.02)
+            x, y = place.T
+            axes.points(x, y, "deepskyblue" if centre else "steelblue", 3.5 if centre else 1.5)
+    return axes.picture()
 
 
-def _along(axes: Any, statistics: Statistics) -> None:
+def _along(statistics: Statistics) -> Image.Image:
     farthest = len(statistics.correlation) // 2
     lags, middle = np.arange(farthest + 1), statistics.correlation
-    for name, along, far in zip(
-        "xy", (middle[farthest, farthest:], middle[farthest:, farthest]), statistics.lengths, strict=True
+    title = "autocorrelation along an axis; what stays are lines"
+    axes = Axes(PANEL, title, (0, min(farthest, FARTHEST_LAG)), (-0.2, 1.02), "lag (px)")
+    axes.level(CORRELATION_LENGTH_LEVEL)
+    for name, along, far, colour in zip(
+        "xy",
+        (middle[farthest, farthest:], middle[farthest:, farthest]),
+        statistics.lengths,
+        COLOURS[:2],
+        strict=True,
     ):
-        axes.plot(lags, along, ".-", label=f"along {name}: {far:.1f} px")
-    axes.axhline(CORRELATION_LENGTH_LEVEL, color="grey", linewidth=0.8, linestyle=":")
-    axes.set_title("autocorrelation along an axis; what stays are lines", fontsize=10)
-    axes.set(xlabel="lag (px)", xlim=(0, min(farthest, 25)), ylim=(-0.2, 1.02))
-    axes.legend(fontsize=9)
+        axes.line(lags, along, colour, f"along {name}: {far:.1f} px", dots=True)
+    return axes.picture()
 
 
-def _over_time(axes: Any, in_time: Array) -> None:
-    axes.plot(in_time, ".-")
-    axes.axhline(STABILITY_LEVEL, color="grey", linewidth=0.8, linestyle=":")
-    axes.set_title("autocorrelation from frame to frame", fontsize=10)
-    axes.set(xlabel="frames apart", ylim=(min(0.0, float(in_time.min())), 1.05))
+def _over_time(in_time: Array) -> Image.Image:
+    limits = min(0.0, float(in_time.min())) - 0.02, 1.05
+    title = "autocorrelation from frame to frame"
+    axes = Axes(PANEL, title, (0, max(len(in_time) - 1, 1)), limits, "frames apart")
+    axes.level(STABILITY_LEVEL)
+    axes.line(np.arange(len(in_time)), in_time, COLOURS[0], dots=True)
+    return axes.picture()

@@ -30,8 +30,8 @@ def write_correction(path: Path, corrected: CorrectedRecording) -> None:
     panels = [
         *(_panel(f"frame {number}, recorded", frame) for number, frame in zip(numbers, before, strict=True)),
         *(_panel(f"frame {number}, corrected", frame) for number, frame in zip(numbers, after, strict=True)),
-        _panel(f"offset (σ {estimate.offset[~estimate.bad_pixels].std():.3g})", estimate.offset),
-        _panel(f"gain (σ {100 * estimate.gain[~estimate.bad_pixels].std():.2g} %)", estimate.gain),
+        _panel(f"offset, std {estimate.offset[~estimate.bad_pixels].std():.3g}", estimate.offset),
+        _panel(f"gain, std {100 * estimate.gain[~estimate.bad_pixels].std():.2g} %", estimate.gain),
         ("bad pixels", estimate.bad_pixels.astype(float), 0.0, 1.0),
     ]
     with atomic_file(path) as part:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepir.io.output.tone_mapping import PALETTES, colour_table, display_limits
+from deepir.io.output.palettes import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table
+from deepir.io.output.tone_mapping import display_limits
 from deepir.io.radiometry import KELVIN, unit_metadata
 from deepir.paths import printable
 from deepir.report.maps import COARSE_LEVELS, FINE_LEVELS, pack_map
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray[Any, Any]
 #: Palettes of maps about a centre, of standard deviations and of masks.
-MAP_PALETTES = {"signed": "RdBu_r", "spread": "viridis", "mask": "gray"}
+MAP_PALETTES = {"signed": SIGNED, "spread": DEVIATIONS, "mask": WHITE_HOT}
 HISTOGRAM_BINS = 160  # bins between the display limits
 
 

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
+from deepir.io.output.palettes import WHITE_HOT, colour_table
+from deepir.io.output.tone_mapping import stretch
+from deepir.report.drawing.figure import composed
+from deepir.report.drawing.scaled_map import draw_colours, map_height
+
+TOTAL_WIDTH = 1200  # px
 Panel = tuple[str, np.ndarray[Any, Any], float, float]
 
 
@@ -30,22 +37,16 @@ def evenly_spaced(count: int) -> list[int]:
 
 def write_panels(path: Path, panels: Sequence[Panel], rows: int = 1) -> None:
     """Write a PNG of (title, picture (h, w), value of black, value of white), in `rows`, 64 grey levels."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from PIL import Image
-
-    height, width = panels[0][1].shape
     columns = -(-len(panels) // rows)
-    tall = 12 / columns * height / width
-    figure = Figure(figsize=(12, rows * (tall + 0.3)), dpi=100)
-    canvas = FigureCanvasAgg(figure)
-    figure.subplots_adjust(0, 0, 1, 1 - 0.3 / figure.get_figheight(), wspace=0.02, hspace=0.3 / tall)
-    places = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in places:
-        axes.set_axis_off()
-    for axes, (title, image, black, white) in zip(places, panels, strict=False):
-        axes.imshow(image, cmap="gray", vmin=black, vmax=white, interpolation="nearest")
-        axes.set_title(title, fontsize=11, pad=4)
-    canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).convert("L")
-    picture.quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
+    width = TOTAL_WIDTH // columns
+    size = width, map_height(panels[0][1].shape, width, 0)
+    drawn = [
+        draw_colours(
+            colour_table(WHITE_HOT)[np.round(255 * stretch(image, black, white)).astype(np.uint8)],
+            title,
+            size,
+        )
+        for title, image, black, white in panels
+    ]
+    whole = composed([drawn[k : k + columns] for k in range(0, len(drawn), columns)]).convert("L")
+    whole.quantize(64, dither=Image.Dither.NONE).save(path, format="PNG", optimize=True)

@@ -27,15 +27,9 @@ def simulation():
 
 
 @pytest.fixture(autouse=True)
-def no_summary(request, monkeypatch):
-    """The summary takes longer than a small run: it is drawn only for a test that asks for `summary`."""
-    if "summary" not in request.fixturenames:
-        monkeypatch.setattr("deepir.report.summary.write_summary", lambda path, *_: path.write_bytes(b""))
-
-
-@pytest.fixture
-def summary():
-    """Draw the summary."""
+def no_plots(monkeypatch):
+    """The plots of a comparison take longer than its runs: they have tests of their own."""
+    monkeypatch.setattr("deepir.sweep.plots.write_plots", lambda path, _: path.write_bytes(b""))
 
 
 @pytest.fixture

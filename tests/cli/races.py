@@ -10,8 +10,6 @@ import sys
 import time
 from pathlib import Path
 
-import matplotlib.backends.backend_agg
-import matplotlib.figure  # noqa: F401 - what runs need is imported once, before the forks
 import numpy as np
 
 from deepir import registry

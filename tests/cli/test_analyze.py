@@ -1,5 +1,6 @@
 """`deepir analyze`."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,23 @@ from PIL import Image
 from deepir.simulate import Settings, simulate
 
 
-@pytest.fixture
-def bursts(folder):
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory):
     """Bursts that move as they should, and not; and a flat stack."""
+    folder = tmp_path_factory.mktemp("bursts")
     camera = {"n_frames": 6, "shape": (64, 80), "counts": True}
     for name, jitter in {"both": "both", "along_x": "x"}.items():
-        simulate(None, Settings(**camera, jitter=jitter), seed=1).save(f"{name}.npz")
+        simulate(None, Settings(**camera, jitter=jitter), seed=1).save(folder / f"{name}.npz")
     rng = np.random.default_rng(0)
     pattern = 40 * rng.standard_normal((64, 80)) + 40 * rng.standard_normal((1, 80))
-    np.save("flat.npy", 8000 + pattern + 5 * rng.standard_normal((12, 64, 80)))
+    np.save(folder / "flat.npy", 8000 + pattern + 5 * rng.standard_normal((12, 64, 80)))
+    return folder
+
+
+@pytest.fixture
+def bursts(folder, simulated):
+    """The same in the working folder."""
+    shutil.copytree(simulated, folder, dirs_exist_ok=True)
 
 
 def test_a_burst_that_suffices(deepir, bursts):
@@ -48,7 +57,7 @@ def test_it_draws_over_nothing(deepir, bursts, name, says):
 
 
 def test_a_run_is_analysed_as_it_is(deepir, bursts):
-    deepir("run", "nuc", "data.path=both.npz", "output.dir=runs/mine")
+    deepir("run", "nuc", "data.path=both.npz", "output.dir=runs/mine", "solver.max_iterations=3")
     folder = Path("runs/mine")
     before = [path.name for path in folder.iterdir()]
     status, out, _ = deepir("analyze", "runs/mine")

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 import deepir as package
+from deepir.simulate import Settings, simulate
 
 
 def test_help_is_quick_and_does_without_torch():
@@ -26,6 +27,22 @@ def test_help_is_quick_and_does_without_torch():
 def test_importing_deepir_does_not_import_torch():
     code = "import sys, deepir; print('torch' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
+
+
+def test_a_burst_is_described_and_a_run_analysed_without_torch(folder):
+    moved = simulate(None, Settings(n_frames=3, shape=(40, 48)), seed=0)
+    moved.save("moved.npz")
+    maps = {"gain": np.ones((40, 48)), "offset": np.random.default_rng(0).normal(size=(40, 48))}
+    motion = np.tile(np.eye(3), (3, 1, 1))
+    motion[:, :2, 2] = [[0, 0], [4, 5], [-5, 3]]
+    np.savez("result.npz", **maps, scene=moved.frames[0], motion=motion, bad_pixels=np.zeros((40, 48), bool))
+    code = (
+        "import sys; sys.modules.update(torch=None, matplotlib=None, numba=None); from deepir.cli import main; "
+        "sys.exit(main(['check', 'moved.npz']) or main(['analyze', '.']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "this burst: 3 frames" in done.stdout
 
 
 def test_version(deepir):

@@ -31,7 +31,7 @@ def test_a_comparison_that_cannot_be_written_leaves_the_former_one(deepir, folde
     monkeypatch.setattr(
         "deepir.sweep.cluster.run_cells", lambda cells, **_: [(cell, finish_cell(cell)) for cell in cells]
     )
-    command = ("compare", "nuc", "data.path=burst.npz", "threads=1", "seed=0,1", "solver.max_iterations=2")
+    command = ("compare", "nuc", "data.path=burst.npz", "threads=1", "seed=0,1", "method=average")
     assert deepir(*command)[0] == 0
     before = contents(folder / "runs/nuc-compare/seed=0")
     with full_disk(12_000):

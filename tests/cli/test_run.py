@@ -37,7 +37,7 @@ def held(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def test_a_finished_run_leaves_its_files_in_its_folder(nuc, folder, summary):
+def test_a_finished_run_leaves_its_files_in_its_folder(nuc, folder):
     status, out, _ = nuc("data.path=burst.npz", "data.truth=burst_truth.npz")
     assert status == 0
     assert held(folder / "runs/nuc") == ENDED

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from deepir.config.schema import Output
-from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS, apply_palette, colour_table
+from deepir.io.output.palettes import PALETTES, colour_table
+from deepir.io.output.tone_mapping import TONE_MAPPINGS, apply_palette
 
 
 @pytest.fixture
@@ -53,5 +54,5 @@ def test_nothing_to_see_is_black(tones, value):
 
 def test_all_can_be_chosen():
     choices = {key: typing.get_args(field.annotation) for key, field in Output.model_fields.items()}
-    assert choices["palette"] == tuple(PALETTES)
+    assert choices["palette"] == PALETTES
     assert choices["tones"] == tuple(TONE_MAPPINGS)

@@ -189,5 +189,5 @@ def test_a_first_use_says_why_it_takes_long(tmp_path):
         for _ in range(2)
     )
     assert first.stdout == second.stdout == "4500.0\n"
-    assert first.stderr.splitlines() == ["compiling kernels for this machine: about 20 s, once"]
+    assert first.stderr.splitlines() == ["compiling kernels for this machine, once: 5 to 15 s"]
     assert second.stderr == ""

@@ -43,7 +43,7 @@ def _compare() -> None:
     rows = {
         "one frame": scores(data.frames[0], data.truth["scene"]),
         "registered average": execute(config, data).metrics,
-        "deepir": json.loads((DEMO_FOLDER / "metrics.json").read_text()),
+        "deepir": json.loads((DEMO_FOLDER / "metrics.json").read_text(encoding="utf-8")),
     }
     echo("PSNR after the best gain and level:")
     for name, found in rows.items():

@@ -7,38 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from deepir.io.output.palettes import WHITE_HOT, colour_table
+
 Array = np.ndarray[Any, Any]
-WHITE_HOT = "white-hot"  # the default palette
 PERCENTILE = "percentile"  # the default tone mapping
-#: Colours of heated iron, from cold to hot.
-IRONBOW_COLOURS = ["#000014", "#20008c", "#8b0094", "#cc4a1f", "#f29100", "#ffd93b", "#ffffe6"]
-#: Palettes by name: colours, or the name of a colour map of matplotlib.
-PALETTES = {
-    WHITE_HOT: "gray",
-    "black-hot": "gray_r",
-    "ironbow": IRONBOW_COLOURS,
-    "inferno": "inferno",
-    "magma": "magma",
-    "turbo": "turbo",
-}
 
 
 def apply_palette(shades: Array, palette: str) -> Array:
     """Grey levels (..., h, w) from 0 to 1 as uint8: (..., h, w) for `white-hot`, else (..., h, w, 3)."""
     levels = np.round(255 * shades).astype(np.uint8)
     return levels if palette == WHITE_HOT else colour_table(palette)[levels]
-
-
-def colour_table(palette: str) -> Array:
-    """256 colours (256, 3), uint8, from cold to hot, of one of `PALETTES` or a colour map of matplotlib."""
-    from matplotlib import colormaps
-    from matplotlib.colors import LinearSegmentedColormap
-
-    known = PALETTES.get(palette, palette)
-    colours = (
-        colormaps[known] if isinstance(known, str) else LinearSegmentedColormap.from_list(palette, known)
-    )
-    return np.round(255 * np.asarray(colours(np.arange(256)))[:, :3]).astype(np.uint8)
 
 
 def percentile(image: Array) -> Array:

@@ -15,7 +15,8 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS
+from deepir.io.output.palettes import PALETTES
+from deepir.io.output.tone_mapping import TONE_MAPPINGS
 from deepir.io.radiometry import unit_metadata
 from deepir.live.page.pictures import png, swatch, tiff
 from deepir.live.page.session import Session

@@ -9,14 +9,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from deepir.io.output.tone_mapping import (
-    PERCENTILE,
-    TONE_MAPPINGS,
-    apply_palette,
-    colour_table,
-    display_limits,
-    stretch,
-)
+from deepir.io.output.palettes import colour_table
+from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, apply_palette, display_limits, stretch
 from deepir.io.output.write import save_tiff
 
 Array = np.ndarray[Any, Any]

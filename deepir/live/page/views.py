@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS
+from deepir.io.output.palettes import PALETTES
+from deepir.io.output.tone_mapping import TONE_MAPPINGS
 from deepir.io.output.write import to_json_types
 from deepir.io.radiometry import unit_metadata
 from deepir.live.page.pictures import jpeg
