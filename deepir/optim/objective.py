@@ -25,7 +25,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     active = {name for name in group if name in eliminated or free_parameters(problem, [name])}
     with torch.no_grad():  # once: gain and offset of several parts are not free
         fixed = problem.values(without=active)
-        constant_prior = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
+        constant_prior = sum(problem.priors(fixed).values(), problem.data.new_zeros((), dtype=torch.float64))
 
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
         values = fixed | problem.values(free, without=[*eliminated, *fixed])
