@@ -205,6 +205,11 @@ def to_stack(array: Array, source: str) -> Array:
         array = array[None]
     elif array.ndim == 3 and shape[2] == 1 < shape[1]:
         array = array[None, ..., 0]
+    if array.ndim == 4 and 0 not in shape:
+        raise DataError(
+            f"{source}: an array of shape {shape}: frames of {min(shape[1], shape[3])} channels; one channel is "
+            "corrected at a time, for example frames[:, 0], and several together by a deepir.Problem of their own"
+        )
     if array.ndim != 3 or 0 in shape:
         raise DataError(
             f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)"

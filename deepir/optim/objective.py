@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from deepir.operators import Warp
-from deepir.optim import OPTIMISERS, Optimiser, free_parameters
+from deepir.optim import Optimiser, free_parameters
 from deepir.optim.degrees_of_freedom import degrees_of_freedom, is_joint_with_motion
 from deepir.optim.preconditioner import make_preconditioner
 from deepir.problem import Problem, Values
+from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
 
@@ -45,11 +46,13 @@ def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]
     found = []
     for step in steps:
         rates = {name: step.rates.get(name, step.lr) for name in step.group}
-        optimiser = OPTIMISERS[step.method](problem, step.group, evaluate, lr=rates, average=step.average)
+        optimiser = lookup("optimiser", step.method)(
+            problem, step.group, evaluate, lr=rates, average=step.average
+        )
         found.append((optimiser, step))
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
-    for optimiser, step in found:
-        if step.method == "lbfgs":
+    for optimiser, _ in found:
+        if optimiser.preconditioned:
             optimiser.preconditioner = make_preconditioner(
                 problem, optimiser.parameters, eliminated, high_frequencies_only=stage.fine
             )

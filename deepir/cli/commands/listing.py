@@ -24,6 +24,7 @@ def list_components(plugin: Plugins = None) -> None:
             "denoiser",
             "fidelity",
             "effect",
+            "optimiser",
             "problem",
             "training",
             "camera",
