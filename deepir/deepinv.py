@@ -30,7 +30,7 @@ def as_physics(operator: Operator, x_shape: Shape, **slots: Tensor) -> Any:
     if not operator.affine:
         raise ValueError(f"{type(operator).__name__.lower()} is not linear, nor linear up to a constant")
 
-    class Physics(LinearPhysics):  # type: ignore[misc]
+    class Physics(LinearPhysics):
         """An operator of deepir."""
 
         def A(self, x: Tensor, **_: Any) -> Tensor:  # noqa: N802 - deepinv's own names
@@ -83,7 +83,7 @@ def as_denoiser(name: str) -> Any:
 
     function = lookup("denoiser", name, "denoiser")
 
-    class Model(Denoiser):  # type: ignore[misc]
+    class Model(Denoiser):
         """A denoiser of deepir."""
 
         def forward(self, x: Tensor, sigma: Any, **_: Any) -> Tensor:
