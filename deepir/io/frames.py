@@ -206,9 +206,10 @@ def to_stack(array: Array, source: str) -> Array:
     elif array.ndim == 3 and shape[2] == 1 < shape[1]:
         array = array[None, ..., 0]
     if array.ndim == 4 and 0 not in shape:
+        one = "frames[:, 0]" if shape[1] < shape[3] else "frames[..., 0]"
         raise DataError(
-            f"{source}: an array of shape {shape}: frames of {min(shape[1], shape[3])} channels; one channel is "
-            "corrected at a time, for example frames[:, 0], and several together by a deepir.Problem of their own"
+            f"{source}: an array of shape {shape}; expected (frames, height, width): frames of several channels are "
+            f"corrected one channel at a time, {one}; a deepir.Problem of your own solves several together"
         )
     if array.ndim != 3 or 0 in shape:
         raise DataError(
