@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.burst import Truth
 from deepir.config import Config, load
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, prepare
@@ -18,6 +19,7 @@ def run(
     config: str | Path | Mapping[str, Any] | Config,
     *overrides: str,
     frames: np.ndarray[Any, Any] | None = None,
+    truth: Truth | None = None,
     callbacks: Callbacks = (),
     overwrite: bool = False,
     **options: Any,
@@ -29,7 +31,9 @@ def run(
     Args:
         config: A shipped name, a path, a mapping, or a configuration already loaded.
         overrides: `key=value`, as on the command line: `"scene.penalties.foe.weight=50"`.
-        frames: (N, h, w) in place of `data.path`.
+        frames: (N, h, w) in place of `data.path`: an array or a tensor; `Result.tensors(frames)` gives tensors back.
+        truth: The known scene, (h, w), a multiple of it, or (N, h, w), in place of `data.truth`; or arrays by name:
+            `{"scene": ..., "gain": ...}`.
         callbacks: Called with a `Progress` after each iteration.
         overwrite: Replace a former run in the output folder.
         options: Top-level keys of the configuration: `prior="tv"`, `seed=1`, `data={"path": ...}`.
@@ -39,5 +43,6 @@ def run(
     """
     checked = config if isinstance(config, Config) else load(config, overrides, options)
     if checked.output.dir is not None:
-        return run_into(checked, Path(checked.output.dir), frames, overwrite=overwrite, callbacks=callbacks)
-    return execute(checked, prepare(checked, frames), callbacks=callbacks)
+        folder = Path(checked.output.dir)
+        return run_into(checked, folder, frames, truth=truth, overwrite=overwrite, callbacks=callbacks)
+    return execute(checked, prepare(checked, frames, truth), callbacks=callbacks)

@@ -12,7 +12,7 @@ import torch
 
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
-from deepir.io import crop, read_data, read_mask, read_truth, validate
+from deepir.io import crop, fit_truth, read_data, read_mask, read_truth, validate
 from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
@@ -25,6 +25,8 @@ from deepir.io.radiometry import Radiometry, resolve_radiometry
 from deepir.io.selection import select_frames, to_float32, unselected_pairs
 
 Array = np.ndarray[Any, Any]
+#: The scene that is known, or arrays by name.
+Truth = Array | Mapping[str, Any]
 PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame
 
 
@@ -65,7 +67,13 @@ class Burst:
 
 
 def load(
-    data: Data, *, frames: Array | None = None, needs: int = 1, seed: int = 0, ordered: bool = False
+    data: Data,
+    *,
+    frames: Array | None = None,
+    truth: Truth | None = None,
+    needs: int = 1,
+    seed: int = 0,
+    ordered: bool = False,
 ) -> Burst:
     """Read or simulate the data, and check them.
 
@@ -74,6 +82,7 @@ def load(
     Args:
         data: The section `data` of a configuration.
         frames: (N, h, w), in place of the file.
+        truth: The known scene, or arrays by name, in place of that of a file or a simulation.
         needs: Least number of frames.
         seed: Of a simulated burst.
         ordered: True: all frames are needed, in their order.
@@ -82,7 +91,7 @@ def load(
         DataError: The files or the frames are wrong; the message says where.
         ConfigError: There are two sources, or `data.simulate` or `data.radiometry` is wrong.
     """
-    truth: dict[str, Array] = {}
+    known: dict[str, Array] = {}
     found = beside = None
     if data.path is not None and data.simulate is not None:
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
@@ -98,27 +107,22 @@ def load(
         stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
         beside = read.beside
     elif data.simulate is not None:
-        stack, source, digest, truth = _simulated(data, seed)
+        stack, source, digest, known = _simulated(data, seed)
     else:
         raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
     kelvin = resolve_radiometry(found, data.radiometry)
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
-    truth = read_truth(data.truth, stack.shape[1:]) if data.truth is not None else truth
-    if data.frames is not None and len(scene := truth.get("scene", stack)) > len(stack) and scene.ndim == 3:
-        truth["scene"] = select_frames(scene, data.frames, "data.truth")
-    if data.frames is not None:
-        by_frame = {name: truth[name] for name in PER_FRAME_TRUTH if len(truth.get(name, stack)) > len(stack)}
-        truth |= {name: select_frames(array, data.frames, "data.truth") for name, array in by_frame.items()}
+    known = _truth(data, truth, known, stack)
     if data.crop is not None:
         size = mask.shape
         stack, mask = crop(stack, data.crop), crop(mask, data.crop)
         beside = None if beside is None else crop(beside, data.crop)
         # Motion is about another centre then.
-        truth = {k: _cropped(v, data.crop, size) for k, v in truth.items() if k != "motion"}
+        known = {k: _cropped(v, data.crop, size) for k, v in known.items() if k != "motion"}
     nothing = {} if ordered else unusable_frames(stack)
     messages: tuple[str, ...] = ()
     if nothing and len(stack) - len(nothing) >= needs:
-        stack, truth, messages = _without(nothing, stack, truth)
+        stack, known, messages = _without(nothing, stack, known)
     valid = validate(stack, source, needs=needs)
     if rows := telemetry_rows(stack):
         valid[:, rows] = False
@@ -135,7 +139,7 @@ def load(
         raise DataError(f"{source}: the mask leaves no pixel")
     ends = None if stretched else saturated_samples(np.where(valid, stack, np.nan))
     stack = np.where(valid, stack, 0)
-    return Burst(stack, valid, bad | mask, source, digest, truth, kelvin, stretched, ends, beside, messages)
+    return Burst(stack, valid, bad | mask, source, digest, known, kelvin, stretched, ends, beside, messages)
 
 
 def _without(
@@ -156,7 +160,27 @@ def _without(
     return stack[rest], truth | by_frame, messages
 
 
-def _array(frames: Any) -> Array:
+def _truth(data: Data, given: Truth | None, simulated: dict[str, Array], stack: Array) -> dict[str, Array]:
+    """The truth of a file, of memory or of a simulation, of the frames that are selected."""
+    size, known = (stack.shape[1], stack.shape[2]), simulated
+    if data.truth is not None and given is not None:
+        raise ConfigError("truth: give arrays or data.truth, not both")
+    if data.truth is not None:
+        known = read_truth(data.truth, size)
+    elif given is not None:
+        named = given if isinstance(given, Mapping) else {"scene": given}
+        known = fit_truth(
+            {name: _array(each, f"truth[{name}]") for name, each in named.items()}, size, "truth"
+        )
+    if data.frames is not None and len(scene := known.get("scene", stack)) > len(stack) and scene.ndim == 3:
+        known["scene"] = select_frames(scene, data.frames, "data.truth")
+    if data.frames is not None:
+        by_frame = {name: known[name] for name in PER_FRAME_TRUTH if len(known.get(name, stack)) > len(stack)}
+        known |= {name: select_frames(array, data.frames, "data.truth") for name, array in by_frame.items()}
+    return known
+
+
+def _array(frames: Any, source: str = "frames") -> Array:
     """NumPy's array of an array, a tensor, or a list of either; `DataError` where there is none."""
     try:
         if isinstance(frames, torch.Tensor):
@@ -165,7 +189,7 @@ def _array(frames: Any) -> Array:
         return np.asanyarray(frames)
     except (TypeError, ValueError, RuntimeError) as error:
         why = str(error).splitlines()[0]
-        raise DataError(f"frames: no array (frames, height, width) can be made of them: {why}") from None
+        raise DataError(f"{source}: no array can be made of this: {why}") from None
 
 
 def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:

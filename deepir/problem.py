@@ -238,9 +238,12 @@ class Problem(nn.Module):
         ]
 
     def closed_form(self) -> list[str]:
-        """Unknowns with an optimum in closed form: Gaussian gain and offset of a sensor that ends the operator."""
+        """Unknowns with an optimum in closed form: Gaussian gain and offset of a sensor that ends the operator.
+
+        None of frames of several channels: these move by L-BFGS along with the rest.
+        """
         name, last = self.operator.named()[-1]
-        if not (isinstance(last, Sensor) and self.fidelity.quadratic):
+        if not (isinstance(last, Sensor) and self.fidelity.quadratic and self.data.shape[1] == 1):
             return []
         unknowns = [self.slots[f"{name}.{slot}"] for slot in ("gain", "offset")]
         free = [each for each in unknowns if each in self.free() and each not in self.penalties]

@@ -24,6 +24,7 @@ COMPONENT_MODULES = {
     "penalty": ["deepir.priors.penalties"],
     "denoiser": ["deepir.denoisers"],
     "fidelity": ["deepir.likelihoods"],
+    "optimiser": ["deepir.optim.adam", "deepir.optim.lbfgs"],
     "problem": ["deepir.problems"],
     "effect": ["deepir.effects"],
     "method": [

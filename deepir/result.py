@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepir.config.schema import Config
+from deepir.config.schema import Config, Output
+from deepir.errors import DataError
 from deepir.io import write_json, write_mat, write_npz, write_preview, write_tiff
 from deepir.io.radiometry import KELVIN, Radiometry, unit_metadata
+from deepir.paths import expanded
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Array = np.ndarray[Any, Any]
 
@@ -36,6 +41,8 @@ class Result:
             point where it looks, x and y, px. `motion` is then the nearest homographies.
         radiometry: Conversion to kelvin; `extra` then holds `scene_kelvin`.
         uncertainty: Standard deviations of scene, gain and offset.
+        example: (h, w), a raw frame to compare with; None for a result without a run.
+        config: The configuration of the run; None for a result without a run.
     """
 
     scene: Array
@@ -51,6 +58,8 @@ class Result:
     extra: dict[str, Array] = field(default_factory=dict)
     radiometry: Radiometry | None = None
     uncertainty: dict[str, Array] = field(default_factory=dict)
+    example: Array | None = None
+    config: Config | None = None
 
     def __repr__(self) -> str:
         used, warnings = int(self.frames_used.sum()), "".join(f"\n- {message}" for message in self.messages)
@@ -64,27 +73,48 @@ class Result:
         names = ("scene", "gain", "offset", "motion", "level", "bad_pixels", "frames_used")
         return {name: getattr(self, name) for name in names} | self.extra
 
-    def save(self, folder: Path, example: Array, config: Config) -> None:
-        """Write all files of a finished run that `config.output` asks for, each atomically.
+    def tensors(self, like: Tensor) -> dict[str, Tensor]:
+        """All arrays by name as tensors, on the device of `like`; real ones in its dtype, if that is real."""
+        import torch
+
+        found = {name: torch.as_tensor(array, device=like.device) for name, array in self.arrays().items()}
+        both = like.is_floating_point()
+        return {
+            n: each.to(like.dtype) if both and each.is_floating_point() else each for n, each in found.items()
+        }
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Write the files of a finished run that `config.output` asks for, each atomically.
+
+        A result without a run has no `report.html` and no `summary.png`.
 
         Args:
-            folder: The folder of the run.
-            example: (h, w), a raw frame to compare with.
-            config: The configuration of the run.
+            folder: It is made if it is not there; files of the same names are replaced.
+
+        Raises:
+            DataError: A file cannot be written.
         """
         from deepir.report.flow import write_flow
         from deepir.report.html import write_report
         from deepir.report.panels import montage
         from deepir.report.summary import write_summary
 
-        output, arrays, unit = config.output, self.arrays(), unit_metadata(self.radiometry)
+        config = self.config
+        output, folder = config.output if config else Output(), expanded(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(f"{folder}: the folder cannot be made: {error.strerror or error}") from None
+        arrays, unit = self.arrays(), unit_metadata(self.radiometry)
         files: list[tuple[Callable[..., None], str, tuple[Any, ...]]] = [
-            (write_summary, "summary.png", (self, example)),
-            (write_report, "report.html", (self, example, config)),
             (write_npz, "result.npz", (arrays,)),
             (write_tiff, "scene.tiff", (self.scene, unit)),
             (write_preview, "scene_preview.png", (montage(self.scene), output.palette, output.tones)),
         ]
+        if self.example is not None:
+            files.insert(0, (write_summary, "summary.png", (self, self.example)))
+            if config is not None:
+                files.insert(1, (write_report, "report.html", (self, self.example, config)))
         if output.mat:
             files.append((write_mat, "result.mat", (arrays,)))
         if self.uncertainty:

@@ -6,8 +6,8 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,12 +35,15 @@ from deepir.result import Result
 Callbacks = Sequence[Callable[[Progress], None]]
 
 
-def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> bursts.Burst:
+def prepare(
+    config: Config, frames: np.ndarray[Any, Any] | None = None, truth: bursts.Truth | None = None
+) -> bursts.Burst:
     """Read the data and check all that can be checked without solving.
 
     Args:
         config: The configuration.
         frames: (N, h, w), in place of `data.path`.
+        truth: The known scene, or arrays by name, in place of `data.truth`.
 
     Raises:
         DeepIRError: The configuration, the files or the frames are wrong.
@@ -50,10 +53,11 @@ def prepare(config: Config, frames: np.ndarray[Any, Any] | None = None) -> burst
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
-    with threads.for_burst(0):  # nothing here is worth a second thread
+    with threads.for_burst(0), seeded(config.seed):  # nothing here is worth a second thread
         data = bursts.load(
             config.data,
             frames=frames,
+            truth=truth,
             needs=definition.frames,
             seed=config.seed,
             ordered=definition.ordered,
@@ -93,12 +97,12 @@ def execute(
     Returns:
         The result; its metrics include time, memory and scores.
     """
-    torch.manual_seed(config.seed)
     start = time.perf_counter()
     name, method = chosen(config)
-    with threads.for_burst(data.frames.size, config.threads), memory.kept():
+    with threads.for_burst(data.frames.size, config.threads), memory.kept(), seeded(config.seed):
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     result.messages = [*data.messages, *result.messages]
+    result.example, result.config = np.where(data.valid[0], data.frames[0], np.nan), config
     seconds = time.perf_counter() - start
     unknown: dict[str, Any] = {"noise_sigma": None, "held_out_rmse": None, "strengths": {}}
     measured = {"seconds": round(seconds, 3), "peak_memory_mb": peak_memory()}
@@ -119,6 +123,14 @@ def execute(
         "machine": machine(),
     }
     return result
+
+
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Torch's random numbers from a seed; the caller's go on afterwards as if nothing had been drawn."""
+    with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
+        torch.manual_seed(seed)
+        yield
 
 
 def peak_memory() -> float | None:

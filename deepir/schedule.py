@@ -10,7 +10,7 @@ from deepir.problem import Problem
 
 @dataclass(frozen=True)
 class Step:
-    """How a group of unknowns moves: `lbfgs`, `adam`, or `eliminate` (closed form, at every evaluation)."""
+    """How a group of unknowns moves: by a registered optimiser, or `eliminate` (closed form, at every evaluation)."""
 
     group: tuple[str, ...]
     method: str = "lbfgs"

@@ -43,6 +43,7 @@ def test_each_kind_has_its_components():
         "denoiser": {"cnn", "dct", "nl_means", "wavelets"},
         "fidelity": {"gaussian", "huber", "l1", "poisson"},
         "effect": {"bad_pixels", "moving_objects", "noise", "saturation", "vignetting"},
+        "optimiser": {"adam", "lbfgs"},
         "problem": {"deconv", "generic", "nuc", "sr"},
         "method": {"average", "bicubic", "joint"},
         "training": {"denoiser"},

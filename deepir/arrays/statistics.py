@@ -7,6 +7,8 @@ import math
 import torch
 from torch import Tensor
 
+from deepir.kernels.dispatch import is_compiled
+
 #: Standard deviation of a Gaussian, per median absolute deviation.
 MAD_TO_SIGMA = 1.4826
 #: Numbers from which the compiled median is faster than that of torch.
@@ -25,7 +27,7 @@ def median(values: Tensor) -> float:
         The median; NaN for no values.
     """
     if (
-        values.device.type != "cpu"
+        not is_compiled(values)
         or values.dtype != torch.float32
         or values.numel() < MIN_SIZE_OF_COMPILED_MEDIAN
     ):
@@ -62,6 +64,6 @@ def subsample(*frames: Tensor, max_samples: int = MAX_SAMPLES_PER_FRAME) -> list
 
 def masked_values(values: Tensor, mask: Tensor) -> Tensor:
     """`values[mask]`, (K,); by numpy on the CPU, which is ten times as fast as torch."""
-    if values.device.type != "cpu":
+    if not is_compiled(values):
         return values[mask]
     return torch.from_numpy(values.numpy()[mask.numpy()])

@@ -14,6 +14,8 @@ from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.operators.homography import homographies
+from deepir.optim.held_out import held_out_error, hold_out
+from deepir.pipeline.prior_refinement import registered_average
 from deepir.pipeline.register import register_frames
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
@@ -98,7 +100,11 @@ def fill_invalid(frames: Array, valid: Array) -> Array:
 @register("method", "average")
 def average(burst: Burst, config: Config) -> Result:
     """Register the frames of a scene and average them; gain and offset stay as they are."""
-    return average_frames(burst, config, burst.frames)
+    found = register_burst(burst, config)
+    result = average_frames(burst, config, burst.frames, found)
+    if "scene" not in burst.truth and found[1].sum() > 1:
+        result.metrics["held_out_rmse"] = _held_out_error(burst, config, found)
+    return result
 
 
 def register_burst(burst: Burst, config: Config) -> Registration:
@@ -141,6 +147,17 @@ def average_frames(
     result.frames_used, result.messages = used, messages
     result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
     return result
+
+
+@torch.no_grad()
+def _held_out_error(burst: Burst, config: Config, registration: Registration) -> float:
+    """Root mean square error at held-out samples, which the average of the others predicts: what stands for a truth."""
+    motion, used, _ = registration
+    kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used], clipped=None)
+    problem, _ = build(config, kept, None if motion is None else motion[used])
+    hold_out(problem, config.seed)
+    problem.fields["scene"].init_from(registered_average(problem))
+    return held_out_error(problem)
 
 
 def correct_and_average(

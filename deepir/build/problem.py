@@ -25,6 +25,8 @@ from deepir.registry import lookup
 
 #: The scene that finds the sensor for a prior that is fitted after it.
 PIXELS_WITH_TV = {"type": "pixels", "penalties": {"tv": "auto"}}
+#: The stages of `physics: {}`: the frames show the scene as it is.
+NO_PHYSICS: dict[str, dict[str, Any] | None] = {"identity": None}
 
 
 def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[Problem, Geometry]:
@@ -130,13 +132,11 @@ def _operator(
     config: Config, size: tuple[int, int], n_frames: int, motion: Tensor | None
 ) -> tuple[Chain, dict[str, dict[str, Any]], Geometry]:
     """The chain, the slots' configurations by stage, and the geometry; sizes are found from the data backwards."""
-    if not config.physics:
-        raise ConfigError("physics: at least one stage is needed")
     stages: dict[str, Operator] = {}
     slots: dict[str, dict[str, Any]] = {}
     out, twice = size, (2 * size[0], 2 * size[1])
     origin, instants = (0, 0), Trajectory()
-    for name, settings in reversed(config.physics.items()):
+    for name, settings in reversed((config.physics or NO_PHYSICS).items()):
         where = f"physics.{name}"
         if "." in name:
             raise ConfigError(f"{where}: a stage's name has no dot")

@@ -22,6 +22,7 @@ from torch import Tensor
 from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCPU, multiply_symmetric
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
+from deepir.kernels.dispatch import is_compiled
 
 #: Kind of a part: the axes along which it is constant; None for shading.
 Kind = tuple[int, ...] | None
@@ -116,7 +117,7 @@ def eliminate(
     sigma = dict(zip(KINDS, _sigmas(parts, flux.device), strict=True))
     start = torch.tensor(neutral, dtype=torch.float64, device=flux.device)
     levels = start[1] + (start.new_zeros(len(flux)) if level is None else level.flatten().double())
-    make = PixelEquationsCPU if flux.device.type == "cpu" else PixelEquations
+    make = PixelEquationsCPU if is_compiled(flux) else PixelEquations
     lines = torch.maximum(sigma[COLUMN], sigma[ROW])
     pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL], lines)
     columns, rows = (

@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from deepir.kernels.dispatch import is_compiled
+
 
 def weighted_least_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
     """`½ Σ w r²`, a float64 scalar with a gradient in the prediction."""
@@ -46,7 +48,7 @@ class _WeightedLeastSquares(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *frames: Tensor) -> Tensor:
-        compute = weighted_on_cpu if frames[0].device.type == "cpu" else weighted
+        compute = weighted_on_cpu if is_compiled(frames[0]) else weighted
         slope, nats = compute(*frames)
         ctx.save_for_backward(slope)
         return nats
@@ -63,7 +65,7 @@ class _SensorLeastSquares(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *given: Tensor) -> Tensor:
         *terms, nats, variances, system = given
-        compute = weighted_sensor_on_cpu if terms[0].device.type == "cpu" else weighted_sensor
+        compute = weighted_sensor_on_cpu if is_compiled(terms[0]) else weighted_sensor
         level = terms[-1]
         if level.numel() > len(level):  # of lines
             terms[1], terms[-1] = terms[1] - level, torch.zeros_like(level[..., :1, :1])

@@ -18,6 +18,7 @@ from deepir.registry import lookup
 CONTEXT_ARGUMENTS = frozenset(
     {"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"}
     | {"burst", "config", "callbacks", "checkpoint"}
+    | {"problem", "group", "evaluate"}
 )
 #: How messages describe a value of a type.
 TYPE_DESCRIPTIONS = {

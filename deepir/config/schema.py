@@ -73,7 +73,7 @@ class StepConfig(_Strict):
     """A step of a stage, see `deepir.schedule.Step`."""
 
     group: list[str] = Field(min_length=1)
-    method: Literal["lbfgs", "adam", "eliminate"] = "lbfgs"
+    method: str = "lbfgs"  # an optimiser: `lbfgs`, `adam`, one of a plugin; or `eliminate`, in closed form
     lr: float = Field(1e-2, gt=0)
     rates: dict[str, Annotated[float, Field(gt=0)]] = {}  # for unknowns whose lr is another
     every: int = Field(1, ge=1)
@@ -83,7 +83,7 @@ class StepConfig(_Strict):
 class Fit(_Strict):
     """`scene.fit`: how a prior is fitted to the scene once the sensor is known."""
 
-    method: Literal["lbfgs", "adam"] = "adam"
+    method: str = "adam"  # an optimiser
     lr: float = Field(1e-2, gt=0)
     iterations: int = Field(300, ge=0)  # of each round
     rounds: int = Field(1, ge=1, le=1000)  # at whose begin penalties learn from the scene what they need

@@ -35,6 +35,7 @@ class MarginalLikelihood:
 
     def nats(self, prior: Tensor) -> Tensor:
         """Negative log marginal likelihood, nats up to a constant, (M,), for prior variances (M, unknowns)."""
+        prior = prior.to(self.system)
         one = torch.eye(prior.shape[1], dtype=prior.dtype, device=prior.device)
         triangle, _ = torch.linalg.cholesky_ex(
             one + prior[:, :, None].sqrt() * self.system * prior[:, None].sqrt()
@@ -46,6 +47,7 @@ class MarginalLikelihood:
 
     def posterior(self, prior: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior means of the first unknowns and of the others, for prior variances (unknowns,) of the latter."""
+        prior = prior.to(self.system)
         system = torch.eye(len(prior), dtype=prior.dtype, device=prior.device) + prior[:, None] * self.system
         mean = torch.linalg.solve(system, prior * self.score)
         return self.back[:, -1] - self.back[:, :-1] @ mean, mean

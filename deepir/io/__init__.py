@@ -3,7 +3,7 @@
 from deepir.io.frames import Frames, read_data, read_frames, stream_data, stream_frames
 from deepir.io.inspection.checks import crop, validate
 from deepir.io.inspection.describe import describe
-from deepir.io.maps import read_mask, read_truth
+from deepir.io.maps import fit_truth, read_mask, read_truth
 from deepir.io.output.write import (
     atomic_file,
     atomic_files,
@@ -20,6 +20,7 @@ __all__ = [
     "atomic_files",
     "crop",
     "describe",
+    "fit_truth",
     "read_data",
     "read_frames",
     "read_mask",

@@ -205,6 +205,12 @@ def to_stack(array: Array, source: str) -> Array:
         array = array[None]
     elif array.ndim == 3 and shape[2] == 1 < shape[1]:
         array = array[None, ..., 0]
+    if array.ndim == 4 and 0 not in shape:
+        one = "frames[:, 0]" if shape[1] < shape[3] else "frames[..., 0]"
+        raise DataError(
+            f"{source}: an array of shape {shape}; expected (frames, height, width): frames of several channels are "
+            f"corrected one channel at a time, {one}; a deepir.Problem of your own solves several together"
+        )
     if array.ndim != 3 or 0 in shape:
         raise DataError(
             f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)"

@@ -60,15 +60,26 @@ def read_truth(
     """
     file = expanded(path)
     arrays = {"scene": readers.read(file)} if readers.find_reader(file) is not npz else _arrays(file)
+    return fit_truth(arrays, shape, str(file))
+
+
+def fit_truth(
+    arrays: dict[str, readers.Array], shape: Shape, source: str
+) -> dict[str, np.ndarray[Any, np.dtype[np.float32]]]:
+    """Known arrays by name, float32, of which the scene fits frames of a `shape`.
+
+    Raises:
+        DataError: There is no scene, or it does not fit; the message names the `source`.
+    """
     if "scene" not in arrays:
-        raise DataError(f"{file}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")
-    scene = to_stack(arrays["scene"], f"{file}[scene]")
+        raise DataError(f"{source}: a truth needs an array `scene`; this has {', '.join(sorted(arrays))}")
+    scene = to_stack(arrays["scene"], f"{source}[scene]")
     factor = max(1, scene.shape[1] // shape[0])
     if scene.shape[1:] != (factor * shape[0], factor * shape[1]):
         raise DataError(
-            f"{file}: the scene is {_size(scene.shape)}, expected {_size(shape)}, or both sides a multiple of it"
+            f"{source}: the scene is {_size(scene.shape)}, expected {_size(shape)}, or both sides a multiple of it"
         )
-    arrays["scene"] = scene[0] if len(scene) == 1 else scene
+    arrays = arrays | {"scene": scene[0] if len(scene) == 1 else scene}
     return {name: to_float32(array) for name, array in arrays.items() if array.dtype.kind in "uif"}
 
 

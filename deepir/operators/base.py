@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import torch
 from torch import Tensor, nn
 
+from deepir.operators.scipy_operator import linear_operator
 from deepir.operators.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
 
 Shape = tuple[int, ...]
 
@@ -76,6 +80,21 @@ class Operator(nn.Module):
             # The gradient of <A x, y>; handing y to autograd.grad makes torch import sympy, 0.3 s on the first call.
             (out,) = torch.autograd.grad((self.forward(x, **slots) * y).sum(), x)
         return out
+
+    def as_linear_operator(
+        self, x_shape: Shape, *, dtype: torch.dtype = torch.float64, **slots: Tensor
+    ) -> LinearOperator:
+        """The linear part as `scipy.sparse.linalg.LinearOperator`, with its adjoint, on flattened arrays.
+
+        Args:
+            x_shape: Shape of the input, (N or 1, C, H, W).
+            dtype: In which it computes.
+            slots: Values of the slots; a chain's are given by `**{"warp.motion": motion}`.
+
+        Raises:
+            ValueError: It is not linear up to a constant.
+        """
+        return linear_operator(self, x_shape, slots, dtype)
 
     def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
         """Mask (0 or 1) of the outputs that depend on valid inputs only; `mask` has the shape of `x`."""

@@ -34,7 +34,7 @@ def transform_points(motion: Tensor, points: Tensor) -> Tensor:
 
 def rotation(angle: Tensor) -> Tensor:
     """Rotations `(..., 3, 3)` by angles `(...)` in radians; positive turns +x towards +y."""
-    out = torch.zeros(*angle.shape, 3, 3, dtype=torch.float64)
+    out = angle.new_zeros(*angle.shape, 3, 3, dtype=torch.float64)
     out[..., 0, 0] = out[..., 1, 1] = angle.cos()
     out[..., 1, 0] = angle.sin()
     out[..., 0, 1] = -angle.sin()

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from deepir.kernels.constants import MAX_ENTRY, MIN_DEPTH
+from deepir.kernels.dispatch import is_compiled
 from deepir.operators.base import Operator, Shape
 from deepir.operators.bspline import MIN_CANVAS_SIDE, NOISE_GAIN, SplineWarp, sample, to_pixels, warp_adjoint
 from deepir.operators.trajectory import Trajectory
@@ -85,12 +86,12 @@ class Warp(Operator):
     @torch.no_grad()
     def adjoint(self, y: Tensor, x_shape: Shape, *, motion: Tensor) -> Tensor:  # type: ignore[override]
         """On the CPU by a loop of its own."""
-        if y.device.type != "cpu":
+        if not is_compiled(y):
             return super().adjoint(y, x_shape, motion=motion)
         return warp_adjoint(y, self._kernel_motion(self.instants.interpolate(motion), y.dtype), x_shape)
 
     def _sample(self, x: Tensor, motion: Tensor) -> Tensor:
-        if x.device.type != "cpu":
+        if not is_compiled(x):
             return sample(x, self.sampling_points(motion).to(x.dtype))
         return SplineWarp.apply(x, self._kernel_motion(motion, x.dtype), self.size)
 

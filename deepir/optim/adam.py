@@ -11,17 +11,21 @@ from torch import Tensor
 from deepir.optim.base import Evaluate, Optimiser, Rate, free_parameters
 from deepir.optim.held_out import held_out_error
 from deepir.problem import Problem
+from deepir.registry import register
 
 #: Iterations between two evaluations of the held-out error.
 HELD_OUT_INTERVAL = 10
 
 
+@register("optimiser", "adam")
 class Adam(Optimiser):
     """Adam (Kingma and Ba 2015), as torch has it.
 
     With `average`, what it leaves behind is the exponential average of its iterates with this decay, as it was when it
     predicted the held-out samples best; the last one if none are held out.
     """
+
+    descends = False
 
     def __init__(
         self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -29,7 +30,15 @@ def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter
 
 
 class Optimiser:
-    """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields."""
+    """Minimise `evaluate(group) -> (loss, values)` over the parameters of the group's fields.
+
+    `@register("optimiser", NAME)` on a subclass makes it the `method` of a step.
+    """
+
+    #: Whether its objective only falls, so that a stage may end once it rests.
+    descends: ClassVar[bool] = True
+    #: Whether it is given the problem's approximate inverse Hessian, where there is one.
+    preconditioned: ClassVar[bool] = False
 
     def __init__(
         self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0

@@ -25,11 +25,15 @@ MIN_CURVATURE_RATIO = 1e-8
 
 
 def has_fourier_model(problem: Problem) -> bool:
-    """Whether the model applies: a scene of pixels, several frames, a warp first, then only stages on single pixels."""
+    """Whether the model applies: a scene of pixels, several frames, a warp first, then only stages on single pixels.
+
+    And one channel.
+    """
     first, *others = (stage for _, stage in problem.operator.named())
     local = all(stage.pointwise or stage.temporal for stage in others)
     seen = first.moves and local and bool(others) and isinstance(others[-1], Sensor)
-    return seen and len(problem.data) > 1 and isinstance(problem.fields["scene"], Pixels)
+    several = len(problem.data) > 1 and problem.data.shape[1] == 1
+    return seen and several and isinstance(problem.fields["scene"], Pixels)
 
 
 def variance_spectrum(

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from deepir.optim.base import Evaluate, Optimiser, Rate
 from deepir.problem import Problem
+from deepir.registry import register
 
 #: Pairs of steps and gradient changes that are kept.
 MEMORY = 10
@@ -27,12 +28,15 @@ WOLFE_CURVATURE = 0.9
 MAX_TRIALS = 20
 
 
+@register("optimiser", "lbfgs")
 class LBFGS(Optimiser):
     """Two-loop recursion (Nocedal and Wright, algorithm 7.4), line search of Lewis and Overton (2013).
 
     Their bracketing for the weak Wolfe conditions needs no smoothness, and mostly takes its first trial. A
     trial whose value or slope is not finite is one that went too far.
     """
+
+    preconditioned = True
 
     def __init__(
         self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0

@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from deepir.operators import Warp
-from deepir.optim import OPTIMISERS, Optimiser, free_parameters
+from deepir.optim import Optimiser, free_parameters
 from deepir.optim.degrees_of_freedom import degrees_of_freedom, is_joint_with_motion
 from deepir.optim.preconditioner import make_preconditioner
 from deepir.problem import Problem, Values
+from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
 
@@ -25,7 +26,7 @@ def objective(problem: Problem, stage: Stage) -> Callable[[Sequence[str]], tuple
     active = {name for name in group if name in eliminated or free_parameters(problem, [name])}
     with torch.no_grad():  # once: gain and offset of several parts are not free
         fixed = problem.values(without=active)
-        constant_prior = sum(problem.priors(fixed).values(), torch.zeros((), dtype=torch.float64))
+        constant_prior = sum(problem.priors(fixed).values(), problem.data.new_zeros((), dtype=torch.float64))
 
     def evaluate(free: Sequence[str]) -> tuple[Tensor, Values]:
         values = fixed | problem.values(free, without=[*eliminated, *fixed])
@@ -45,11 +46,13 @@ def optimisers_of(problem: Problem, stage: Stage) -> list[tuple[Optimiser, Step]
     found = []
     for step in steps:
         rates = {name: step.rates.get(name, step.lr) for name in step.group}
-        optimiser = OPTIMISERS[step.method](problem, step.group, evaluate, lr=rates, average=step.average)
+        optimiser = lookup("optimiser", step.method)(
+            problem, step.group, evaluate, lr=rates, average=step.average
+        )
         found.append((optimiser, step))
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
-    for optimiser, step in found:
-        if step.method == "lbfgs":
+    for optimiser, _ in found:
+        if optimiser.preconditioned:
             optimiser.preconditioner = make_preconditioner(
                 problem, optimiser.parameters, eliminated, high_frequencies_only=stage.fine
             )

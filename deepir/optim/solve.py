@@ -18,6 +18,7 @@ from deepir.optim.held_out import held_out_error
 from deepir.optim.objective import objective, optimisers_of
 from deepir.optim.position import Checkpoint, Position, restore_state, save_state
 from deepir.problem import Problem, Values
+from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
 #: Objective relative to the start of the stage (at least one nat per sample) from which a solve has diverged.
@@ -166,8 +167,9 @@ def _iterate(
 
 
 def _has_converged(position: Position, stage: Stage, problem: Problem) -> bool:
-    """Whether the last ten iterations gained less than the tolerance; never for Adam, which is not monotone."""
-    if position.iteration <= 10 or any(step.method == "adam" for step in stage.steps):
+    """Whether the last ten iterations gained less than the tolerance, if all steps descend, as Adam's do not."""
+    methods = {step.method for step in stage.steps} - {"eliminate"}
+    if position.iteration <= 10 or not all(lookup("optimiser", each).descends for each in methods):
         return False
     losses = [row["loss"] for row in position.history[-position.iteration :]]
     return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()

@@ -26,7 +26,7 @@ from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import register_frames
 from deepir.pipeline.safeguard import safeguarded, unregistered
-from deepir.pipeline.schedule import plan
+from deepir.pipeline.schedule import network_message, plan
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.result import Result
@@ -67,6 +67,7 @@ def joint(
     stages = plan(problem, recipe, config)
     if config.scene.get("fit") and not problem.held_out.any():
         hold_out(problem, config.seed)
+    messages += network_message(problem, stages)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     complete = config.solver.max_iterations is None  # a solve cut short leaves more than drift
     messages += recipe.warnings(problem, complete=complete) + scene_in_pattern_message(problem)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 
+from torch import nn
+
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
+from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
 
@@ -40,10 +43,27 @@ def plan(problem: Problem, recipe: Recipe, config: Config) -> list[Stage]:
     ]
 
 
+def network_message(problem: Problem, stages: list[Stage]) -> list[str]:
+    """A line if a network draws the scene and moves by L-BFGS together with the sensor, for lack of `scene.fit`."""
+    scene = problem.fields["scene"]
+    layers = (nn.Linear, nn.Conv1d, nn.Conv2d, nn.ConvTranspose2d)
+    network = not scene.can_represent or any(isinstance(each, layers) for each in scene.modules())
+    moved = any("scene" in step.group and step.method == "lbfgs" for stage in stages for step in stage.steps)
+    if not (network and moved):
+        return []
+    return [
+        f"scene: '{type(scene).__name__.lower()}' is a network, and moves by L-BFGS together with all others, which "
+        "mostly leaves much of the scene's contrast in the gain: fit it once the sensor is known, with "
+        "scene.fit.method=adam scene.fit.lr=0.003 scene.fit.iterations=500"
+    ]
+
+
 def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
     if all(step.method == "eliminate" for step in stage.steps):
         raise ConfigError(f"{where}: a stage needs a step that is not 'eliminate'")
     for step in stage.steps:
+        if step.method != "eliminate":
+            lookup("optimiser", step.method, f"{where}: method")
         if unknown := set(step.rates) - set(step.group):
             other = unknown.pop()
             raise ConfigError(f"{where}: rates: no '{other}' in the group; {nearest(other, step.group)}")

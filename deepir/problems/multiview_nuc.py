@@ -54,6 +54,8 @@ class MultiviewNUC(Recipe):
         Raises:
             DataError: The camera stands still.
         """
+        device = problem.data.device
+        problem.to("cpu")  # the pattern is found there
         frames, usable = problem.data[:, 0], problem.precision[:, 0] > 0
         self.messages = _demand_different(frames, usable)
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
@@ -75,6 +77,7 @@ class MultiviewNUC(Recipe):
             problem.precision.copy_(usable[:, None] / max(noise, 1e-4 * float(frames[usable].std())) ** 2)
         start_scene(problem)
         weigh_scene(problem)
+        problem.to(device)
 
     def plan(self, problem: Problem) -> Schedule:
         """The scenes, with the sensor fixed.

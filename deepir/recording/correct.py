@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deepir.calibration import CorrectionMaps
-from deepir.config.schema import Raw
-from deepir.errors import DataError
-from deepir.io import stream_frames, write_npz
+from deepir.config.components import validate
+from deepir.config.schema import Data, Radiometry, Raw
+from deepir.errors import ConfigError, DataError
+from deepir.io import stream_data, write_npz
+from deepir.io.inspection.axes import oriented
 from deepir.recording.estimate import AUTO, SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
 from deepir.recording.segments import Segment, estimate_segments, segment_at
@@ -97,7 +98,10 @@ def correct(
     recording: str | os.PathLike[str] | Array,
     *,
     key: str | None = None,
-    raw: Raw | None = None,
+    raw: Raw | Mapping[str, Any] | None = None,
+    axes: str | None = None,
+    swap_bytes: bool | None = None,
+    radiometry: Radiometry | Mapping[str, Any] | None = None,
     correction: str = AUTO,
 ) -> CorrectedRecording:
     """Correct a recording of a moving camera: `correct("drive.avi").frames`.
@@ -105,17 +109,28 @@ def correct(
     Args:
         recording: A file, folder or glob of any length, or frames (N, h, w).
         key: Name of the array in a file that holds several.
-        raw: Layout of a file without a header.
+        raw: Layout of a file without a header: `{"width": 640, "height": 512}`.
+        axes: Order of the array's axes, as `data.axes`: "hwn" for (height, width, frames).
+        swap_bytes: Whether the bytes of each sample are swapped, of a file.
+        radiometry: Conversion to kelvin, of a file, as `data.radiometry`.
         correction: What is corrected, one of `CORRECTIONS`; "auto": what serves held-out frames best.
 
     Raises:
         DataError: It cannot be read, has few frames, or the camera stands still.
+        ConfigError: An option is wrong.
     """
+    options = {"key": key, "raw": raw, "axes": axes, "swap_bytes": swap_bytes, "radiometry": radiometry}
+    given = {name: value for name, value in options.items() if value is not None}
+    data = Data(**validate(Data, given, "correct"))
     if isinstance(recording, np.ndarray):
         if recording.ndim != 3 or not len(recording):
             raise DataError(f"frames of shape {recording.shape}; expected (frames, height, width)")
-        read: Callable[[], Iterator[Array]] = functools.partial(iter, recording)
+        if of_file := next(iter(given.keys() - {"axes"}), None):
+            raise ConfigError(f"correct: '{of_file}' is for a file, and the frames are an array")
+        read: Callable[[], Iterator[Array]] = functools.partial(
+            iter, oriented(recording, axes, "frames") if axes else recording
+        )
     else:
-        read = functools.partial(stream_frames, Path(recording), key=key, raw=raw)
+        read = functools.partial(stream_data, data.model_copy(update={"path": os.fspath(recording)}))
     keyframes = choose_keyframes(read())
     return CorrectedRecording(read, estimate_segments(keyframes, correction), keyframes)

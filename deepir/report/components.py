@@ -31,6 +31,10 @@ COMPONENT_KINDS = {
         "Effects",
         "Imperfections that a problem estimates: `effects.NAME` is false, or a mapping of options.",
     ),
+    "optimiser": (
+        "Optimisers",
+        "How a group of unknowns moves: `method` of a step of `solver.plan`, and of `scene.fit`.",
+    ),
     "problem": ("Problems", "How a problem is started and solved: `problem`."),
     "method": ("Methods", "What runs: `method`. [Methods](methods.md) has their sources."),
     "training": ("Trainings", "What `deepir train NAME` trains."),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepir.burst import Burst
+from deepir.burst import Burst, Truth
 from deepir.config import Config, Data, dump, read
 from deepir.errors import ConfigError, DataError, DeepIRError, SolverError
 from deepir.optim.solve import Progress
@@ -35,6 +35,7 @@ def run_into(
     path: Path,
     frames: np.ndarray[Any, Any] | None = None,
     *,
+    truth: Truth | None = None,
     overwrite: bool = False,
     plugins: Sequence[str] = (),
     callbacks: Callbacks = (),
@@ -45,6 +46,7 @@ def run_into(
         config: The configuration.
         path: The folder.
         frames: (N, h, w), in place of `data.path`.
+        truth: The known scene, or arrays by name, in place of `data.truth`.
         overwrite: Replace a former run.
         plugins: Modules that were imported, for the record.
         callbacks: Called with a `Progress` after each iteration.
@@ -55,10 +57,10 @@ def run_into(
     """
     folder = RunFolder(expanded(path).absolute())
     with folder.lock() as lock:
-        folder.check_free(overwrite=overwrite)
         config = pin_config(config, folder)
         _check_inputs(config, folder)
-        data = prepare(config, frames)
+        data = prepare(config, frames, truth)
+        folder.check_free(overwrite=overwrite)  # last: what is wrong with the input comes first
         record = _record(config, data, plugins)
         work = _Work(folder.begin(dump(config), record), lock, config, data, callbacks)
         try:
@@ -176,8 +178,7 @@ class _Work:
                     f"{folder.path}: this folder was moved or deleted while the run was at work; "
                     "if it was moved, go on with `deepir resume` there"
                 )
-            example = np.where(data.valid[0], data.frames[0], np.nan)
-            result.save(folder.path, example, self.config)
+            result.save(folder.path)
         except (ConfigError, DataError, SolverError) as error:
             log.error(str(error))
             raise

@@ -7,13 +7,20 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from deepir.config import Config, Data
+from deepir.config.schema import Output, Solver
 from deepir.errors import DeepIRError
 from deepir.registry import load_plugin
+from deepir.runner import execute, prepare
+from deepir.simulate import Settings, simulate
 from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
 
 #: One run at a time: torch's seed and the package's log belong to the process.
 PROCESS_LOCK = threading.Lock()
+#: Size of the frames by which a process is warmed up, px.
+WARM_UP_SHAPE = (40, 48)
+_warm: set[str] = set()  # what this process has run
 
 
 def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
@@ -22,6 +29,7 @@ def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
         try:
             for each in plugins:
                 load_plugin(each)
+            _warm_up(cell.config)
             _forget_peak_memory()
             state = cell.folder.state()
             if state == "interrupted":
@@ -33,6 +41,20 @@ def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
         except Exception as error:  # whatever it is, it ends this cell only
             return " ".join(f"{type(error).__name__}: {error}".split())
     return None
+
+
+def _warm_up(config: Config) -> None:
+    """Run small frames first, once for each method in a process: loading and compiling is no part of its seconds."""
+    kind = config.model_dump_json(include={"problem", "method", "prior", "physics", "device"})
+    if kind in _warm:
+        return
+    _warm.add(kind)
+    small = config.model_copy(
+        update={"data": Data(fps=config.data.fps), "output": Output(), "solver": Solver(max_iterations=1)}
+    )
+    with suppress(Exception):  # the run itself says what is wrong
+        frames = simulate(settings=Settings(shape=WARM_UP_SHAPE, n_frames=4)).frames
+        execute(small, prepare(small, frames))
 
 
 def _forget_peak_memory() -> None:

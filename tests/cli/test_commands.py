@@ -189,3 +189,17 @@ def test_demo_prints_what_it_gains_and_runs_again(deepir, folder, monkeypatch):
         for words in ("one frame", "registered average", "deepir", "dB", "runs/demo/summary.png"):
             assert words in out
         assert Path("runs/demo/burst_truth.npz").exists()
+
+
+def test_list_shows_one_kind_or_what_a_name_matches(deepir):
+    status, out, _ = deepir("list", "fidelity")
+    assert status == 0
+    assert out.startswith("fidelities:\n")
+    assert "penalties:" not in out
+    _, out, _ = deepir("list", "noise")
+    assert "  row_noise " in out
+    assert "  line_noise " in out
+    assert "  warp " not in out
+    status, _, err = deepir("list", "fieldz")
+    assert status == 2
+    assert "no kind and no component is called 'fieldz'; did you mean 'fields'?" in err

@@ -31,6 +31,21 @@ def picky(burst, config, **how):
         raise DataError("an odd seed")
     return joint(burst, config, **how)
 '''
+SLOW_START = '''
+import time
+from deepir.baselines.average import average
+from deepir.registry import register
+
+started = []
+
+@register("method", "slow_start")
+def slow_start(burst, config):
+    """Takes its time once in a process."""
+    if not started:
+        time.sleep(0.4)
+    started.append(True)
+    return average(burst, config)
+'''
 DIES = '''
 import os, signal
 from pathlib import Path
@@ -82,6 +97,22 @@ class TestHere:
         found = table(folder / "runs/nuc-compare")
         assert [row["method"] for row in found] == ["average", "average", "joint", "joint"]
         assert float(found[2]["psnr_aligned"]) > float(found[0]["psnr_aligned"]) + 5
+
+    def test_without_a_truth_the_average_has_a_held_out_error_too(self, deepir, folder):
+        given = ("compare", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=3")
+        status, out, err = deepir(*given, "method=average,joint")
+        assert status == 0, err
+        assert "held-out error" in out
+        average, joint = (float(row["held_out_rmse"]) for row in table(folder / "runs/nuc-compare"))
+        assert 0 < joint < average
+        assert (folder / "runs/nuc-compare/quality.png").exists()
+
+    def test_loading_and_compiling_is_no_part_of_the_seconds(self, deepir, folder, monkeypatch):
+        (folder / "slow_start.py").write_text(SLOW_START)
+        status, _, err = deepir(*COMPARE, "method=slow_start", "seed=0,1", "--plugin", "slow_start")
+        assert status == 0, err
+        row, _ = table(folder / "runs/nuc-compare")
+        assert float(row["seconds"]) < 0.3
 
     def test_the_same_command_again_keeps_what_is_finished(self, deepir, folder):
         deepir(*AVERAGES)

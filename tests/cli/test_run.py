@@ -74,7 +74,7 @@ def test_metrics_are_json_without_nan(nuc, folder):
 def test_the_average_has_the_same_metrics(nuc, folder):
     assert nuc("data.path=burst.npz", "method=average")[0] == 0
     metrics = json.loads((folder / "runs/nuc/metrics.json").read_text())
-    assert metrics["held_out_rmse"] is None
+    assert metrics["held_out_rmse"] > 0
     assert metrics["strengths"] == {}
 
 
@@ -204,12 +204,20 @@ def test_a_full_disk_is_one_line_and_the_state_stays(nuc, folder, monkeypatch):
     assert "config.yaml" in held(folder / "runs/nuc")
 
 
-def test_a_former_run_is_seen_before_any_file_or_device(nuc, folder):
+def test_what_is_wrong_with_the_input_comes_before_a_former_run(nuc, folder):
     nuc("data.path=burst.npz", "method=average")
-    for settings in (["data.path=none.npz"], ["data.path=burst.npz", "device=none"]):
-        status, _, err = nuc(*settings)
+    np.save(folder / "flat.npy", np.zeros((3, 40, 48), np.float32))
+    wrong = {
+        "data.path=none.npz": "none.npz: no such file",
+        "device=none": "device: 'none' cannot be used here",
+        "data.path=flat.npy": "flat.npy",
+    }
+    for setting, message in wrong.items():
+        status, _, err = nuc("data.path=burst.npz", setting)
         assert status == 2
-        assert "already contains a run" in err
+        assert message in err
+        assert "already contains a run" not in err
+    assert "already contains a run" in nuc("data.path=burst.npz")[2]
 
 
 @pytest.mark.parametrize("after", ["moved", "deleted", "replaced"])

@@ -8,8 +8,11 @@ import pytest
 import torch
 from torch import nn
 
-from deepir.optim import OPTIMISERS, lbfgs
+from deepir.optim import lbfgs
 from deepir.optim.lbfgs import LBFGS
+from deepir.registry import components
+
+OPTIMISERS = components("optimiser")
 
 each_method = pytest.mark.parametrize("method", OPTIMISERS)
 

@@ -10,13 +10,15 @@ from deepir.errors import DataError, SolverError
 from deepir.fields.constant import Constant
 from deepir.fields.pixels import Pixels
 from deepir.operators import Chain, Operator, Sensor
-from deepir.optim import OPTIMISERS
 from deepir.optim.held_out import held_out_error
 from deepir.optim.solve import solve
 from deepir.priors.penalties.ridge import Ridge
 from deepir.problem import Problem
+from deepir.registry import components
 from deepir.schedule import Stage, Step
 from deepir.storage.checkpoint import FileCheckpoint
+
+OPTIMISERS = components("optimiser")
 
 EVERYTHING = ("gain", "offset")
 ELIMINATE = Step(EVERYTHING, "eliminate")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepir.errors import DataError
+from deepir.errors import ConfigError, DataError
 from deepir.recording.correct import correct
 from deepir.recording.pattern_jumps import pattern_jumps
 from deepir.recording.segments import Segment, segment_at
@@ -67,3 +67,17 @@ def test_a_recording_without_any_part_to_correct_is_refused(walk):
     still[40:] += 50 * np.random.default_rng(4).standard_normal(still.shape[1:])
     with pytest.raises(DataError, match="stands still"):
         correct(still)
+
+
+def test_a_turned_or_raw_recording_is_corrected_from_python(walk, tmp_path):
+    turned = np.ascontiguousarray(walk.frames[:60].transpose(1, 2, 0))
+    wanted = correct(walk.frames[:60], correction="none").frames
+    assert np.array_equal(correct(turned, axes="hwn", correction="none").frames, wanted)
+    path = tmp_path / "walk.raw"
+    path.write_bytes(walk.frames[:60].astype(">u2").tobytes())
+    raw = {"width": wanted.shape[2], "height": wanted.shape[1]}
+    assert np.array_equal(correct(path, raw=raw, swap_bytes=True, correction="none").frames, wanted)
+    with pytest.raises(ConfigError, match=r"no option 'raw\.widht'"):
+        correct(path, raw={"widht": 8, "height": 8})
+    with pytest.raises(ConfigError, match="'swap_bytes' is for a file"):
+        correct(walk.frames, swap_bytes=True)

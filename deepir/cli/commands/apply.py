@@ -10,7 +10,7 @@ import typer
 
 from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Settings, recording_config, recording_radiometry
 from deepir.cli.outputs import held_outputs
-from deepir.cli.terminal import echo
+from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -47,10 +47,24 @@ def apply(
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     try:
         with Interruptible(), held_outputs(target, overwrite=overwrite, source=config.data.path):
-            echo(_apply(read_maps(maps), config, target, rounded=not float32))
+            found = read_maps(maps)
+            for doubt in _doubts(maps):
+                notify(f"warning: of the run in {maps}: {doubt}")
+            echo(_apply(found, config, target, rounded=not float32))
     except Interrupted as error:
         return report_aborted(error)
     return 0
+
+
+def _doubts(maps: Path) -> list[str]:
+    """The warnings of the run that made the maps; none of maps that no run made."""
+    import json
+
+    try:
+        found = json.loads((maps / "metrics.json").read_text(encoding="utf-8"))
+        return [str(each) for each in found["messages"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
 
 
 def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool) -> str:

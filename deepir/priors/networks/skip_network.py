@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from deepir.kernels.dispatch import is_compiled
 from deepir.priors.networks.fused_upsampling import upsample_join_convolve
 
 Pad = Literal["reflect", "zeros"]
@@ -112,7 +113,7 @@ class Skip(nn.Module):
     def _fused_is_faster(self, deep: Tensor) -> bool:
         published = self.up == "bilinear" and self.pad == "reflect"
         large = deep.shape[1] >= MIN_FUSED_CHANNELS and deep[0, 0].numel() >= MIN_FUSED_PIXELS
-        return published and large and deep.device.type == "cpu"
+        return published and large and is_compiled(deep)
 
     def _upsample(self, x: Tensor) -> Tensor:
         """`x` with twice the height and width, in its own precision."""

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from deepir import weights
 from deepir.fields.base import Shape
+from deepir.kernels.dispatch import is_compiled
 from deepir.priors.penalties.smoothed_norm import SmoothedNorm
 from deepir.registry import register
 
@@ -80,7 +81,7 @@ class FoE(SmoothedNorm):
         square root of large `l`.
         """
         tails = self.tails / self.weight.clamp(min=1e-12)
-        if value.device.type == "cpu":
+        if is_compiled(value):
             energy: Tensor = _CompiledEnergy.apply(
                 value, self.weight_map, self.filters, self.costs, tails, float(self.epsilon)
             )

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.differences import squared_gradient
+from deepir.kernels.dispatch import is_compiled
 from deepir.priors.penalties.smoothed_norm import SmoothedNorm
 from deepir.registry import register
 
@@ -21,7 +22,7 @@ class TV(SmoothedNorm):
 
     def energy(self, value: Tensor) -> Tensor:
         """`Σ weight_map (sqrt(|∇x|² + e²) - e)`, with `e = rounding / weight`."""
-        if value.device.type == "cpu":
+        if is_compiled(value):
             energy: Tensor = _CompiledEnergy.apply(value, self.weight_map, float(self.epsilon))
             return energy
         return self.smoothed_l1(squared_gradient(value))
