@@ -14,6 +14,7 @@ from deepir.config import Config
 from deepir.diagnostics.equalised_histogram import equalised_message
 from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
+from deepir.effects.gain_drift import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.uncertainty import nuc_penalty_db
 from deepir.fields.sensor_maps import GaussianMap
@@ -74,6 +75,10 @@ def joint(
         messages += residual_correlation_message(problem)
     found = given & ~problem.alive()
     burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
+    if has_exposures(problem):
+        evened = burst.frames.copy()
+        evened[taken] = (problem.data + problem.reference)[:, 0].cpu().numpy()
+        burst = dataclasses.replace(burst, frames=evened)
     cost = nuc_penalty_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, burst, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
