@@ -19,7 +19,7 @@ MAX_PAIR_GAP = 8  # frames between the two of a pair
 def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
     """Copy in float32: exact up to 24 bits, infinite beyond its range, NaN where the array is masked."""
     with np.errstate(over="ignore"):
-        return np.ma.filled(array.astype(np.float32), np.nan)
+        return np.ma.filled(array.astype(np.float32, order="C"), np.nan)
 
 
 def select_frames(frames: Array, select: Select, source: str) -> Array:

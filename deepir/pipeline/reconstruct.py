@@ -22,7 +22,7 @@ from deepir.fields.sensor_maps import GaussianMap
 from deepir.optim.held_out import hold_out
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress, solve
-from deepir.pipeline.collect import make_result
+from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
 from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
 from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
@@ -80,14 +80,19 @@ def joint(
     cost = nuc_penalty_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
+    unseen = unseen_scene(problem, geometry, kept)
     if not recipe.judged:
-        return result
+        return mark_unseen(result, unseen)
     doubt = picture or doubtful_motion(problem, burst.frames, burst.valid & ~burst.bad_pixels, used)
     if doubt and not picture:
         result.messages = doubt + result.messages
     if doubt:
-        return uncorrected(result, burst)
-    return safeguarded(result, _evened(known, problem, taken), registered=motion is not None)
+        final = uncorrected(result, burst)
+    else:
+        final = safeguarded(result, _evened(known, problem, taken), registered=motion is not None)
+    if final.frames_used.sum() < used.sum():  # it is the first frame
+        unseen = ~burst.valid[0]
+    return mark_unseen(final, unseen)
 
 
 def _evened(burst: Burst, problem: Problem, taken: np.ndarray) -> Burst:
