@@ -49,7 +49,7 @@ def joint(
     except DataError as refusal:
         if not recipe.judged:
             raise
-        return unregistered(burst, refusal)
+        return mark_unseen(unregistered(burst, refusal), ~burst.valid[0])
     taken = used
     if recipe.ordered and motion is not None:
         motion, taken = interpolate_missing_motion(motion, used)
