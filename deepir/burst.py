@@ -22,7 +22,7 @@ from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
 from deepir.io.inspection.torn_frames import torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
-from deepir.io.selection import select_frames, to_float32, unselected_pairs
+from deepir.io.selection import select_frames, selected_in_float32, to_float32, unselected_pairs
 
 Array = np.ndarray[Any, Any]
 #: The scene that is known, or arrays by name.
@@ -99,7 +99,7 @@ def load(
         source, digest = "frames", ""
         whole = oriented(stacked(_array(frames), source), data.axes, source)
         stack, beside = (
-            to_float32(select_frames(whole, data.frames, source)),
+            selected_in_float32(whole, data.frames, source),
             unselected_pairs(whole, data.frames),
         )
     elif data.path is not None:

@@ -156,9 +156,10 @@ class Problem(nn.Module):
         self.data = self.data - (level - float(self.reference))  # the frames themselves stay as they are
         self.reference.fill_(level)
 
-    def divide_frames(self, gain: Tensor) -> None:
-        """Divide the frames by gains (N,), about the median of the samples, which a wrong gain then hardly shifts."""
-        gain, middle = gain.to(self.data)[:, None, None, None], self.middle()
+    def divide_frames(self, gain: Tensor, middle: Tensor | float | None = None) -> None:
+        """Divide the frames by gains (N,) about a level: the samples' median, which a wrong gain hardly shifts."""
+        gain = gain.to(self.data)[:, None, None, None]
+        middle = self.middle() if middle is None else middle
         self.data.sub_(middle).div_(gain).add_(middle)
         self.contrast.mul_(gain)
 

@@ -41,3 +41,16 @@ def test_a_pixel_is_bad_that_has_no_sample_at_all():
         [61, 20],
         [61, 21],
     ]
+
+
+def test_what_no_frame_shows_of_the_scene_is_marked():
+    sim = simulate(procedural(1, (300, 380)), TONES, seed=1)
+    frames = sim.frames.copy()
+    frames[..., 40:70] = np.nan
+    result = deepir.run("nuc", frames=frames, threads=1)
+    unseen = result.extra["unseen"]
+    assert unseen[:, 54:57].all()
+    assert not unseen[:, :40].any()
+    assert not unseen[:, 70:].any()
+    assert any("seen by no frame" in message for message in result.messages)
+    assert "unseen" not in deepir.run("nuc", frames=sim.frames, threads=1).extra

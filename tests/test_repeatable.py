@@ -1,8 +1,49 @@
-"""Two runs give the same result to the bit."""
+"""The same frames give the same result to the bit, whatever holds them; in another order, within the noise."""
 
+import functools
 import re
 
+import numpy as np
+import pytest
 from documentation import ROOT
+
+import deepir
+from deepir.simulate import Settings, simulate
+
+
+@functools.cache
+def frames():
+    return simulate(None, Settings(n_frames=4, shape=(48, 64), counts=True), seed=1).frames
+
+
+@functools.cache
+def once():
+    return deepir.run("nuc", frames=frames(), threads=1)
+
+
+def same(result):
+    found = result.arrays()
+    return all(np.array_equal(value, found[name], equal_nan=True) for name, value in once().arrays().items())
+
+
+@pytest.mark.parametrize("held", ["i4", "f4", "f8", ">u2"])
+def test_any_type_that_holds_the_same_numbers(held):
+    assert same(deepir.run("nuc", frames=frames().astype(held), threads=1))
+
+
+def test_any_layout_in_memory():
+    assert same(deepir.run("nuc", frames=np.asfortranarray(frames()), threads=1))
+    assert same(deepir.run("nuc", frames=np.repeat(frames(), 2, 2)[:, :, ::2], threads=1))
+
+
+def test_one_thread_or_two():
+    assert same(deepir.run("nuc", frames=frames(), threads=2))
+
+
+def test_frames_in_another_order_give_the_same_scene_within_its_noise():
+    other = deepir.run("nuc", frames=frames()[[0, 2, 3, 1]], threads=1)
+    apart = (other.scene - once().scene) / once().uncertainty["scene"]
+    assert np.sqrt(np.mean(apart**2)) < 0.5
 
 
 def test_least_squares_name_their_driver():

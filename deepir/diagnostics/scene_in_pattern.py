@@ -14,13 +14,10 @@ from torch import Tensor
 
 from deepir.arrays.autocorrelation import autocorrelation
 from deepir.arrays.statistics import MAD_TO_SIGMA, median
+from deepir.diagnostics.motion_evidence import MIN_MOTION_NATS, motion_nats
 from deepir.operators import Sensor, Warp
-from deepir.operators.motion_models import identity
 from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem
-from deepir.registration.motion_search import search_level
-from deepir.registration.preprocess import preprocess
-from deepir.registration.robust_score import log_likelihood_ratio
 
 PATTERN_DISTANCE = 2  # px: noise in the motion and the scene's interpolation reach one
 PATTERN_CLIP_SIGMAS = 4.0  # robust standard deviations at which values are cut off
@@ -28,9 +25,6 @@ PATTERN_CLIP_SIGMAS = 4.0  # robust standard deviations at which values are cut 
 MIN_PATTERN_CORRELATION = 0.1
 MIN_PATTERN_CONTRAST = (
     0.2  # of the scene: what is less may be of a sensor that was corrected with a scene in view
-)
-MIN_MOTION_NATS = (
-    0.3  # nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong
 )
 
 
@@ -49,7 +43,7 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     if (
         pattern.std() < MIN_PATTERN_CONTRAST * scene.std()
         or _alike(pattern, problem.alive()) < MIN_PATTERN_CORRELATION
-        or _moves(problem)
+        or motion_nats(problem) > MIN_MOTION_NATS
     ):
         return []
     return [
@@ -57,15 +51,6 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
         "moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by 3 to "
         "10 px in x and in y"
     ]
-
-
-def _moves(problem: Problem) -> bool:
-    """Whether a motion that was found of whole frames makes them clearly likelier than rest."""
-    motion = problem.field_of(problem.slot(Warp, "motion"))().double().cpu()
-    if motion.shape != (len(problem.data), 3, 3):
-        return False
-    flat, weight = preprocess(problem.data[:, 0].cpu(), ~problem.alive().cpu())
-    return log_likelihood_ratio(search_level(flat, weight), identity(len(motion)), motion) > MIN_MOTION_NATS
 
 
 def _rough(image: Tensor, good: Tensor) -> Tensor:

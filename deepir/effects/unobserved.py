@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from deepir.arrays.fill import fill_pull_push
 from deepir.effects.effect import Effect
@@ -20,13 +21,18 @@ def fill_unobserved(problem: Problem) -> None:
     No data hold it there. Left alone it keeps the pattern that the scene once had at its edge, and a solve spends most
     of its iterations on what the penalties make of that.
     """
+    known = observed(problem, problem.precision > 0)
+    if not known.all():
+        problem.fields["scene"].init_from(fill_pull_push(problem.values()["scene"], known))
+
+
+@torch.no_grad()
+def observed(problem: Problem, usable: Tensor) -> Tensor:
+    """Where some frame sees the scene, bool, in the scene's shape, by samples that are `usable`, (N, C, h, w), bool."""
     values = problem.values()
     slots = {slot: values[name] for slot, name in problem.slots.items()}
-    usable = (problem.precision > 0).to(problem.data)
-    weight = problem.operator.adjoint(usable, tuple(values["scene"].shape), **slots)
-    known = weight > MIN_FRAMES_SEEN * weight.max() / len(problem.data)
-    if not known.all():
-        problem.fields["scene"].init_from(fill_pull_push(values["scene"], known))
+    weight = problem.operator.adjoint(usable.to(problem.data), tuple(values["scene"].shape), **slots)
+    return weight > MIN_FRAMES_SEEN * weight.max() / len(problem.data)
 
 
 @register("effect", "unobserved")

@@ -23,7 +23,7 @@ from deepir.io.inspection.stored_samples import SAMPLED_FRAMES, have_wrapped, in
 from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.readers import Array
 from deepir.io.readers.pictures import folder
-from deepir.io.selection import Select, select_frames, to_float32, unselected_pairs
+from deepir.io.selection import Select, selected_in_float32, unselected_pairs
 from deepir.paths import expanded
 
 JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is streamed are judged
@@ -88,7 +88,7 @@ def read_frames(
     laws = readers.radiometries(file, key) if raw is None else [None]
     if len(laws) > 1:
         stored = np.ma.stack([*as_of_frame_0(stored, laws, radiometry, source)])
-    frames = to_float32(select_frames(stored, select, source))
+    frames = selected_in_float32(stored, select, source)
     if (lost := lost_samples(frames, dtype)) is not None:
         frames[lost] = np.nan
     return Frames(frames, source, dtype.name, digest(file), laws[0], unselected_pairs(stored, select))

@@ -14,12 +14,39 @@ Select = str | int | Sequence[int] | None
 
 MAX_UNSELECTED_PAIRS = 6  # pairs of frames outside a burst that are kept to score its correction
 MAX_PAIR_GAP = 8  # frames between the two of a pair
+MIN_STEPS = 256  # steps of single precision that a frame spans; fewer hide what it shows
+MAX_JUDGED = 10_000  # samples of a frame that are enough to judge that
 
 
 def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
     """Copy in float32: exact up to 24 bits, infinite beyond its range, NaN where the array is masked."""
     with np.errstate(over="ignore"):
-        return np.ma.filled(array.astype(np.float32), np.nan)
+        return np.ma.filled(array.astype(np.float32, order="C"), np.nan)
+
+
+def selected_in_float32(frames: Array, select: Select, source: str) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """The selected frames, see `read_frames`, in float32.
+
+    Raises:
+        DataError: `select` does not fit the frames, or they span too little of their level for single precision.
+    """
+    chosen = select_frames(frames, select, source)
+    found = to_float32(chosen)
+    if chosen.dtype.kind not in "uif" or np.can_cast(chosen.dtype, np.float32) or not len(chosen):
+        return found
+    spans, errors, step = [], [], max(1, chosen[0].size // MAX_JUDGED)
+    for frame, rounded in zip(chosen, found, strict=True):
+        known = np.isfinite(rounded)
+        values, steps = np.asarray(frame)[known][::step].astype(np.float64), rounded[known][::step]
+        low, high = np.quantile(values, (0.01, 0.99)) if values.size else (0.0, 0.0)
+        spans.append(high - low)
+        errors.append(np.abs(values - steps).max(initial=0.0))
+    if 0 < np.median(spans) < 2 * MIN_STEPS * np.median(errors):
+        raise DataError(
+            f"{source}: frames span {np.median(spans):.3g} at a level of {np.median(steps):.6g}, which single "
+            "precision does not resolve. Subtract the level in double precision, before"
+        )
+    return found
 
 
 def select_frames(frames: Array, select: Select, source: str) -> Array:

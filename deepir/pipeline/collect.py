@@ -11,6 +11,7 @@ from deepir.arrays.noise_level import median_sigma
 from deepir.burst import Burst
 from deepir.effects.saturation import bounded, clipping_message
 from deepir.effects.shading import added_flux
+from deepir.effects.unobserved import observed
 from deepir.estimation.uncertainty import uncertainty
 from deepir.fields.line_noise import LineNoise
 from deepir.fields.sensor_maps import GaussianMap
@@ -18,7 +19,7 @@ from deepir.operators.geometry import Geometry
 from deepir.operators.homography import displacements, homographies
 from deepir.optim.solve import Solution
 from deepir.problem import Problem
-from deepir.result import Result, neutral, to_gauge
+from deepir.result import Array, Result, neutral, to_gauge
 
 REPORTED_PENALTY = 2.0  # dB that the unknown pattern costs the scene
 
@@ -79,6 +80,24 @@ def make_result(
         "strengths": strengths(problem),
         "reference_level": float(problem.reference),
     }
+    return result
+
+
+def unseen_scene(problem: Problem, geometry: Geometry, burst: Burst) -> Array:
+    """Pixels of the scene that no usable sample of the frames shows, bool, (H, W) or (N, H, W)."""
+    usable = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None].to(problem.data.device)
+    unseen: Array = geometry.crop(~observed(problem, usable).cpu().numpy())
+    return unseen if not (burst.stretched or usable.all()) else np.zeros_like(unseen)
+
+
+def mark_unseen(result: Result, unseen: Array) -> Result:
+    """The result with the pixels of its scene that no frame shows, and a message on them, if there are any."""
+    if unseen.any():
+        result.extra["unseen"] = unseen
+        result.messages.append(
+            f"{unseen.sum()} pixel(s) of the scene, {unseen.mean():.2%}, are seen by no frame: they go on smoothly "
+            "from what is beside them ('unseen' in result.npz)"
+        )
     return result
 
 

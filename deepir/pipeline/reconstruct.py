@@ -12,20 +12,22 @@ from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.diagnostics.equalised_histogram import equalised_message
+from deepir.diagnostics.motion_evidence import doubtful_motion
 from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
+from deepir.effects.gain_drift import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.uncertainty import nuc_penalty_db
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.optim.held_out import hold_out
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress, solve
-from deepir.pipeline.collect import make_result
+from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
 from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
 from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import register_frames
-from deepir.pipeline.safeguard import safeguarded, unregistered
+from deepir.pipeline.safeguard import safeguarded, uncorrected, unregistered
 from deepir.pipeline.schedule import network_message, plan
 from deepir.problem import Problem
 from deepir.registry import register
@@ -47,7 +49,7 @@ def joint(
     except DataError as refusal:
         if not recipe.judged:
             raise
-        return unregistered(burst, refusal)
+        return mark_unseen(unregistered(burst, refusal), ~burst.valid[0])
     taken = used
     if recipe.ordered and motion is not None:
         motion, taken = interpolate_missing_motion(motion, used)
@@ -70,15 +72,37 @@ def joint(
     messages += network_message(problem, stages)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     complete = config.solver.max_iterations is None  # a solve cut short leaves more than drift
-    messages += recipe.warnings(problem, complete=complete) + scene_in_pattern_message(problem)
+    picture = scene_in_pattern_message(problem)
+    messages += recipe.warnings(problem, complete=complete) + picture
     if complete:
         messages += residual_correlation_message(problem)
     found = given & ~problem.alive()
-    burst = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
+    known = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = nuc_penalty_db(problem, recipe.sensor_weight)
-    result = make_result(problem, geometry, solution, burst, used, taken, messages, cost)
+    result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
-    return safeguarded(result, burst, registered=motion is not None) if recipe.judged else result
+    unseen = unseen_scene(problem, geometry, kept)
+    if not recipe.judged:
+        return mark_unseen(result, unseen)
+    doubt = picture or doubtful_motion(problem, burst.frames, burst.valid & ~burst.bad_pixels, used)
+    if doubt and not picture:
+        result.messages = doubt + result.messages
+    if doubt:
+        final = uncorrected(result, burst)
+    else:
+        final = safeguarded(result, _evened(known, problem, taken), registered=motion is not None)
+    if final.frames_used.sum() < used.sum():  # it is the first frame
+        unseen = ~burst.valid[0]
+    return mark_unseen(final, unseen)
+
+
+def _evened(burst: Burst, problem: Problem, taken: np.ndarray) -> Burst:
+    """The burst with the frames that were divided by their exposures."""
+    if not has_exposures(problem):
+        return burst
+    frames = burst.frames.copy()
+    frames[taken] = (problem.data + problem.reference)[:, 0].cpu().numpy()
+    return dataclasses.replace(burst, frames=frames)
 
 
 def _demand_scene(problem: Problem) -> None:

@@ -75,7 +75,7 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool) -> Result:
         scene = (result.scene + found.slow / result.gain).astype(np.float32)
         offset = best.offset.astype(np.float32)
         return dataclasses.replace(result, scene=scene, offset=offset, messages=[message, *result.messages])
-    return _replaced(result, burst, best, message)
+    return _replaced(result, burst, best.gain, best.offset, message)
 
 
 def unregistered(burst: Burst, refusal: DataError) -> Result:
@@ -104,7 +104,13 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
         f"the frames do not register as a whole, but their parts move: the result has {best.name}. It leaves a fixed "
         f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}"
     )
-    return _replaced(result, burst, best, message)
+    return _replaced(result, burst, best.gain, best.offset, message)
+
+
+def uncorrected(result: Result, burst: Burst) -> Result:
+    """The first frame as it is, in place of a result whose motion is not to be trusted; its messages say why."""
+    message = "the motion is not to be trusted: the result has no correction, and is the first frame as it is"
+    return _replaced(result, burst, np.ones(burst.size), np.zeros(burst.size), message)
 
 
 @dataclass(frozen=True)
@@ -207,10 +213,10 @@ def _judge(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) -
     return Judge(frames, burst.valid & ~burst.bad_pixels, pairs, corrections, independent=False)
 
 
-def _replaced(result: Result, burst: Burst, correction: Correction, message: str) -> Result:
+def _replaced(result: Result, burst: Burst, gain: Array, offset: Array, message: str) -> Result:
     """The result with another correction; its scene is the corrected first frame, or of each frame its own."""
     good = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None]
-    corrected = torch.from_numpy((burst.frames - correction.offset) / correction.gain)[:, None]
+    corrected = torch.from_numpy((burst.frames - offset) / gain)[:, None]
     own = result.scene.ndim == 3
     frames = corrected if own else corrected[:1]
     scene = torch.cat([fill_nearest(each[None], ok[None]) for each, ok in zip(frames, good, strict=False)])[
@@ -221,8 +227,8 @@ def _replaced(result: Result, burst: Burst, correction: Correction, message: str
         new.frames_used[1:], new.motion[1:] = False, np.nan
     return dataclasses.replace(
         new,
-        gain=correction.gain.astype(np.float32),
-        offset=correction.offset.astype(np.float32),
+        gain=gain.astype(np.float32),
+        offset=offset.astype(np.float32),
         metrics=result.metrics,
         history=result.history,
         messages=[message, *result.messages],

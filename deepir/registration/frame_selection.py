@@ -21,6 +21,7 @@ from deepir.registration.pyramid import Level
 MIN_CONCORDANCE = 0.6  # frames below it are rejected; aligned frames of other scenes reach 0.5
 MIN_OVERLAP = 0.15  # of the frame, that other frames must show
 CLEAR_MISFIT_RATIO = 1.5  # ratio of misfits per degree of freedom at which the lower one is clearly lower
+REJECTED_SHARE = 1 / 32  # of many frames, that are rejected at a time
 SELECTION_ROUNDS = 3  # Gauss-Newton rounds of an alignment before frames are rejected
 
 
@@ -173,7 +174,8 @@ def spanning_tree_motions(
 def reject_frames(level: Level, used: Tensor, motion: Tensor, model: str) -> tuple[Tensor, Alignment]:
     """Align frames and reject the one of least concordance, repeatedly, until all of them agree.
 
-    One at a time, since a frame of another scene disturbs scene and pattern of the others, too.
+    One at a time, since a frame of another scene disturbs scene and pattern of the others, too; of many frames a
+    `REJECTED_SHARE`, which bounds the work.
 
     Args:
         level: N frames.
@@ -190,7 +192,8 @@ def reject_frames(level: Level, used: Tensor, motion: Tensor, model: str) -> tup
         agreement = concordance(level.subset(used), alignment.pattern, alignment.motion)
         if len(agreement) < 3 or agreement.min() >= MIN_CONCORDANCE:
             return used, alignment
-        used[used.nonzero()[agreement.argmin()]] = False
+        worst = agreement.argsort(stable=True)[: max(1, int(REJECTED_SHARE * len(agreement)))]
+        used[used.nonzero()[worst[agreement[worst] < MIN_CONCORDANCE], 0]] = False
 
 
 def concordance(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -75,7 +76,12 @@ def register(
         frames = inpaint_mean(frames, missing, torch.ones(frames.shape[1:]))
     preprocessed, weight = preprocess(frames, None if ignore is None else ignore.cpu())
     n = len(frames)
-    excluded = dict.fromkeys(repeated_frames(frames), "is the same as the one before it")
+    excluded = {
+        k: "is the same as the one before it"
+        if earlier == k - 1
+        else f"is the same as frame {start + earlier}"
+        for k, earlier in repeated_frames(frames).items()
+    }
     if n > SHUTTER.min_scene_frames:
         is_shutter = shutter_frames(search_level(preprocessed, weight), initial_model(model))
         reason = "shows the pattern and no scene, as where a shutter closes"
@@ -94,10 +100,16 @@ def initial_model(model: str) -> str:
     return "rigid" if model == AUTO else model
 
 
-def repeated_frames(frames: Tensor) -> list[int]:
-    """Numbers of the frames that equal the one before, of `(N, H, W)`; none if all do, as nothing moves then."""
-    repeated = [k for k in range(1, len(frames)) if torch.equal(frames[k], frames[k - 1])]
-    return repeated if len(repeated) < len(frames) - 1 else []
+def repeated_frames(frames: Tensor) -> dict[int, int]:
+    """Frames that equal an earlier one of `(N, H, W)`, and the last such; none if all do, as nothing moves then."""
+    last: dict[bytes, int] = {}
+    repeated = {}
+    for k, frame in enumerate(frames):
+        digest = hashlib.sha256(frame.contiguous().numpy()).digest()
+        if digest in last:
+            repeated[k] = last[digest]
+        last[digest] = k
+    return repeated if len(last) > 1 else {}
 
 
 def estimate_burst(

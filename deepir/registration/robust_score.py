@@ -18,6 +18,7 @@ from deepir.registration.pyramid import Level, sample
 
 MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
 MIN_OTHER_FRAMES = 3  # frames in which another one is searched
+MAX_REREGISTERED = 32  # frames that are searched again, at most: each search takes the time of all frames
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,7 @@ def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
         Motions `(N, 3, 3)`; at most a few differ.
     """
     used = motion.isfinite().all((1, 2))
-    for _ in range(len(motion)):
+    for _ in range(min(len(motion), MAX_REREGISTERED)):
         residual = absolute_residuals(level, motion)
         frame_nll = sample_nll(residual, robust_sigma(residual)).mean((1, 2))
         worst = [int(frame_nll.where(used, -torch.inf).argmax())]

@@ -4,6 +4,7 @@ import pytest
 from deepir.errors import DataError
 from deepir.io import crop, validate
 from deepir.io.inspection.checks import unrecorded_samples
+from deepir.io.selection import selected_in_float32
 
 
 @pytest.fixture
@@ -31,10 +32,21 @@ def test_a_constant_frame_is_named(frames):
         validate(frames, "a")
 
 
-@pytest.mark.parametrize("scale", [1e18, 1e-30])
+@pytest.mark.parametrize("scale", [1e18, 1e8, 1e-30])
 def test_numbers_beyond_reason_are_refused(frames, scale):
     with pytest.raises(DataError, match=r"^a: frame 0 is .* out of bounds"):
         validate(frames * np.float32(scale), "a")
+
+
+def test_a_span_that_single_precision_does_not_resolve_is_refused(frames):
+    faint = 1000 * (1 + 1e-9 * frames.astype(float) / np.ptp(frames))
+    with pytest.raises(DataError, match=r"^a: frames span .* single precision does not resolve"):
+        selected_in_float32(faint, None, "a")
+    faint[:, :4] = np.nan
+    faint[:-1] = 1000.1  # constant: left out, if enough others are there
+    assert np.ptp(selected_in_float32(faint, None, "a")[0, 4:]) == 0
+    found = selected_in_float32(frames.astype(float), None, "a")
+    np.testing.assert_array_equal(found, frames)
 
 
 def test_too_few_frames_say_how_many_are_needed(frames):

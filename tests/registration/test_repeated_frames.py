@@ -15,6 +15,14 @@ def test_frames_that_are_read_twice_are_used_once():
     assert twice.messages == [f"frame {k} is the same as the one before it: left out" for k in (1, 3, 5, 7)]
 
 
+def test_two_views_by_turns_are_two_frames():
+    frames, _ = simulated("camera", n_frames=4)
+    once, by_turns = register(frames[:2]), register(frames[[0, 1, 0, 1, 0]])
+    assert by_turns.used.tolist() == [True, True, False, False, False]
+    assert torch.allclose(by_turns.motion[:2], once.motion, atol=0.2)
+    assert by_turns.messages[0] == "frame 2 is the same as frame 0: left out"
+
+
 def test_and_make_no_noise_that_is_less():
     frames = simulated("camera", n_frames=4)[0].numpy()
     once, thrice = (deepir.run("nuc", frames=frames.repeat(times, 0), threads=1) for times in (1, 3))

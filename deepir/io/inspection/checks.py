@@ -11,7 +11,8 @@ from scipy.ndimage import label
 from deepir.errors import DataError
 
 MIN_FRAME_SIDE = 16  # px; smaller frames can be neither registered nor reconstructed
-MAX_VALUE = 1e15  # largest value of a frame, and inverse of its smallest range: squares stay within float32
+MAX_VALUE = 1e9  # largest value of a frame: its fourth power stays within float32
+MIN_RANGE = 1e-15  # smallest range of a frame: its square stays within float32
 #: Share of the line beside a bar that may hold its value; above, it is a scene at the end of the range.
 MAX_BAR_CONTINUATION = 0.05
 MIN_COLD_PIXELS = 20  # pixels inside, and at the rim, of a region that is too cold to be recorded
@@ -50,10 +51,10 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
     for k in range(count):
         values = frames[k][valid[k]]
         low, high = float(values.min()), float(values.max())
-        if max(-low, high) > MAX_VALUE or high - low < 1 / MAX_VALUE:
+        if max(-low, high) > MAX_VALUE or high - low < MIN_RANGE:
             raise DataError(
-                f"{source}: frame {k} is {low:g} to {high:g}, which is out of bounds (1e-15 to 1e15): damaged, or in "
-                "unusual units? Give counts, kelvin or [0, 1]"
+                f"{source}: frame {k} is {low:g} to {high:g}, which is out of bounds (values up to 1e9, a range from "
+                "1e-15): damaged, or in unusual units? Give counts, kelvin or [0, 1]"
             )
     return valid
 

@@ -1,0 +1,54 @@
+"""Where the motion is not to be trusted, the result is the first frame as it is, and no worse."""
+
+import numpy as np
+import pytest
+
+import deepir
+from deepir.diagnostics.repeating_scene import scene_period
+from deepir.metrics import scores
+from deepir.simulate import Settings, simulate
+
+X = np.mgrid[:400, :400][1]
+FENCE = 0.1 + 0.8 * (X % 8 < 4)
+
+
+def burst(scene=None, seed=0, **settings):
+    return simulate(scene, Settings(n_frames=6, shape=(96, 96), motion="shift", **settings), seed=seed)
+
+
+def period(frames):
+    return scene_period(frames, np.ones(frames.shape, bool))
+
+
+@pytest.mark.parametrize(("seed", "turn"), [(0, 0.0), (1, 2.0)])
+def test_before_a_fence_the_result_is_no_worse_than_a_raw_frame(seed, turn):
+    camera = Settings(
+        n_frames=6, shape=(96, 128), motion="rigid" if turn else "shift", max_rotation=turn, scale=1.25
+    )
+    sim = simulate(FENCE, camera, seed=seed)
+    result = deepir.run("nuc", frames=sim.frames, threads=1)
+    raw, found = (scores(each, sim.truth.scene)["psnr_aligned"] for each in (sim.frames[0], result.scene))
+    assert found > raw - 0.1
+    assert "no correction" in result.messages[0]
+
+
+def test_frames_that_are_mirrored_by_turns_get_no_correction():
+    sim = burst(seed=1)
+    frames = np.stack([each[:, ::-1] if k % 2 else each for k, each in enumerate(sim.frames)])
+    result = deepir.run("nuc", frames=frames, threads=1)
+    raw, found = (scores(each, sim.truth.scene)["psnr_aligned"] for each in (frames[0], result.scene))
+    assert found > raw - 0.1
+    assert "no correction" in result.messages[0]
+
+
+def test_the_period_of_a_scene_is_found_below_a_fixed_pattern():
+    assert period(burst(FENCE, scale=1.25).frames) == pytest.approx(6.4, rel=0.25)
+    checks = 0.1 + 0.8 * ((X // 12 + X.T // 12) % 2)
+    assert period(burst(checks, scale=1.5).frames) == pytest.approx(8 * 2**0.5, rel=0.25)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_other_scenes_have_none(seed):
+    assert period(burst(seed=seed).frames) is None
+    edge = np.clip((X - 200) / 4, 0, 1)
+    assert period(burst(edge, seed=seed, scale=1.25).frames) is None
