@@ -14,6 +14,7 @@ from torch import Tensor
 
 from deepir.arrays.autocorrelation import autocorrelation
 from deepir.arrays.statistics import MAD_TO_SIGMA, median
+from deepir.messages import Message
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
 from deepir.optim.low_order_model import polynomials
@@ -53,9 +54,12 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     ):
         return []
     return [
-        "the fixed pattern that was found looks like a picture, as where the camera stands still and something else "
-        "moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by 3 to "
-        "10 px in x and in y"
+        Message(
+            "scene-in-pattern",
+            "the fixed pattern that was found looks like a picture, as where the camera stands still and something "
+            "else moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by "
+            "3 to 10 px in x and in y",
+        )
     ]
 
 

@@ -14,6 +14,7 @@ from deepir.effects.shading import added_flux
 from deepir.estimation.uncertainty import uncertainty
 from deepir.fields.line_noise import LineNoise
 from deepir.fields.sensor_maps import GaussianMap
+from deepir.messages import Message
 from deepir.operators.geometry import Geometry
 from deepir.operators.homography import displacements, homographies
 from deepir.optim.solve import Solution
@@ -87,8 +88,11 @@ def cost_message(cost: float, n_frames: int) -> list[str]:
     if not cost > REPORTED_PENALTY:
         return []
     return [
-        f"separating the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the "
-        "scene: take more frames, or move further, in x and in y"
+        Message(
+            "pattern-cost",
+            f"separating the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the "
+            "scene: take more frames, or move further, in x and in y",
+        )
     ]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.io.inspection.saturated_samples import saturated_samples
+from deepir.messages import Message
 from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.texture_flow import Displacement
 from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
@@ -108,7 +109,12 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: boo
     if correction == AUTO:
         kept = _choice(nats)
         if kept == "none":
-            messages.append("no correction makes held-out frames better: the recording is left as it is")
+            messages.append(
+                Message(
+                    "no-correction-helps",
+                    "no correction makes held-out frames better: the recording is left as it is",
+                )
+            )
     elif correction not in candidates:
         raise DataError(
             f"the correction '{correction}' cannot be estimated from this recording; {'; '.join(messages)}"
@@ -254,8 +260,11 @@ def _base(
     ):
         return ("offset", slow), []
     return ("fine_offset", fine), [
-        "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
-        "or the camera moves too little, or turns only one way"
+        Message(
+            "slow-part-not-separated",
+            "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
+            "or the camera moves too little, or turns only one way",
+        )
     ]
 
 
