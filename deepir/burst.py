@@ -23,6 +23,7 @@ from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
 from deepir.io.inspection.torn_frames import torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
 from deepir.io.selection import select_frames, selected_in_float32, to_float32, unselected_pairs
+from deepir.messages import Message
 
 Array = np.ndarray[Any, Any]
 #: The scene that is known, or arrays by name.
@@ -153,10 +154,16 @@ def _without(
         if len(array) == len(stack) and (name in PER_FRAME_TRUTH or (name == "scene" and array.ndim == 3))
     }
     messages = tuple(
-        f"frame {k} is left out: it is {why}. Frames are counted without it" for k, why in nothing.items()
+        Message("frame-empty", f"frame {k} is left out: it is {why}. Frames are counted without it")
+        for k, why in nothing.items()
     )
     if rest[0]:
-        messages += (f"motions and results are relative to what was frame {rest[0]}, the first that is left",)
+        messages += (
+            Message(
+                "reference-frame",
+                f"motions and results are relative to what was frame {rest[0]}, the first that is left",
+            ),
+        )
     return stack[rest], truth | by_frame, messages
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from deepir.burst import Burst
+from deepir.messages import Message
 from deepir.metrics import motion_error, scores
 from deepir.operators.geometry import rescale_motion
 from deepir.result import Result
@@ -26,7 +27,10 @@ def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:
         return {}
     if truth["scene"].shape != result.scene.shape:
         result.messages.append(
-            f"data.truth: the scene is {truth['scene'].shape}, the result {result.scene.shape}: not compared"
+            Message(
+                "truth-not-compared",
+                f"data.truth: the scene is {truth['scene'].shape}, the result {result.scene.shape}: not compared",
+            )
         )
         return {}
     bound = result.extra.get("clipped", np.zeros((), np.int8)) != 0  # of which the frames do not show more

@@ -22,6 +22,7 @@ from deepir.comparison import compare_to_truth
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.kernels import memory, threads
+from deepir.messages import labelled
 from deepir.metrics import roughness
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress
@@ -116,7 +117,7 @@ def execute(
         "prior": config.prior,
         "frames": len(result.frames_used),
         "frames_used": int(result.frames_used.sum()),
-        "messages": result.messages,
+        "messages": labelled(result.messages),
         "radiometry": None if data.radiometry is None else asdict(data.radiometry),
         "input_sha256": data.sha256,
         "versions": versions(),

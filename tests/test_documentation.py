@@ -16,6 +16,7 @@ from deepir.cli import app
 from deepir.config import SHIPPED_CONFIGS, load
 from deepir.config.schema import Config
 from deepir.report.components import components_page
+from deepir.report.messages import messages_page
 from deepir.runner import check_components
 from deepir.simulate import Settings
 
@@ -178,6 +179,11 @@ def test_every_file_of_a_run_is_documented():
 def test_the_table_of_components_is_current():
     current = (ROOT / "docs/reference/components.md").read_text() == components_page()
     assert current, "run: python -m deepir.report.components docs/reference/components.md"
+
+
+def test_the_page_of_messages_is_current():
+    current = (ROOT / "docs/reference/messages.md").read_text() == messages_page()
+    assert current, "run: python -m deepir.report.messages docs/reference/messages.md"
 
 
 def test_the_citation_names_this_version_and_the_paper():

@@ -6,6 +6,8 @@ import pytest
 from documentation import PAGES, ROOT
 
 SITE = [*PAGES, ROOT / "CHANGELOG.md"]
+#: Written by scripts from the code, and looked up, not read: they do not count as words of the site.
+GENERATED = [ROOT / "docs/reference/components.md", ROOT / "docs/reference/messages.md"]
 WORDS_ON_THE_SITE = 35_000
 WORDS_OF_AN_EXPLANATION = 800
 LONGEST_SENTENCE = 30  # words
@@ -90,4 +92,5 @@ def test_an_explanation_is_read_in_a_few_minutes(page):
 
 
 def test_the_site_is_read_in_a_day():
-    assert sum(len(words(page.read_text(encoding="utf-8"))) for page in SITE) <= WORDS_ON_THE_SITE
+    read = [page for page in SITE if page not in GENERATED]
+    assert sum(len(words(page.read_text(encoding="utf-8"))) for page in read) <= WORDS_ON_THE_SITE

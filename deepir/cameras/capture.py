@@ -57,7 +57,7 @@ def capture(
         if frame is None or (last is not None and np.array_equal(frame, last)):
             waiting = now if waiting is None else waiting
             if now - waiting > FRAME_TIMEOUT:
-                raise DataError(_silence(last))
+                raise _silence(last)
             time.sleep(POLL_INTERVAL)
             continue
         if frame.ndim != 2 or (last is not None and frame.shape != last.shape):
@@ -72,13 +72,13 @@ def capture(
     return Captured(np.stack(frames), np.array(times) - times[0], longest_freeze)
 
 
-def _silence(last: Array | None) -> str:
+def _silence(last: Array | None) -> DataError:
     if last is None:
-        return (
+        return DataError(
             f"the camera has sent nothing for {FRAME_TIMEOUT:.0f} s: unplug it and plug it in again, "
             "and try once more"
         )
-    return (
+    return DataError(
         f"the camera's picture has not changed for {FRAME_TIMEOUT:.0f} s, not even by noise: its shutter is closed, "
         "it is frozen, or something reduces its noise to nothing"
     )

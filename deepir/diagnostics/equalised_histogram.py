@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.io.inspection.display_range import Array
+from deepir.messages import Message
 
 #: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
 MAX_DISTANCE_FROM_UNIFORM = 0.01
@@ -30,6 +31,9 @@ def equalised_message(frames: Array) -> list[str]:
     if not is_equalised(frames):
         return []
     return [
-        "each frame's histogram is equalised: its values are ranks, not flux, so that neither gain and offset nor the "
-        "scene's contrasts mean much. Record the raw (radiometric) stream of 14 or 16 bits, or a linear gain"
+        Message(
+            "equalised-frames",
+            "each frame's histogram is equalised: its values are ranks, not flux, so that neither gain and offset nor "
+            "the scene's contrasts mean much. Record the raw (radiometric) stream of 14 or 16 bits, or a linear gain",
+        )
     ]

@@ -11,6 +11,7 @@ from deepir.diagnostics.residual_correlation import (
     RESIDUAL_CLIP_SIGMAS,
     residual_correlation,
 )
+from deepir.messages import Message
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
 from deepir.problem import Problem
@@ -52,8 +53,11 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
         least = MIN_NATS_PERIODIC if used.mean() >= MIN_REGISTERED else MIN_NATS_PERIODIC_FEW
         if motion_nats(problem) < least:
             return [
-                f"the scene repeats itself, by about {period:.0f} px, so that frames match at many displacements, and "
-                "the motion that was found explains them little better than rest"
+                Message(
+                    "scene-repeats",
+                    f"the scene repeats itself, by about {period:.0f} px, so that frames match at many displacements, "
+                    "and the motion that was found explains them little better than rest",
+                )
             ]
     values = problem.values()
     left = problem.data - problem.predict(values)
@@ -69,6 +73,9 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
     if motion_nats(problem) > MIN_MOTION_NATS:
         return []
     return [
-        "the frames do not show one scene that moves: the motion that was found explains them no better than rest, and "
-        "leaves more than the pattern"
+        Message(
+            "motion-not-trusted",
+            "the frames do not show one scene that moves: the motion that was found explains them no better than rest, "
+            "and leaves more than the pattern",
+        )
     ]

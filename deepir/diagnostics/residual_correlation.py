@@ -10,6 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.messages import Message
 from deepir.operators import Sensor
 from deepir.problem import Problem
 
@@ -35,18 +36,24 @@ def residual_correlation_message(problem: Problem) -> list[str]:
     several = len(residual) > 2 and not any(stage.temporal for stage in stages)
     if several and lag_correlation(residual, problem.flux(values), problem.precision) > MIN_LAG_CORRELATION:
         return [
-            "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "
-            "camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run deblur_lag "
-            "data.fps=...` takes the tail away"
+            Message(
+                "thermal-lag",
+                "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move "
+                "the camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run "
+                "deblur_lag data.fps=...` takes the tail away",
+            )
         ]
     if (correlation := residual_correlation(residual, problem.precision)) < MIN_RESIDUAL_CORRELATION:
         return []
     near, far = CORRELATION_DISTANCES
     return [
-        f"the frames hold what is neither scene nor pattern: what is left of them is alike by {correlation:.2f} "
-        f"{near} and {far} px apart, and noise is not. Things are at many depths (then `deepir run flow` "
-        "follows them), clouds, leaves, shadows or the shading change, or the camera moves within a frame: the scene "
-        "is less sure than its deviation says"
+        Message(
+            "correlated-residuals",
+            f"the frames hold what is neither scene nor pattern: what is left of them is alike by {correlation:.2f} "
+            f"{near} and {far} px apart, and noise is not. Things are at many depths (then `deepir run flow` "
+            "follows them), clouds, leaves, shadows or the shading change, or the camera moves within a frame: the "
+            "scene is less sure than its deviation says",
+        )
     ]
 
 

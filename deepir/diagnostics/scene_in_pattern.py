@@ -15,6 +15,7 @@ from torch import Tensor
 from deepir.arrays.autocorrelation import autocorrelation
 from deepir.arrays.statistics import MAD_TO_SIGMA, median
 from deepir.diagnostics.motion_evidence import MIN_MOTION_NATS, motion_nats
+from deepir.messages import Message
 from deepir.operators import Sensor, Warp
 from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem
@@ -47,9 +48,12 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     ):
         return []
     return [
-        "the fixed pattern that was found looks like a picture, as where the camera stands still and something else "
-        "moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by 3 to "
-        "10 px in x and in y"
+        Message(
+            "scene-in-pattern",
+            "the fixed pattern that was found looks like a picture, as where the camera stands still and something "
+            "else moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by "
+            "3 to 10 px in x and in y",
+        )
     ]
 
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from deepir.arrays.noise_level import mixed_difference
 from deepir.arrays.statistics import subsample
+from deepir.messages import Message
 
 #: Samples of all frames that suffice.
 MAX_SAMPLES = 40_000
@@ -63,6 +64,9 @@ def shutter_message(part: slice, n: int) -> list[str]:
         return []
     at, other = (part.start, f":{part.start}") if part.start else (part.stop, f"{part.stop}:")
     return [
-        f"the fixed pattern changes between frames {at - 1} and {at}, as where a shutter closes: only frames "
-        f"{part.start} to {part.stop - 1} are used. The others: data.frames={other}"
+        Message(
+            "shutter-in-burst",
+            f"the fixed pattern changes between frames {at - 1} and {at}, as where a shutter closes: only frames "
+            f"{part.start} to {part.stop - 1} are used. The others: data.frames={other}",
+        )
     ]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from deepir.effects.effect import Effect
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
+from deepir.messages import Message
 from deepir.problem import Problem
 from deepir.registry import register
 
@@ -54,11 +55,19 @@ def frame_gain_message(problem: Problem) -> list[str]:
     apart = float((problem.contrast / problem.contrast.mean() - 1).abs().max())
     if problem.stretched and apart >= REPORTED_AGC:
         return [
-            f"the contrast of the frames differs by up to {apart:.0%}, as an automatic gain makes it: it is evened "
-            "out. Record with a fixed gain, 14 or 16 bits, to measure"
+            Message(
+                "contrast-varies",
+                f"the contrast of the frames differs by up to {apart:.0%}, as an automatic gain makes it: it is evened "
+                "out. Record with a fixed gain, 14 or 16 bits, to measure",
+            )
         ]
     if not problem.stretched and apart >= REPORTED_DRIFT:
-        return [f"the camera's response drifts, by up to {apart:.1%} from frame to frame: it is evened out"]
+        return [
+            Message(
+                "response-drift",
+                f"the camera's response drifts, by up to {apart:.1%} from frame to frame: it is evened out",
+            )
+        ]
     return []
 
 

@@ -12,6 +12,7 @@ from deepir.arrays.statistics import masked_values, subsample
 from deepir.effects.effect import Effect
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise
+from deepir.messages import Message
 from deepir.problem import Problem
 from deepir.registry import register
 
@@ -62,15 +63,21 @@ def drift_message(problem: Problem) -> list[str]:
         if float((found - found.mean()).abs().max()) <= least + CHANCE_DRIFT * chance**0.5:
             return []
         return [
-            f"the level of whole frames drifts, by {found.std():.3g}: "
-            "a slope across the scene is separated from that only in part"
+            Message(
+                "level-drift",
+                f"the level of whole frames drifts, by {found.std():.3g}: "
+                "a slope across the scene is separated from that only in part",
+            )
         ]
     level = level_residuals(problem)
     drift = float((level - level.mean()).abs().max())
     if drift < least:
         return []
     return [
-        f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with physics.sensor.level=drift"
+        Message(
+            "level-drift-ignored",
+            f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with physics.sensor.level=drift",
+        )
     ]
 
 

@@ -12,6 +12,7 @@ from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median
 from deepir.effects.effect import Effect, Rounds
 from deepir.estimation.line_levels import has_line_noise, line_noise_fields
 from deepir.fields.line_noise import LineNoise
+from deepir.messages import Message
 from deepir.problem import Problem
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
@@ -45,8 +46,11 @@ def line_noise_message(problem: Problem) -> list[str]:
     noise = median_sigma(problem.precision)
     found = [(field.line_name, float(field.sigma)) for field in line_noise_fields(problem) if field.sigma > 0]
     return [
-        f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
-        "estimated and taken out"
+        Message(
+            "line-noise",
+            f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
+            "estimated and taken out",
+        )
         for lines, sigma in found
     ]
 

@@ -16,6 +16,7 @@ from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median
 from deepir.arrays.windows import box_sum
 from deepir.effects.effect import Effect
 from deepir.effects.foreground import foreground
+from deepir.messages import Message
 from deepir.operators.base import slots_of
 from deepir.problem import Problem, Values
 from deepir.registry import register
@@ -125,8 +126,11 @@ def moving_message(problem: Problem) -> list[str]:
     if not share:
         return []
     return [
-        f"something moves by itself: {share:.2%} of the samples show it and are left out ('moving' in result.npz); "
-        "what it covers in most frames is estimated only in part"
+        Message(
+            "moving-object",
+            f"something moves by itself: {share:.2%} of the samples show it and are left out ('moving' in result.npz); "
+            "what it covers in most frames is estimated only in part",
+        )
     ]
 
 

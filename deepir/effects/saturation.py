@@ -14,6 +14,7 @@ from deepir.effects.bad_pixels import DEAD_DEVIATION
 from deepir.effects.effect import Effect, Start
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.io.inspection.saturated_samples import Array
+from deepir.messages import Message
 from deepir.problem import Problem
 from deepir.registry import register
 
@@ -80,7 +81,7 @@ def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]
                 f"{cut.mean():.2%} of the samples are cut off at {np.median(frames[cut]):g}: the scene is {name} as "
                 f"much at {bounds} pixels"
             )
-    return ["; ".join(said) + " ('clipped' in result.npz)"] if said else []
+    return [Message("clipped-samples", "; ".join(said) + " ('clipped' in result.npz)")] if said else []
 
 
 @register("effect", "saturation")

@@ -12,6 +12,7 @@ from deepir.estimation.low_order_evidence import LowOrderEvidence, contrast
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
 from deepir.fields.shading import Shading
+from deepir.messages import Message
 from deepir.operators import Add, Sensor
 from deepir.problem import Problem
 from deepir.registry import register
@@ -111,6 +112,9 @@ class LowOrderParts(Effect):
         if not smooth:
             return []
         return [
-            f"the frames are shaded, which {len(problem.data)} of them do not separate from the scene: it is left in. "
-            f"Take {MIN_FRAMES} or more"
+            Message(
+                "shading-not-separated",
+                f"the frames are shaded, which {len(problem.data)} of them do not separate from the scene: it is left "
+                f"in. Take {MIN_FRAMES} or more",
+            )
         ]

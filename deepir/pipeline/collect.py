@@ -15,6 +15,7 @@ from deepir.effects.unobserved import observed
 from deepir.estimation.uncertainty import uncertainty
 from deepir.fields.line_noise import LineNoise
 from deepir.fields.sensor_maps import GaussianMap
+from deepir.messages import Message
 from deepir.operators.geometry import Geometry
 from deepir.operators.homography import displacements, homographies
 from deepir.optim.solve import Solution
@@ -95,8 +96,11 @@ def mark_unseen(result: Result, unseen: Array) -> Result:
     if unseen.any():
         result.extra["unseen"] = unseen
         result.messages.append(
-            f"{unseen.sum()} pixel(s) of the scene, {unseen.mean():.2%}, are seen by no frame: they go on smoothly "
-            "from what is beside them ('unseen' in result.npz)"
+            Message(
+                "unseen-pixels",
+                f"{unseen.sum()} pixel(s) of the scene, {unseen.mean():.2%}, are seen by no frame: they go on smoothly "
+                "from what is beside them ('unseen' in result.npz)",
+            )
         )
     return result
 
@@ -106,8 +110,11 @@ def cost_message(cost: float, n_frames: int) -> list[str]:
     if not cost > REPORTED_PENALTY:
         return []
     return [
-        f"separating the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the "
-        "scene: take more frames, or move further, in x and in y"
+        Message(
+            "pattern-cost",
+            f"separating the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the "
+            "scene: take more frames, or move further, in x and in y",
+        )
     ]
 
 

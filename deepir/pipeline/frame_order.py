@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepir.errors import ConfigError
 from deepir.io.selection import select_frames
+from deepir.messages import Message
 
 Mask = np.ndarray[Any, Any]
 MAX_FRAMES = 10**6  # more frames than any burst has
@@ -38,6 +39,9 @@ def interpolate_missing_motion(motion: Tensor, used: Mask) -> tuple[Tensor, Mask
 def interpolation_message(used: Mask, taken: Mask) -> list[str]:
     """A line for each frame that is taken without being used."""
     return [
-        f"frame {k} is bridged: where the camera was then, on which the next frames depend, is interpolated"
+        Message(
+            "frame-interpolated",
+            f"frame {k} is bridged: where the camera was then, on which the next frames depend, is interpolated",
+        )
         for k in np.flatnonzero(taken & ~used)
     ]

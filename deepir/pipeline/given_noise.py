@@ -8,6 +8,7 @@ from torch.nn.functional import avg_pool2d
 
 from deepir.config import Config
 from deepir.errors import ConfigError
+from deepir.messages import Message
 from deepir.problem import NoiseModel, Problem
 
 ROUNDING_SIGMA = 0.29  # standard deviation of rounding to whole counts, 1 / √12
@@ -34,6 +35,9 @@ def given_noise(problem: Problem, config: Config) -> list[str]:
     if variance.max() > ROUNDING_SIGMA**2 / 10 or data.max() <= 1 or (data % 1).any():
         return []
     return [
-        f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes "
-        f"{ROUNDING_SIGMA}: is the configuration meant for frames in [0, 1]?"
+        Message(
+            "noise-below-rounding",
+            f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes "
+            f"{ROUNDING_SIGMA}: is the configuration meant for frames in [0, 1]?",
+        )
     ]

@@ -87,10 +87,9 @@ def joint(
     doubt = picture or doubtful_motion(problem, burst.frames, burst.valid & ~burst.bad_pixels, used)
     if doubt and not picture:
         result.messages = doubt + result.messages
-    if doubt:
+    final = safeguarded(result, _evened(known, problem, taken), registered=motion is not None)
+    if doubt and final.frames_used.sum() == used.sum():  # nothing else takes its place
         final = uncorrected(result, burst)
-    else:
-        final = safeguarded(result, _evened(known, problem, taken), registered=motion is not None)
     if final.frames_used.sum() < used.sum():  # it is the first frame
         unseen = ~burst.valid[0]
     return mark_unseen(final, unseen)

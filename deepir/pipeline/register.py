@@ -13,6 +13,7 @@ from deepir.config import Config
 from deepir.diagnostics.interlacing import are_interlaced
 from deepir.diagnostics.shutter import longest_shutter_segment, shutter_message
 from deepir.errors import DataError
+from deepir.messages import Message
 from deepir.problems.recipe import Recipe
 from deepir.registration import register
 from deepir.registry import components
@@ -59,8 +60,11 @@ def register_frames(
     messages = shutter_message(part, len(frames)) + found.messages
     if are_interlaced(frames[kept], motion[kept], ignore):
         messages += [
-            "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
-            "modelled. Record progressive frames, or keep every second row: frames[:, ::2]"
+            Message(
+                "interlaced-frames",
+                "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
+                "modelled. Record progressive frames, or keep every second row: frames[:, ::2]",
+            )
         ]
     if recipe.motion:
         messages += _demand_motion(motion[kept], burst)
@@ -96,9 +100,12 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
             "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
             "data.mask"
         )
-    few = [
-        f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to separate "
-        "from the scene. Move the camera between frames, by 3 to 10 px in x and in y"
+    few: list[str] = [
+        Message(
+            "motion-small",
+            f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to "
+            "separate from the scene. Move the camera between frames, by 3 to 10 px in x and in y",
+        )
         for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, burst.size), strict=True)
         if span < MIN_MOTION_SPAN
     ]
@@ -133,10 +140,17 @@ def _along_a_line(at: Tensor) -> list[str]:
     shift = steps[0].mean(0)
     if (steps[0] - shift).norm(dim=1).max() > shift.norm():  # some point of the frames rests
         return [
-            f"the frames turn about one point, by {along:.1f} px at their corners, and do not move: what is constant "
-            "around it is hard to separate from the scene. Move the camera too, by 3 to 10 px in x and in y"
+            Message(
+                "motion-about-a-point",
+                f"the frames turn about one point, by {along:.1f} px at their corners, and do not move: what is "
+                "constant around it is hard to separate from the scene. Move the camera too, by 3 to 10 px in x and "
+                "in y",
+            )
         ]
     return [
-        f"the frames move along one line, by {along:.1f} px: what is constant along it is hard to separate from the "
-        "scene. Move the camera at right angles to it too, by 3 to 10 px"
+        Message(
+            "motion-along-a-line",
+            f"the frames move along one line, by {along:.1f} px: what is constant along it is hard to separate from "
+            "the scene. Move the camera at right angles to it too, by 3 to 10 px",
+        )
     ]

@@ -18,6 +18,7 @@ import torch
 from deepir.arrays.fill import fill_nearest
 from deepir.burst import Burst
 from deepir.errors import DataError
+from deepir.messages import Message
 from deepir.multiview.held_out_pattern import Judge, Left
 from deepir.multiview.low_order_part import is_implausible, slow_part
 from deepir.multiview.pattern import estimate_offset
@@ -66,10 +67,11 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool) -> Result:
     result.metrics["fixed_pattern_left"] = _figures(raw.whole.left, best.left)
     if best is found.whole:
         return result
-    message = (
+    message = Message(
+        "correction-replaced",
         f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.left)} in "
         f"{'frames beside the burst' if burst.beside is not None else 'the frames'}, {best.name} "
-        f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}"
+        f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}",
     )
     if best is found.fine and result.scene.shape == burst.frames.shape:
         scene = (result.scene + found.slow / result.gain).astype(np.float32)
@@ -100,16 +102,20 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
         "stop_reason": "the frames do not register as a whole",
         "fixed_pattern_left": _figures(raw.whole.left, best.left),
     }
-    message = (
+    message = Message(
+        "frames-not-registered",
         f"the frames do not register as a whole, but their parts move: the result has {best.name}. It leaves a fixed "
-        f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}"
+        f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}",
     )
     return _replaced(result, burst, best.gain, best.offset, message)
 
 
 def uncorrected(result: Result, burst: Burst) -> Result:
     """The first frame as it is, in place of a result whose motion is not to be trusted; its messages say why."""
-    message = "the motion is not to be trusted: the result has no correction, and is the first frame as it is"
+    message = Message(
+        "motion-not-trusted",
+        "the motion is not to be trusted: the result has no correction, and is the first frame as it is",
+    )
     return _replaced(result, burst, np.ones(burst.size), np.zeros(burst.size), message)
 
 

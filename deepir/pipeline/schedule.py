@@ -8,6 +8,7 @@ from torch import nn
 
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
+from deepir.messages import Message
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
@@ -52,9 +53,12 @@ def network_message(problem: Problem, stages: list[Stage]) -> list[str]:
     if not (network and moved):
         return []
     return [
-        f"scene: '{type(scene).__name__.lower()}' is a network, and moves by L-BFGS together with all others, which "
-        "mostly leaves much of the scene's contrast in the gain: fit it once the sensor is known, with "
-        "scene.fit.method=adam scene.fit.lr=0.003 scene.fit.iterations=500"
+        Message(
+            "network-without-fit",
+            f"scene: '{type(scene).__name__.lower()}' is a network, and moves by L-BFGS together with all others, "
+            "which mostly leaves much of the scene's contrast in the gain: fit it once the sensor is known, with "
+            "scene.fit.method=adam scene.fit.lr=0.003 scene.fit.iterations=500",
+        )
     ]
 
 

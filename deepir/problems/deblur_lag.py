@@ -10,6 +10,7 @@ import torch
 
 from deepir.build.problem import PIXELS_WITH_TV, build_scene
 from deepir.fields.scalar import Scalar
+from deepir.messages import Message
 from deepir.operators import Lag, Warp
 from deepir.operators.trajectory import Trajectory
 from deepir.optim.low_order_model import apply_lag
@@ -132,7 +133,12 @@ def speed_message(problem: Problem) -> list[str]:
         if enough <= MAX_SUBSTEPS
         else "where it was in between is not known. Move more slowly; if it jumped and stood still, take problem 'nuc'"
     )
-    return [f"the camera moves by up to {fastest:.1f} px from one frame to the next: {remedy}"]
+    return [
+        Message(
+            "lag-motion-fast",
+            f"the camera moves by up to {fastest:.1f} px from one frame to the next: {remedy}",
+        )
+    ]
 
 
 @torch.no_grad()
@@ -142,16 +148,20 @@ def start_message(problem: Problem) -> list[str]:
     first, *others = misfit.flatten(1).nanmedian(1).values
     if not first > FIRST_FRAME_MISFIT * torch.stack(others).nanmedian():
         return []
-    moving, unlike = (
-        problem.fields[slot_of(problem, "moving")],
-        "the first frame does not fit the others: what did the",
-    )
+    moving = problem.fields[slot_of(problem, "moving")]
     if isinstance(moving, Scalar):  # both were tried
         return [
-            f"{unlike} camera do before it? Neither rest nor moving as it goes on fits, and the next frames hold some "
-            "of it still: leave the first ones out (data.frames=2:)"
+            Message(
+                "lag-first-frame",
+                "the first frame does not fit the others: what did the camera do before it? Neither rest nor moving as "
+                "it goes on fits, and the next frames hold some of it still: leave the first ones out (data.frames=2:)",
+            )
         ]
     other = int(float(moving().mean()) < HALF_SPEED)
     return [
-        f"{unlike} camera do before it? Try physics.lag.moving={other}, or leave the first frames out (data.frames=2:)"
+        Message(
+            "lag-first-frame",
+            "the first frame does not fit the others: what did the camera do before it? Try "
+            f"physics.lag.moving={other}, or leave the first frames out (data.frames=2:)",
+        )
     ]

@@ -20,6 +20,7 @@ from deepir.fields.psf.defocus import Defocus
 from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.fields.psf.simplex import Simplex
+from deepir.messages import Message
 from deepir.optim import held_out
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
@@ -120,8 +121,11 @@ def hold_sensor(problem: Problem) -> list[str]:
         problem.fields[name].requires_grad_(False)
     few = "one frame does not" if len(problem.data) == 1 else "the frames do not move, and so do not"
     return [
-        f"{few} tell the sensor's pattern from the scene: {' and '.join(closed)} are left neutral. "
-        "Correct the frames first, or give a burst that moves by 3 to 10 px"
+        Message(
+            "sensor-left-neutral",
+            f"{few} tell the sensor's pattern from the scene: {' and '.join(closed)} are left neutral. "
+            "Correct the frames first, or give a burst that moves by 3 to 10 px",
+        )
     ]
 
 
@@ -130,7 +134,8 @@ def start_psf(problem: Problem) -> list[str]:
 
     Of frames without a scene, or sharp ones, the spectrum tells no width: the least is taken then, with a message.
     """
-    frames, usable, messages = problem.data, problem.precision > 0, []
+    frames, usable = problem.data, problem.precision > 0
+    messages: list[str] = []
     for name in psf_names(problem):
         field = problem.fields[name]
         if name not in problem.free():
@@ -140,13 +145,20 @@ def start_psf(problem: Problem) -> list[str]:
             if cut_off(field):
                 field.load_state_dict(next(field.search_starts()))
                 messages.append(
-                    f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
-                    f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius"
+                    Message(
+                        "blur-width-unknown",
+                        f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
+                        f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius",
+                    )
                 )
             elif (width := float(field.width.detach())) < MIN_PSF_WIDTH:
                 messages.append(
-                    f"hardly any blur is found (a width of {width:.2g} px): there is little to take away, "
-                    "and what is fine in a frame that is sharp may be taken for noise. Of a burst take problem 'nuc'"
+                    Message(
+                        "blur-small",
+                        f"hardly any blur is found (a width of {width:.2g} px): there is little to take away, "
+                        "and what is fine in a frame that is sharp may be taken for noise. Of a burst take problem "
+                        "'nuc'",
+                    )
                 )
         elif isinstance(field, Simplex):
             size = (int(frames.shape[-2]), int(frames.shape[-1]))

@@ -15,6 +15,7 @@ from deepir.errors import ConfigError, DataError
 from deepir.estimation.penalty_weights import weigh_scene
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
+from deepir.messages import Message
 from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.frame_gains import frame_gains
 from deepir.multiview.low_order_part import is_implausible, slow_part
@@ -108,16 +109,23 @@ def _demand_different(frames: Tensor, usable: Tensor) -> list[str]:
     others = means.roll(len(means) // 2, 0)
     unrelated = means.square().mean((1, 2)) + others.square().mean((1, 2))
     apart = float(((means - others).square().mean((1, 2)) / unrelated.clamp(min=1e-30)).median())
-    messages = []
+    messages: list[str] = []
     if apart < SIMILARITY:
         messages.append(
-            f"the frames are much alike (they differ by {apart:.0%} of what unrelated ones do): what they all show at "
-            "one place is taken for the pattern. Take frames further apart, data.frames=::10, or problem 'nuc'"
+            Message(
+                "frames-alike",
+                f"the frames are much alike (they differ by {apart:.0%} of what unrelated ones do): what they all "
+                "show at one place is taken for the pattern. Take frames further apart, data.frames=::10, or problem "
+                "'nuc'",
+            )
         )
     if len(frames) < FEW:
         messages.append(
-            f"{len(frames)} frames: what each pixel has of its own is hardly told from the scenes. "
-            f"Take {FEW}, better 10"
+            Message(
+                "few-frames",
+                f"{len(frames)} frames: what each pixel has of its own is hardly separated from the scenes. "
+                f"Take {FEW}, better 10",
+            )
         )
     return messages
 
@@ -149,7 +157,7 @@ def _divide_slow_part(
     scenes = _corrected(problem)
     rest = slow.values[0, 0]
     moved = slow_pattern((scenes - rest).double().cpu().numpy(), usable.cpu().numpy())
-    messages = []
+    messages: list[str] = []
     if moved.related:
         rest = rest + torch.from_numpy(moved.offset).to(rest)
     else:
@@ -157,16 +165,22 @@ def _divide_slow_part(
         rest = slow.values[0, 0]
         if GUESS < share < 1 - GUESS:
             messages.append(
-                "no two frames show the same things, so the sensor's shading is separated from slopes of the scenes "
-                f"only by how much these differ: {share:.0%} of what all frames share is taken for the sensor's. "
-                "Take neighbouring frames of a moving camera"
+                Message(
+                    "shading-guessed",
+                    "no two frames show the same things, so the sensor's shading is separated from slopes of the "
+                    f"scenes only by how much these differ: {share:.0%} of what all frames share is taken for the "
+                    "sensor's. Take neighbouring frames of a moving camera",
+                )
             )
     found, known = (_offset(problem) + rest).double().cpu().numpy(), usable.any(0).cpu().numpy()
     if is_implausible(found, known):
         rest = rest - torch.from_numpy(slow_part(found, known)).to(rest)
         messages = [
-            "the slow part of what all frames share is implausibly strong for a sensor's pattern, by its fine part: it "
-            "is left to the scenes. Take frames of different scenes, and of a camera that turns"
+            Message(
+                "shading-implausible",
+                "the slow part of what all frames share is implausibly strong for a sensor's pattern, by its fine "
+                "part: it is left to the scenes. Take frames of different scenes, and of a camera that turns",
+            )
         ]
     shading.sigma.copy_(rest.std())
     for part in (shading, *(part for part in offset if part.constant_axes == PIXEL and part is not shading)):

@@ -16,6 +16,7 @@ from deepir.estimation.residuals import down_weight_outliers, fixed_pattern_resi
 from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.constant import Constant
+from deepir.messages import Message
 from deepir.operators import Add, Warp
 from deepir.operators.geometry import CANVAS_MARGIN
 from deepir.operators.motion_models import PARAMETERS
@@ -27,10 +28,11 @@ from deepir.registration import register as register_frames
 from deepir.registry import lookup, register
 from deepir.schedule import Schedule, Stage, Step
 
-ONE_FRAME_MESSAGE = (
+ONE_FRAME_MESSAGE = Message(
+    "one-frame",
     "one frame: only its smoothness separates stray flux from the scene. A slope or a large glow of "
     "the scene is in it, its own fine parts and the pattern of the pixels are in the scene. Take 5 frames or more "
-    "while the camera moves"
+    "while the camera moves",
 )
 
 

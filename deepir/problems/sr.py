@@ -10,6 +10,7 @@ from deepir.estimation.cross_validation import (
     weight_from_cross_validation,
 )
 from deepir.estimation.penalty_weights import weigh_scene
+from deepir.messages import Message
 from deepir.operators import Downsample
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
@@ -82,7 +83,10 @@ def few_frames(count: int, factor: int) -> list[str]:
         return []
     less = math.isqrt(count)
     return [
-        f"{count} frames for factor {factor}: the scene has {factor**2} px for each of the detector's, and each frame "
-        "shows one sample of them; fine detail is in part the prior's. "
-        f"Take {factor**2} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}"
+        Message(
+            "few-frames-for-factor",
+            f"{count} frames for factor {factor}: the scene has {factor**2} px for each of the detector's, and each "
+            "frame shows one sample of them; fine detail is in part the prior's. "
+            f"Take {factor**2} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}",
+        )
     ]

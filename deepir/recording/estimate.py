@@ -16,6 +16,7 @@ import numpy as np
 from deepir.calibration import CorrectionMaps
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.io.inspection.saturated_samples import saturated_samples
+from deepir.messages import Message
 from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.low_order_part import slow_part
 from deepir.multiview.texture_flow import Displacement
@@ -118,7 +119,12 @@ def estimate_sensor(
     if correction == AUTO:
         kept = _choice(nats)
         if kept == "none":
-            messages.append("no correction makes held-out frames better: the recording is left as it is")
+            messages.append(
+                Message(
+                    "no-correction-helps",
+                    "no correction makes held-out frames better: the recording is left as it is",
+                )
+            )
     elif correction not in candidates:
         raise DataError(
             f"the correction '{correction}' cannot be estimated from this recording; {'; '.join(messages)}"
@@ -266,8 +272,11 @@ def _base(
     if better:
         return ("offset", offsets[min(better, key=left.__getitem__)]), []
     return ("fine_offset", offsets["fine"]), [
-        "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
-        "or the camera moves too little, or turns only one way"
+        Message(
+            "slow-part-not-separated",
+            "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
+            "or the camera moves too little, or turns only one way",
+        )
     ]
 
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from deepir.errors import DataError, nearest
+from deepir.messages import Message
 from deepir.operators.motion_models import AUTO, PARAMETERS, identity, relative
 from deepir.registration.alignment import Alignment, estimate_pattern
 from deepir.registration.frame_selection import (
@@ -167,23 +168,32 @@ def make_registration(
         used = torch.arange(len(used)) == first
         confidence = torch.where(used, 1.0, confidence.clamp_max(0.5 * MIN_CONCORDANCE))
         motion[first] = torch.eye(3, dtype=torch.float64)
-    messages = []
+    messages: list[str] = []
     for k in range(len(used)):
         if k in excluded:
-            messages.append(f"frame {start + k} {excluded[k]}: left out")
+            messages.append(Message("frame-repeated", f"frame {start + k} {excluded[k]}: left out"))
         elif not used[k]:
             messages.append(
-                f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out"
+                Message(
+                    "frame-not-registered",
+                    f"frame {start + k} does not register (confidence {float(confidence[k]):.2f}): left out",
+                )
             )
         elif confidence[k] < UNCERTAIN_CONFIDENCE:
             messages.append(
-                f"frame {start + k} shows little that registers (confidence {float(confidence[k]):.2f}): "
-                "its motion may be wrong"
+                Message(
+                    "motion-uncertain",
+                    f"frame {start + k} shows little that registers (confidence {float(confidence[k]):.2f}): "
+                    "its motion may be wrong",
+                )
             )
     first = int(used.nonzero()[0])
     if first:
         messages.append(
-            f"frame {start + first} is the first that registers: motions and results are relative to it"
+            Message(
+                "reference-frame",
+                f"frame {start + first} is the first that registers: motions and results are relative to it",
+            )
         )
     motion = torch.where(used[:, None, None], relative(motion, first), torch.nan)
     motion[first] = torch.eye(3, dtype=torch.float64)
@@ -193,7 +203,7 @@ def make_registration(
 def check_arguments(frames: Tensor, model: str, ignore: Tensor | None) -> None:
     """Raise DataError if the arguments of `register` have wrong shapes or the model is unknown."""
     if frames.ndim != 3:
-        raise DataError(f"registration wants frames (N, height, width), not {tuple(frames.shape)}")
+        raise DataError(f"registration needs frames (N, height, width), not {tuple(frames.shape)}")
     if model not in (known := [*PARAMETERS, AUTO]):
         raise DataError(f"motion model '{model}' is not known; {nearest(model, known)}")
     if ignore is not None and ignore.shape != frames.shape[1:]:

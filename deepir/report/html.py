@@ -12,6 +12,7 @@ import numpy as np
 from deepir.io.output.palettes import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table
 from deepir.io.output.tone_mapping import display_limits
 from deepir.io.radiometry import KELVIN, unit_metadata
+from deepir.messages import labelled
 from deepir.paths import printable
 from deepir.report.maps import COARSE_LEVELS, FINE_LEVELS, pack_map
 from deepir.report.page import write_page
@@ -44,7 +45,7 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
         "source": "simulated burst" if source is None else printable(Path(source).name),
         "figures": _figures(result),
         "stop_reason": result.metrics.get("stop_reason", ""),
-        "messages": [printable(each) for each in result.messages],
+        "messages": [printable(each) for each in labelled(result.messages)],
         "maps": list(_maps(result, example)),
         "palettes": {name: _colours(name) for name in PALETTES},
         "others": {name: _colours(each) for name, each in MAP_PALETTES.items()},

@@ -18,6 +18,7 @@ import torch
 from deepir.burst import Burst, Truth
 from deepir.config import Config, Data, dump, read
 from deepir.errors import ConfigError, DataError, DeepIRError, SolverError
+from deepir.messages import MAX_SHOWN, labelled, shown
 from deepir.optim.solve import Progress
 from deepir.paths import expanded
 from deepir.report.progress import ProgressLines
@@ -170,8 +171,11 @@ class _Work:
             callbacks: Callbacks = [self._first, ProgressLines(log.info), *self.callbacks]
             result = execute(self.config, data, callbacks=callbacks, checkpoint=self.checkpoint)
             self.begun = True
-            for message in result.messages:
-                log.warning(message)
+            lines = labelled(result.messages)
+            for line in shown(lines, "report.html"):
+                log.warning(line)
+            for line in lines[MAX_SHOWN:]:
+                log.info(line)
             result.metrics["seconds"] = round(result.metrics["seconds"] + self.before, 3)
             if not self.lock.is_in_place():
                 raise DataError(

@@ -119,7 +119,7 @@ def test_hostile_text_is_shown_as_it_is(report, result):
     result.metrics["stop_reason"] = hostile
     result.extra[hostile] = result.extra.pop("stray")
     page = report()
-    assert page.inner_text("#verdict li") == hostile
+    assert page.inner_text("#verdict li") == f"warning: {hostile}"
     assert page.locator("img").count() == 0
     assert hostile.capitalize() in page.inner_text("#maps .card:nth-child(6) figcaption")
 

@@ -9,6 +9,7 @@ import zlib
 import numpy as np
 import pytest
 
+from deepir.messages import labelled
 from deepir.report.html import write_report
 from deepir.report.maps import MISSING_LEVEL, pack_map
 from deepir.result import neutral
@@ -81,7 +82,7 @@ def test_no_text_ends_the_data_or_starts_an_element(tmp_path, result, example, c
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<script") == 2
     assert "<img" not in page
-    assert data(tmp_path / "report.html")["messages"] == result.messages
+    assert data(tmp_path / "report.html")["messages"] == labelled(result.messages)
 
 
 def test_a_page_loads_nothing(tmp_path, result, example, config):

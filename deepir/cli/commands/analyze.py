@@ -80,13 +80,14 @@ def _of_flat(path: Path, settings: list[str]) -> Statistics:
 def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | None, Array | None]:
     import deepir
     from deepir.cli.signals import Interruptible
+    from deepir.messages import labelled, shown
     from deepir.report.progress import show_progress
 
     with Interruptible() as interruptible, show_progress() as progress:
         callbacks = (interruptible, progress)
         result = deepir.run("nuc", *settings, f"data.path={path}", output={}, callbacks=callbacks)
-    for message in result.messages:
-        notify(f"warning: {message}")
+    for line in shown(labelled(result.messages), f"the report of `deepir run nuc data.path={path}`"):
+        notify(line)
     scene_deviation = result.uncertainty.get("scene")
     return *_judged(
         result.gain, result.offset, result.scene, result.motion, result.bad_pixels

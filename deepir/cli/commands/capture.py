@@ -47,7 +47,7 @@ def capture(
         return report_aborted(error)
     if burst.longest_freeze > FREEZE_TIME:
         notify(
-            f"the picture stood still for {burst.longest_freeze:.1f} s in the midst of the burst, as when the shutter "
+            f"warning: the picture stood still for {burst.longest_freeze:.1f} s within the burst, as when the shutter "
             "closes: the pattern may have changed then. Switch the automatic correction off, or take the burst again"
         )
     size = " x ".join(map(str, burst.frames.shape[1:]))

@@ -12,6 +12,7 @@ import typer
 from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Settings, recording_config, recording_radiometry
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo, notify
+from deepir.messages import labelled
 
 if TYPE_CHECKING:
     from deepir.config import Config
@@ -114,10 +115,9 @@ def _describe(corrected: CorrectedRecording, segments: Sequence[Segment]) -> Non
         for each in segments:
             echo(f"  {each.description}")
     echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
-    for message in dict.fromkeys(
-        each for part in segments if part.estimate for each in part.estimate.messages
-    ):
-        notify(f"warning: {message}")
+    found = [each for part in segments if part.estimate for each in part.estimate.messages]
+    for line in labelled(dict.fromkeys(found)):
+        notify(line)
 
 
 def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:

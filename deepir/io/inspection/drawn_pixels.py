@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import convolve
 
+from deepir.messages import Message
+
 MAX_SHARE = 0.2  # of the pixels; more: the frames hardly change
 MIN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
 MIN_PIXELS = 20  # fewer are defective ones
@@ -34,7 +36,10 @@ def drawn_message(frames: Array) -> list[str]:
         return []
     y, x = drawn.nonzero()
     return [
-        f"{len(y)} pixel(s) between rows {y.min()} and {y.max()}, columns {x.min()} and {x.max()} hold one value in "
-        "all frames: text or marks that are drawn over the picture, or cut off at an end of the range. data.mask, or "
-        "data.crop, leaves them out"
+        Message(
+            "drawn-pixels",
+            f"{len(y)} pixel(s) between rows {y.min()} and {y.max()}, columns {x.min()} and {x.max()} hold one value "
+            "in all frames: text or marks that are drawn over the picture, or cut off at an end of the range. "
+            "data.mask, or data.crop, leaves them out",
+        )
     ]

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from deepir.messages import Message
+
 MAX_TELEMETRY_ROWS = 4  # telemetry rows at one edge
 COMPARED_ROWS = 4  # picture rows next to them, with which they are compared
 ROUGHNESS_QUANTILE = 0.9  # quantile of a row's absolute differences that is its roughness
@@ -76,4 +78,7 @@ def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
     above = sum(row < height / 2 for row in rows)
     box = [above, height - len(rows) + above, 0, width]
     some = f"row {rows[0]} shows" if len(rows) == 1 else f"rows {', '.join(map(str, rows))} show"
-    return f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off"
+    return Message(
+        "telemetry-rows",
+        f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off",
+    )

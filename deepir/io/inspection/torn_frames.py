@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from deepir.messages import Message
+
 Array = np.ndarray[Any, np.dtype[Any]]
 
 MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
@@ -44,7 +46,7 @@ def torn_message(torn: dict[int, int], count: int) -> list[str]:
     advice = (
         f"leave them out: data.frames=[{rest}]" if count <= 2 * CHUNK else "leave them out by data.frames"
     )
-    return [f"torn frame(s), of two times above and below a row: {some}; {advice}"]
+    return [Message("torn-frames", f"torn frame(s), of two times above and below a row: {some}; {advice}")]
 
 
 def _repeated_rows(frames: Array, k: int) -> int:
