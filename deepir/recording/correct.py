@@ -17,7 +17,9 @@ from deepir.errors import DataError
 from deepir.io import stream_frames, write_npz
 from deepir.recording.estimate import AUTO, SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
+from deepir.recording.neighbours import NeighbouringFrames
 from deepir.recording.segments import Segment, estimate_segments, segment_at
+from deepir.recording.thermal_lag import ThermalLag, thermal_lag
 
 Array = np.ndarray[Any, Any]
 
@@ -30,11 +32,13 @@ class CorrectedRecording:
         read: Reads the recorded frames from the start.
         segments: The parts of the recording with one fixed pattern each; most have one.
         keyframes: That the sensor was estimated from.
+        neighbours: Runs of frames that tell of thermal lag.
     """
 
     read: Callable[[], Iterator[Array]]
     segments: list[Segment]
     keyframes: Keyframes
+    neighbours: NeighbouringFrames
 
     def __len__(self) -> int:
         return self.keyframes.length
@@ -56,6 +60,12 @@ class CorrectedRecording:
     def maps(self) -> CorrectionMaps:
         """Gain, offset and bad pixels of the same time, as `deepir apply` takes them: frame = gain scene + offset."""
         return next(each.maps for each in reversed(self.segments) if each.estimate)
+
+    @functools.cached_property
+    def lag(self) -> ThermalLag | None:
+        """Of the pixels; None where too little of the scene is seen at several speeds."""
+        runs = zip(self.neighbours.numbers, self.neighbours.runs, strict=True)
+        return thermal_lag([np.stack([self.correct(frame, number) for frame in run]) for number, run in runs])
 
     def correct(self, frame: Array, number: int | None = None) -> Array:
         """Correct a frame (h, w) of this camera, in the recording's units.
@@ -117,5 +127,6 @@ def correct(
         read: Callable[[], Iterator[Array]] = functools.partial(iter, recording)
     else:
         read = functools.partial(stream_frames, Path(recording), key=key, raw=raw)
-    keyframes = choose_keyframes(read())
-    return CorrectedRecording(read, estimate_segments(keyframes, correction), keyframes)
+    neighbours = NeighbouringFrames()
+    keyframes = choose_keyframes(neighbours.of(read()))
+    return CorrectedRecording(read, estimate_segments(keyframes, correction), keyframes, neighbours)

@@ -23,6 +23,7 @@ from deepir.recording.defective_pixels import defective_pixels
 from deepir.recording.held_out import HeldOutFrames
 from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.offset import SeparatedOffset, fine_offset, separate_offset
+from deepir.recording.parallax import parallax_ratio
 from deepir.recording.pattern_shares import scale_parts, shrink_offset
 from deepir.recording.responses import noise_deviation, refine_responses
 
@@ -59,6 +60,7 @@ class SensorEstimate:
         nats: of each candidate on held-out frames, less is better; empty where it was not judged.
         shares: of the offset's columns, rows, pixels and blobs that other frames hold; empty where it was not judged.
         messages: for the user.
+        parallax: ratio, see `parallax_ratio`; NaN where it was not judged.
     """
 
     gain: Array
@@ -70,6 +72,7 @@ class SensorEstimate:
     nats: dict[str, float]
     shares: dict[str, float] = field(default_factory=dict)
     messages: tuple[str, ...] = ()
+    parallax: float = np.nan
 
 
 def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: bool = True) -> SensorEstimate:
@@ -123,7 +126,8 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: boo
             if len(held.frames)
             else _shrunk_by_others(offset, frames, usable, ~bad, estimated.groups)
         )
-    return SensorEstimate(gain, offset, bad, level, strength, kept, nats, shares, tuple(messages))
+    parallax = parallax_ratio(frames, usable & ~bad, gain, offset, separated.displacements)
+    return SensorEstimate(gain, offset, bad, level, strength, kept, nats, shares, tuple(messages), parallax)
 
 
 def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
@@ -228,7 +232,7 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
         or is_at_rest(some, np.ones(some.shape, bool))
     ):
         raise DataError(
-            "the camera stands still in the whole recording, or sees nothing but a uniform wall, so that scene and "
+            "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and "
             "fixed pattern cannot be separated. Move the camera over something with edges, or apply maps of another "
             "recording: deepir apply MAPS FILE"
         )
