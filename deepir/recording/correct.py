@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from deepir.analysis.fourier_ring_correlation import RingCorrelation, fourier_ring_correlation
 from deepir.calibration import CorrectionMaps
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import stream_frames, write_npz
 from deepir.recording.estimate import AUTO, SensorEstimate
+from deepir.recording.halves import half_offsets
 from deepir.recording.keyframes import Keyframes, choose_keyframes
 from deepir.recording.neighbours import NeighbouringFrames
 from deepir.recording.segments import Segment, estimate_segments, segment_at
@@ -66,6 +68,16 @@ class CorrectedRecording:
         """Of the pixels; None where too little of the scene is seen at several speeds."""
         runs = zip(self.neighbours.numbers, self.neighbours.runs, strict=True)
         return thermal_lag([np.stack([self.correct(frame, number) for frame in run]) for number, run in runs])
+
+    @functools.cached_property
+    def agreement(self) -> RingCorrelation | None:
+        """Of the fine offsets of the odd and of the even groups of keyframes; None where they are too few."""
+        last = next(each for each in reversed(self.segments) if each.estimate)
+        numbers = self.keyframes.numbers
+        halves = half_offsets(
+            self.keyframes.some((numbers >= last.first) & (numbers <= last.last)), self.estimate
+        )
+        return None if halves is None else fourier_ring_correlation(*halves)
 
     def correct(self, frame: Array, number: int | None = None) -> Array:
         """Correct a frame (h, w) of this camera, in the recording's units.

@@ -16,7 +16,7 @@ import numpy as np
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.multiview.camera_at_rest import is_at_rest
-from deepir.multiview.texture_flow import Displacement
+from deepir.multiview.texture_flow import Displacement, motion_extent
 from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
 from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels
@@ -41,6 +41,14 @@ FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
 #: has moved.
 LEAST_CHANGE = 2.2
+#: Motion of a camera at rest, px, at most, and share of the frame whose displacement is known then, at least. Before
+#: tripods it was 0.3 to 1.2 px and 75 %.
+REST_MOTION, REST_KNOWN = 1.5, 0.5
+AT_REST = (
+    "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
+    "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
+    "deepir apply MAPS FILE"
+)
 FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
 #: Gains outside these limits are of pixels that do not respond to the scene.
 GAIN_LIMITS = (0.5, 2.0)
@@ -101,6 +109,8 @@ def estimate_sensor(keyframes: Keyframes, correction: str = AUTO, *, shrink: boo
     bad = defective_pixels(frames, usable, offset)
     pairs = spread(estimated.pairs, MAX_PAIRS)
     separated = separate_offset(frames, usable, ~bad, offset, pairs, level)
+    if _rests(separated.displacements, min(frames.shape[1:])):
+        raise DataError(AT_REST)
     held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, separated)
     masked = np.where(usable, frames, np.nan).astype(np.float32)
     base, messages = _base(separated, held_out, correction)
@@ -231,11 +241,14 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
         or np.median(changes) < LEAST_CHANGE * noise
         or is_at_rest(some, np.ones(some.shape, bool))
     ):
-        raise DataError(
-            "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and "
-            "fixed pattern cannot be separated. Move the camera over something with edges, or apply maps of another "
-            "recording: deepir apply MAPS FILE"
-        )
+        raise DataError(AT_REST)
+
+
+def _rests(found: Sequence[Displacement], short_side: int) -> bool:
+    """Whether most of the scene is seen to stay where it is, as before a camera at rest whose gain changes."""
+    if np.mean([each.known.mean() for each in found] or [0.0]) < REST_KNOWN:
+        return False
+    return max(motion_extent(found)) * (short_side // min(found[0].known.shape)) < REST_MOTION
 
 
 def _held_out_frames(held: Keyframes, usable: Array, separated: SeparatedOffset) -> HeldOutFrames:

@@ -14,7 +14,7 @@ from deepir.recording.offset import agreement
 
 Array = np.ndarray[Any, Any]
 
-PAIRS = 8  # of frames that are looked at
+PAIRS = 16  # of frames that are looked at
 LEAST_MOTION = 0.5  # px of the averaged frames; median displacement of a pair that counts
 POINTS = 1500  # of a displacement field to which the homography is fitted
 LEAST_POINTS = 60
@@ -23,7 +23,7 @@ BORDER = 1  # px from the border within which a homography's displacement does n
 RIDGE = 1e-9
 #: Ratio from which there is parallax. In simulated drives and walks it was 1.07 to 1.47, in pans and flights high above
 #: the ground 0.90 to 1.04; in two real drives 1.18 and 1.43.
-PARALLAX_RATIO = 1.055
+PARALLAX_RATIO = 1.05
 
 
 def parallax_ratio(

@@ -6,17 +6,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from deepir.analysis.fourier_ring_correlation import THRESHOLD, RingCorrelation
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.parallax import PARALLAX_RATIO
 from deepir.recording.thermal_lag import ThermalLag
 
 
-def physics_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator[str]:
-    """Lines on parallax and thermal lag.
+def physics_lines(
+    estimate: SensorEstimate, lag: ThermalLag | None, halves: RingCorrelation | None
+) -> Iterator[str]:
+    """Lines on parallax, thermal lag, and how well two halves of the recording agree.
 
     Args:
         estimate: of the sensor.
         lag: of the pixels; None where it was not judged.
+        halves: agreement of the offsets of two halves; None where they have too few frames.
     """
     ratio = estimate.parallax
     if np.isnan(ratio):
@@ -39,3 +43,10 @@ def physics_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator[
         )
     else:
         yield f"thermal lag: none is seen ({lag.frames:.1g} of the time between two frames, {lag.nats:.1f} nats)"
+    if halves is None:
+        yield "halves: not compared, they have too few frames"
+    else:
+        yield (
+            f"halves: the fine offsets of odd and even groups of frames agree down to {halves.resolution:.1f} px "
+            f"(Fourier ring correlation above {THRESHOLD:.2f}); 2 px is all"
+        )

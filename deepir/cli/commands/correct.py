@@ -101,9 +101,10 @@ def _correct(
             with ThreadPoolExecutor(1) as beside, writer as write:
                 drawn = beside.submit(write_correction, own_picture, corrected)
                 lag = beside.submit(lambda: corrected.lag)
+                halves = beside.submit(lambda: corrected.agreement)
                 count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
                 drawn.result()
-                physics = list(physics_lines(corrected.estimate, lag.result()))
+                physics = list(physics_lines(corrected.estimate, lag.result(), halves.result()))
         except Interrupted:
             if not maps.exists():
                 own_maps.replace(maps)  # all that the rest needs
