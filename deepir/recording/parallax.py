@@ -21,8 +21,8 @@ LEAST_POINTS = 60
 REWEIGHTINGS = 8  # of the fit, by Cauchy's likelihood
 BORDER = 1  # px from the border within which a homography's displacement does not count
 RIDGE = 1e-9
-#: Ratio from which there is parallax. In simulated drives and walks it was 1.07 to 1.47, in pans and flights high above
-#: the ground 0.90 to 1.04; in two real drives 1.18 and 1.43.
+#: Ratio from which there is parallax. Of 72 simulated recordings 66 are on the right side: drives and walks at 1.0 to
+#: 1.5, pans and flights high above the ground at 0.9 to 1.05; two real drives have 1.14 and 1.4.
 PARALLAX_RATIO = 1.05
 
 
