@@ -82,6 +82,9 @@ bench-effects: setup  ## what each effect is worth: one left out at a time
 bench-correct: setup  ## whole recordings: the pattern that is left, against methods that take recordings too
 	$(BIN)/python benchmarks/corrections.py --output docs/benchmarks/correct.md
 
+bench-physics: setup  ## whole recordings: parallax, lag, gain control, gain, rest: what was said, against the truth
+	$(BIN)/python benchmarks/physics_choice.py --output notes/bench-physics.md
+
 bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 	$(BIN)/python benchmarks/recordings.py --output notes/bench-real.md
@@ -92,4 +95,4 @@ bench-startup: setup  ## seconds from the start of a run to its end, beside torc
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-live bench-effects bench-startup clean
+.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-physics bench-live bench-effects bench-startup clean

@@ -132,8 +132,8 @@ WARNINGS = {
         "Record with a fixed gain, 14 or 16 bits.",
     ),
     "unseen-pixels": (
-        "No frame shows a part of the scene. Its values go on smoothly from what is beside it; `unseen` in `result.npz` "
-        "marks it.",
+        "No frame shows a part of the scene. Its values go on smoothly from what is beside it. `unseen` in "
+        "`result.npz` marks it.",
         "Do not measure there, or take frames that show it.",
     ),
     "network-without-fit": (

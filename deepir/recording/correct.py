@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.analysis.fourier_ring_correlation import RingCorrelation, fourier_ring_correlation
 from deepir.calibration import CorrectionMaps
 from deepir.config.components import validate
 from deepir.config.schema import Data, Radiometry, Raw
@@ -17,8 +18,11 @@ from deepir.errors import ConfigError, DataError
 from deepir.io import stream_data, write_npz
 from deepir.io.inspection.axes import oriented
 from deepir.recording.estimate import AUTO, SensorEstimate
+from deepir.recording.halves import half_offsets
 from deepir.recording.keyframes import Keyframes, choose_keyframes
+from deepir.recording.neighbours import NeighbouringFrames
 from deepir.recording.segments import Segment, estimate_segments, segment_at
+from deepir.recording.thermal_lag import ThermalLag, thermal_lag
 
 Array = np.ndarray[Any, Any]
 
@@ -31,11 +35,13 @@ class CorrectedRecording:
         read: Reads the recorded frames from the start.
         segments: The parts of the recording with one fixed pattern each; most have one.
         keyframes: That the sensor was estimated from.
+        neighbours: Runs of frames that tell of thermal lag.
     """
 
     read: Callable[[], Iterator[Array]]
     segments: list[Segment]
     keyframes: Keyframes
+    neighbours: NeighbouringFrames
 
     def __len__(self) -> int:
         return self.keyframes.length
@@ -57,6 +63,22 @@ class CorrectedRecording:
     def maps(self) -> CorrectionMaps:
         """Gain, offset and bad pixels of the same time, as `deepir apply` takes them: frame = gain scene + offset."""
         return next(each.maps for each in reversed(self.segments) if each.estimate)
+
+    @functools.cached_property
+    def lag(self) -> ThermalLag | None:
+        """Of the pixels; None where too little of the scene is seen at several speeds."""
+        runs = zip(self.neighbours.numbers, self.neighbours.runs, strict=True)
+        return thermal_lag([np.stack([self.correct(frame, number) for frame in run]) for number, run in runs])
+
+    @functools.cached_property
+    def agreement(self) -> RingCorrelation | None:
+        """Of the fine offsets of the odd and of the even groups of keyframes; None where they are too few."""
+        last = next(each for each in reversed(self.segments) if each.estimate)
+        numbers = self.keyframes.numbers
+        halves = half_offsets(
+            self.keyframes.some((numbers >= last.first) & (numbers <= last.last)), self.estimate
+        )
+        return None if halves is None else fourier_ring_correlation(*halves)
 
     def correct(self, frame: Array, number: int | None = None) -> Array:
         """Correct a frame (h, w) of this camera, in the recording's units.
@@ -132,5 +154,6 @@ def correct(
         )
     else:
         read = functools.partial(stream_data, data.model_copy(update={"path": os.fspath(recording)}))
-    keyframes = choose_keyframes(read())
-    return CorrectedRecording(read, estimate_segments(keyframes, correction), keyframes)
+    neighbours = NeighbouringFrames()
+    keyframes = choose_keyframes(neighbours.of(read()))
+    return CorrectedRecording(read, estimate_segments(keyframes, correction), keyframes, neighbours)

@@ -19,13 +19,14 @@ from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.messages import Message
 from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.low_order_part import slow_part
-from deepir.multiview.texture_flow import Displacement
+from deepir.multiview.texture_flow import Displacement, motion_extent
 from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
 from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels
 from deepir.recording.held_out import HeldOutFrames
 from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.offset import fine_offset, separate_offset
+from deepir.recording.parallax import parallax_ratio
 from deepir.recording.pattern_shares import scale_parts, shrink_offset
 from deepir.recording.responses import noise_deviation, refine_responses
 
@@ -42,6 +43,14 @@ FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
 #: has moved.
 LEAST_CHANGE = 2.2
+#: Motion of a camera at rest, px, at most, and share of the frame whose displacement is known then, at least. Before
+#: tripods it was 0.3 to 1.2 px and 75 %.
+REST_MOTION, REST_KNOWN = 1.5, 0.5
+AT_REST = (
+    "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
+    "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
+    "deepir apply MAPS FILE"
+)
 FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
 #: Gains outside these limits are of pixels that do not respond to the scene.
 GAIN_LIMITS = (0.5, 2.0)
@@ -61,6 +70,7 @@ class SensorEstimate:
         nats: of each candidate on held-out frames, less is better; empty where it was not judged.
         shares: of the offset's columns, rows, pixels and blobs that other frames hold; empty where it was not judged.
         messages: for the user.
+        parallax: ratio, see `parallax_ratio`; NaN where it was not judged.
     """
 
     gain: Array
@@ -72,6 +82,7 @@ class SensorEstimate:
     nats: dict[str, float]
     shares: dict[str, float] = field(default_factory=dict)
     messages: tuple[str, ...] = ()
+    parallax: float = np.nan
 
 
 def estimate_sensor(
@@ -103,6 +114,8 @@ def estimate_sensor(
     bad = defective_pixels(frames, usable, offset)
     pairs = spread(estimated.pairs, MAX_PAIRS)
     separated = separate_offset(frames, usable, ~bad, offset, pairs, level)
+    if _rests(separated.displacements, min(frames.shape[1:])):
+        raise DataError(AT_REST)
     offsets = {"fine": separated.fine}
     if separated.whole is not None:
         offsets["whole"] = separated.whole
@@ -139,7 +152,8 @@ def estimate_sensor(
             if len(held.frames)
             else _shrunk_by_others(offset, frames, usable, ~bad, estimated.groups)
         )
-    return SensorEstimate(gain, offset, bad, level, strength, kept, nats, shares, tuple(messages))
+    parallax = parallax_ratio(frames, usable & ~bad, gain, offset, separated.displacements)
+    return SensorEstimate(gain, offset, bad, level, strength, kept, nats, shares, tuple(messages), parallax)
 
 
 def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
@@ -243,11 +257,14 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
         or np.median(changes) < LEAST_CHANGE * noise
         or is_at_rest(some, np.ones(some.shape, bool))
     ):
-        raise DataError(
-            "the camera stands still in the whole recording, or sees nothing but a uniform wall, so that scene and "
-            "fixed pattern cannot be separated. Move the camera over something with edges, or apply maps of another "
-            "recording: deepir apply MAPS FILE"
-        )
+        raise DataError(AT_REST)
+
+
+def _rests(found: Sequence[Displacement], short_side: int) -> bool:
+    """Whether most of the scene is seen to stay where it is, as before a camera at rest whose gain changes."""
+    if np.mean([each.known.mean() for each in found] or [0.0]) < REST_KNOWN:
+        return False
+    return max(motion_extent(found)) * (short_side // min(found[0].known.shape)) < REST_MOTION
 
 
 def _held_out_frames(held: Keyframes, usable: Array, offsets: Sequence[Array]) -> HeldOutFrames:

@@ -152,11 +152,11 @@ def _cutoff(rest: Array, good: Array, shared: Array, pairs: Sequence[tuple[int, 
     for one, other in zip(*found, strict=True):
         common = one.known & other.known
         if common.sum() >= LEAST_COMMON:
-            ratios.append(_agreement(coarse, one, common) / _agreement(coarse, other, common))
+            ratios.append(agreement(coarse, one, common) / agreement(coarse, other, common))
     return high if ratios and np.median(ratios) > LEAST_AGREEMENT_RATIO else low
 
 
-def _agreement(frames: Array, found: Displacement, where: Array) -> float:
+def agreement(frames: Array, found: Displacement, where: Array) -> float:
     """Robust deviation of the change of brightness along a displacement, less what is slow of it."""
     change = frames[found.first] - sampled(frames[found.second], found.y, found.x)
     change = np.where(where, change - np.median(change[where]), 0.0)

@@ -56,6 +56,14 @@ def test_gains_are_estimated(walk, corrected):
     assert alike(corrected.estimate.gain, walk.gain, ~walk.bad & ~corrected.estimate.bad_pixels) > 0.6
 
 
+def test_halves_of_the_recording_agree_on_the_pattern_down_to_the_pixel(corrected):
+    assert corrected.agreement.resolution < 2.1
+
+
+def test_halves_of_a_forced_correction_of_few_frames_are_not_compared(walk):
+    assert correct(walk.frames[:6, :64, :80], correction="fine_offset").agreement is None
+
+
 def test_a_pan_leaves_the_slow_part_and_says_so(walk):
     frames = np.stack([np.roll(walk.scenes[0], 3 * k, axis=1) for k in range(40)])
     frames = frames + walk.fine + walk.slow + 3 * np.random.default_rng(0).standard_normal(frames.shape)
@@ -82,3 +90,11 @@ def test_few_frames_and_a_camera_at_rest_are_refused(walk):
     noise = np.random.default_rng(1).integers(-9, 9, (60, *walk.frames.shape[1:]))
     with pytest.raises(DataError, match="stands still"):
         correct((walk.frames[0] + noise).astype(np.uint16))
+
+
+def test_a_camera_at_rest_whose_gain_changes_is_refused(walk):
+    rng = np.random.default_rng(2)
+    shown = (walk.scenes[0] - 8000)[None] + walk.fine + 3 * rng.standard_normal((40, *walk.fine.shape))
+    gains = 0.12 * (1 + 0.3 * np.sin(np.arange(40) / 4))[:, None, None]
+    with pytest.raises(DataError, match="stands still"):
+        correct((gains * (shown - shown.mean()) + 120).clip(0, 255).round().astype(np.uint8))

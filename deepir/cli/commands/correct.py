@@ -80,6 +80,8 @@ def _correct(
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording
     from deepir.recording.keyframes import choose_keyframes
+    from deepir.recording.neighbours import NeighbouringFrames
+    from deepir.recording.physics import physics_lines
     from deepir.recording.segments import estimate_segments
     from deepir.report.correction import write_correction
 
@@ -89,21 +91,27 @@ def _correct(
     dtype = output_type(next(read()).dtype, rounded=rounded)
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
-    keyframes = choose_keyframes(track(read(), "reading"))
+    neighbours = NeighbouringFrames()
+    keyframes = choose_keyframes(neighbours.of(track(read(), "reading")))
     segments = estimate_segments(keyframes, correction)
-    corrected = CorrectedRecording(read, segments, keyframes)
+    corrected = CorrectedRecording(read, segments, keyframes, neighbours)
     with atomic_files(maps, picture) as (own_maps, own_picture):
         corrected.save_maps(own_maps)
         _describe(corrected, segments)
         try:
             with ThreadPoolExecutor(1) as beside, writer as write:
                 drawn = beside.submit(write_correction, own_picture, corrected)
+                lag = beside.submit(lambda: corrected.lag)
+                halves = beside.submit(lambda: corrected.agreement)
                 count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
                 drawn.result()
+                physics = list(physics_lines(corrected.estimate, lag.result(), halves.result()))
         except Interrupted:
             if not maps.exists():
                 own_maps.replace(maps)  # all that the rest needs
             raise
+    for line in physics:
+        echo(line)
     speed = count / (time.perf_counter() - begun)
     echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
 
