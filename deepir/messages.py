@@ -69,6 +69,10 @@ WARNINGS = {
         "The fixed pattern changes within the burst, as where a shutter closes. Only the longer part is used.",
         "Nothing if the part has frames enough. Otherwise switch the automatic shutter off and take the burst again.",
     ),
+    "drawn-pixels": (
+        "Pixels hold one value in all frames: text or marks that the camera draws, or clipped pixels.",
+        "Switch the overlay off, or leave it out with `data.mask` or `data.crop`.",
+    ),
     "torn-frames": (
         "A frame is composed of two exposures, above and below a row. It fits neither of them.",
         "Leave these frames out with `data.frames`; check the cable or the frame grabber.",
@@ -145,10 +149,6 @@ WARNINGS = {
         "Samples lie at an end of the camera's range. There the scene is a bound and not a value; `clipped` in "
         "`result.npz` marks it.",
         "Choose a wider range or a shorter integration time.",
-    ),
-    "drawn-pixels": (
-        "Pixels hold one value in all frames: text or marks that the camera draws, or clipped pixels.",
-        "Switch the overlay off, or leave it out with `data.mask` or `data.crop`.",
     ),
     "noise-below-rounding": (
         "The given noise is smaller than rounding to whole counts allows. The units do not fit.",

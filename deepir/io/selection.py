@@ -14,7 +14,7 @@ Select = str | int | Sequence[int] | None
 
 MAX_UNSELECTED_PAIRS = 6  # pairs of frames outside a burst that are kept to score its correction
 MAX_PAIR_GAP = 8  # frames between the two of a pair
-MIN_STEPS = 256  # steps of single precision that a frame spans; fewer hide what it shows
+MIN_STEPS = 8  # steps of single precision that a frame spans; fewer hide what it shows
 MAX_JUDGED = 10_000  # samples of a frame that are enough to judge that
 
 

@@ -62,7 +62,7 @@ class Status:
             return "holding"
         if self.correcting:
             return "correcting"
-        return "learning" if self.keyframes else "waiting for motion"
+        return "learning" if self.keyframes > 1 else "waiting for motion"  # the first frame is one
 
     def __str__(self) -> str:
         line = f"{self.state}, {self.estimates} estimate(s), {self.keyframes} keyframes"

@@ -65,7 +65,7 @@ def test_a_move_that_was_interrupted_is_finished_by_the_next_command(replaced, m
 
 
 def test_all_files_of_a_result_are_known():
-    written = re.findall(r'folder / "([\w.]+)"', Path(deepir.result.__file__).read_text())
+    written = re.findall(r'"([\w]+\.[a-z]+)"', Path(deepir.result.__file__).read_text())
     assert len(written) > 8
     assert {*written} <= {*RUN_FILES}
 
