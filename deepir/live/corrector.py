@@ -170,9 +170,8 @@ class Corrector:
         enough = taken >= self._due and self._keyframes.count >= (QUICK_KEYFRAMES if quick else KEYFRAMES)
         if enough and not self._estimator.busy():
             self._estimator.submit(self._keyframes.chosen(), quick=quick, former=former)
-            self._due = taken + (
-                0 if quick else min(MAX_NEW_KEYFRAMES, round((GROWTH - 1) * self._keyframes.count))
-            )
+            growth = round((GROWTH - 1) * self._keyframes.count)
+            self._due = taken + (QUICK_KEYFRAMES if quick else min(MAX_NEW_KEYFRAMES, growth))
 
     def _check(self, frame: Array, corrected: Array) -> None:
         """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
