@@ -109,8 +109,10 @@ def _rare_collections() -> Iterator[None]:
     """A context in which Python looks for garbage rarely: imports make a million objects and no garbage."""
     before = gc.get_threshold()
     gc.set_threshold(NEW_OBJECTS)
-    yield
-    gc.set_threshold(*before)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def _run(given: list[str]) -> int:

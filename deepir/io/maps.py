@@ -66,7 +66,7 @@ def read_truth(
 def fit_truth(
     arrays: dict[str, readers.Array], shape: Shape, source: str
 ) -> dict[str, np.ndarray[Any, np.dtype[np.float32]]]:
-    """Known arrays by name, float32, of which the scene fits frames of a `shape`.
+    """Check that a known scene fits frames of a `shape`, and give all known arrays by name, float32.
 
     Raises:
         DataError: There is no scene, or it does not fit; the message names the `source`.

@@ -16,8 +16,8 @@ from deepir.recording.segments import Segment
 
 Array = np.ndarray[Any, Any]
 
-QUICK_KEYFRAMES = 16  # before a quick estimate, of the fine offset, where frames are not corrected
-KEYFRAMES = 48  # before an estimate of all: the slow part needs more
+MIN_QUICK_KEYFRAMES = 16  # before a quick estimate, of the fine offset, where frames are not corrected
+MIN_KEYFRAMES = 48  # before an estimate of all: the slow part needs more
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
 CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
@@ -166,12 +166,14 @@ class Corrector:
         self._keyframes.add(frame)
         taken = self._keyframes.taken
         former = self.maps if self._fits else None
-        quick = former is None and self._keyframes.count < KEYFRAMES
-        enough = taken >= self._due and self._keyframes.count >= (QUICK_KEYFRAMES if quick else KEYFRAMES)
+        quick = former is None and self._keyframes.count < MIN_KEYFRAMES
+        enough = taken >= self._due and self._keyframes.count >= (
+            MIN_QUICK_KEYFRAMES if quick else MIN_KEYFRAMES
+        )
         if enough and not self._estimator.busy():
             self._estimator.submit(self._keyframes.chosen(), quick=quick, former=former)
             growth = round((GROWTH - 1) * self._keyframes.count)
-            self._due = taken + (QUICK_KEYFRAMES if quick else min(MAX_NEW_KEYFRAMES, growth))
+            self._due = taken + (MIN_QUICK_KEYFRAMES if quick else min(MAX_NEW_KEYFRAMES, growth))
 
     def _check(self, frame: Array, corrected: Array) -> None:
         """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
@@ -188,12 +190,12 @@ class Corrector:
         if found.estimate is None:
             if found.refused != ENDED:  # the camera stood still: begin again
                 self._keyframes.forget(found.last + 1)
-            self._due = self._keyframes.taken + QUICK_KEYFRAMES
+            self._due = self._keyframes.taken + MIN_QUICK_KEYFRAMES
             return
         self._keyframes.forget(found.first)  # another pattern
         if not self._serves(found, _values(frame)):
             self._rejected += 1
-            self._due = max(self._due, self._keyframes.taken + QUICK_KEYFRAMES)
+            self._due = max(self._due, self._keyframes.taken + MIN_QUICK_KEYFRAMES)
             return
         self._former, self._faded = self._segment if self._fits else None, 0
         self._segment = found

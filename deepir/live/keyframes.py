@@ -12,36 +12,35 @@ from deepir.recording.keyframes import (
     Chosen,
     ChosenFrames,
     KeyframeCollector,
-    coarse,
     in_groups,
     motion_spacing,
 )
 
 Array = np.ndarray[Any, Any]
 
-NEWEST = 64  # newest frames that are kept
-FEW = 32  # keyframes in groups, below which the newest frames count too
-PENDING = 16  # frames since the camera last moved that are kept, in case it goes on
+MAX_NEWEST = 64  # newest frames that are kept
+MIN_IN_GROUPS = 32  # keyframes in groups, below which the newest frames count too
+MAX_PENDING = 16  # frames since the camera last moved that are kept, in case it goes on
 #: Change since then, relative to that between frames, from which it moves: of a camera that stands still it is 1.
 LEAST_CHANGE = 1.5
 Averaged = tuple[int, Array, Array]  # number, frame (h, w), the frame averaged over blocks
 
 
 class LiveKeyframes:
-    """Chooses keyframes, the first of them at once.
-
-    Attributes:
-        length: Frames so far.
-    """
+    """Chooses keyframes, the first of them at once."""
 
     def __init__(self) -> None:
-        self.length = 0
         self._groups = KeyframeCollector(latest=True)
-        self._newest: deque[Averaged] = deque(maxlen=NEWEST)
-        self._pending: deque[Averaged] = deque(maxlen=PENDING)
+        self._newest: deque[Averaged] = deque(maxlen=MAX_NEWEST)
+        self._pending: deque[Averaged] = deque(maxlen=MAX_PENDING)
         self._steps: deque[float] = deque(maxlen=WINDOW)  # changes from frame to frame
-        self._before: tuple[Array, Array] | None = None
+        self._before: Array | None = None  # the last frame, averaged
         self._taken = 0
+
+    @property
+    def length(self) -> int:
+        """Frames so far."""
+        return self._groups.length
 
     @property
     def taken(self) -> int:
@@ -55,17 +54,15 @@ class LiveKeyframes:
 
     def add(self, frame: Array) -> None:
         """The next frame (h, w); one that repeats the frame before it is no keyframe."""
-        self._groups.add(frame)
-        number, self.length = self.length, self.length + 1
-        if self._before is not None and np.array_equal(frame, self._before[0]):
+        small = self._groups.add(frame)
+        if small is None:
             return
-        small = coarse(frame)
         if self._before is not None:
-            self._steps.append(_change(small, self._before[1]))
-        self._before = frame, small
-        self._pending.append((number, frame, small))
+            self._steps.append(_change(small, self._before))
+        self._before = small
+        self._pending.append((self.length - 1, frame, small))
         if not self._newest or _change(small, self._newest[-1][2]) > LEAST_CHANGE * np.median(self._steps):
-            self._taken += min(len(self._pending), NEWEST - len(self._newest))
+            self._taken += min(len(self._pending), MAX_NEWEST - len(self._newest))
             self._newest.extend(self._pending)
             self._pending.clear()
 
@@ -79,7 +76,7 @@ class LiveKeyframes:
     def chosen(self) -> ChosenFrames:
         """Those that are there now; at least one."""
         groups = self._groups.groups
-        if self._groups.count < FEW:
+        if self._groups.count < MIN_IN_GROUPS:
             first = self._newest[0][0]
             groups = [group for group in groups if group[-1][0] < first] + in_groups(self._spaced())
         return ChosenFrames.of_groups(groups, self.length)

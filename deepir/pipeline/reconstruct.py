@@ -27,7 +27,7 @@ from deepir.pipeline.frame_order import interpolate_missing_motion, interpolatio
 from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import register_frames
-from deepir.pipeline.safeguard import safeguarded, uncorrected, unregistered
+from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.pipeline.schedule import network_message, plan
 from deepir.problem import Problem
 from deepir.registry import register
@@ -85,11 +85,9 @@ def joint(
     if not recipe.judged:
         return mark_unseen(result, unseen)
     doubt = picture or doubtful_motion(problem, burst.frames, burst.valid & ~burst.bad_pixels, used)
-    if doubt and not picture:
-        result.messages = doubt + result.messages
-    final = safeguarded(result, _evened(known, problem, taken), registered=motion is not None)
-    if doubt and final.frames_used.sum() == used.sum():  # nothing else takes its place
-        final = uncorrected(result, burst)
+    result.messages = list(dict.fromkeys(doubt + result.messages))
+    judged = burst if doubt else _evened(known, problem, taken)
+    final = safeguarded(result, judged, registered=motion is not None, trusted=not doubt)
     if final.frames_used.sum() < used.sum():  # it is the first frame
         unseen = ~burst.valid[0]
     return mark_unseen(final, unseen)

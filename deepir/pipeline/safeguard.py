@@ -47,18 +47,20 @@ class Correction:
     left: Left
 
 
-def safeguarded(result: Result, burst: Burst, *, registered: bool) -> Result:
+def safeguarded(result: Result, burst: Burst, *, registered: bool, trusted: bool = True) -> Result:
     """The result, or one with a simpler correction that leaves less pattern; a message says so.
 
     It has to leave clearly less, or the result more than uncorrected frames. A slow part stays without evidence only in
-    a result of `registered` frames.
+    a result of `registered` frames. A result that is not `trusted` gives way to the first frame as it is, where nothing
+    else takes its place.
     """
+    kept = result if trusted else _uncorrected(result, burst)
     judge = _judge(burst, [(result.gain, result.offset)], result.level)
     found = _candidates("gain and offset as estimated", judge, burst, result.gain, result.offset)
     one, zero = np.ones(burst.size), np.zeros(burst.size)
     raw, shared = _candidates("no correction", judge, burst, one, zero), judge.left(one, judge.shared)
     if found is None or raw is None or shared is None:
-        return result
+        return kept
     free = None
     if registered and len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
@@ -66,14 +68,14 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool) -> Result:
     best = _best(found, free, raw, judge, registered=registered)
     result.metrics["fixed_pattern_left"] = _figures(raw.whole.left, best.left)
     if best is found.whole:
-        return result
+        return kept
     message = Message(
         "correction-replaced",
         f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.left)} in "
         f"{'frames beside the burst' if burst.beside is not None else 'the frames'}, {best.name} "
         f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}",
     )
-    if best is found.fine and result.scene.shape == burst.frames.shape:
+    if trusted and best is found.fine and result.scene.shape == burst.frames.shape:
         scene = (result.scene + found.slow / result.gain).astype(np.float32)
         offset = best.offset.astype(np.float32)
         return dataclasses.replace(result, scene=scene, offset=offset, messages=[message, *result.messages])
@@ -110,7 +112,7 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
     return _replaced(result, burst, best.gain, best.offset, message)
 
 
-def uncorrected(result: Result, burst: Burst) -> Result:
+def _uncorrected(result: Result, burst: Burst) -> Result:
     """The first frame as it is, in place of a result whose motion is not to be trusted; its messages say why."""
     message = Message(
         "motion-not-trusted",

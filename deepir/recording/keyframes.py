@@ -184,17 +184,17 @@ class KeyframeCollector:
         self.groups = [[each for each in group if each[0] >= number] for group in self.groups]
         self.groups = [group for group in self.groups if group]
 
-    def add(self, frame: Array) -> None:
-        """The next frame (h, w); one that repeats the frame before it is no keyframe."""
+    def add(self, frame: Array) -> Array | None:
+        """Consider the next frame (h, w); returns it averaged over blocks, None if it repeats the frame before it."""
         number, repeats = self.length, self._before is not None and np.array_equal(frame, self._before)
         self.length, self._before = number + 1, frame
         if repeats:
-            return
+            return None
         small = coarse(frame)
         self._recent = [*self._recent[-WINDOW + 1 :], small]
         if self._measured:
             self._consider(number, frame, small)
-            return
+            return small
         self._head.append((number, frame, small))
         if len(self._head) == WINDOW:
             self._measured = True
@@ -202,6 +202,7 @@ class KeyframeCollector:
             for each in self._head:
                 self._consider(*each)
             self._head = []
+        return small
 
     def _consider(self, number: int, frame: Array, small: Array) -> None:
         """Add a frame to the last group, or begin one with it, if it is time."""

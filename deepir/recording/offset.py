@@ -166,7 +166,7 @@ def agreement(frames: Array, found: Displacement, where: Array) -> float:
 
 
 def _scene_left(mean: Array, known: Array, found: Sequence[Displacement]) -> Array:
-    """What of the slow part of the scenes' mean (h, w) is left in an offset: the share of the frame that rests.
+    """Slow part of the scenes' mean (h, w) that remains in an offset: times the share of the frame that rests.
 
     Where the scene never moves, as the sky of a drive, nothing separates it from the pattern.
     """

@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
 from deepir.kernels.block_means import block_means
 from deepir.multiview.texture_flow import Displacement
+from deepir.operators.warp import project_pixels
 from deepir.recording.offset import agreement
 
 Array = np.ndarray[Any, Any]
@@ -19,8 +21,8 @@ LEAST_MOTION = 0.5  # px of the averaged frames; median displacement of a pair t
 POINTS = 1500  # of a displacement field to which the homography is fitted
 LEAST_POINTS = 60
 REWEIGHTINGS = 8  # of the fit, by Cauchy's likelihood
+RIDGE = 1e-9  # px^2 of the averaged frames, less than any displacement is missed by
 BORDER = 1  # px from the border within which a homography's displacement does not count
-RIDGE = 1e-9
 #: Ratio from which there is parallax. Of 72 simulated recordings 66 are on the right side: drives and walks at 1.0 to
 #: 1.5, pans and flights high above the ground at 0.9 to 1.05; two real drives have 1.14 and 1.4.
 PARALLAX_RATIO = 1.05
@@ -45,12 +47,11 @@ def parallax_ratio(
     for k in np.unique(np.linspace(0, len(found) - 1, min(PAIRS, len(found))).astype(int)):
         dense = found[k]
         plane = _homography(dense)
-        if plane is None:
+        if plane is None or (inside := dense.known & _inside(plane)).sum() < LEAST_POINTS:
             continue
         numbers = [dense.first, dense.second]
         factor = min(frames.shape[1:]) // min(dense.y.shape)
         coarse = block_means((frames[numbers] - offset) / gain, usable[numbers], factor)
-        inside = dense.known & _inside(plane)
         pair = [replace(each, first=0, second=1) for each in (plane, dense)]
         logs.append(np.log(agreement(coarse, pair[0], inside) / agreement(coarse, pair[1], inside)))
         weights.append(float(inside.mean()))
@@ -59,46 +60,24 @@ def parallax_ratio(
 
 def _homography(found: Displacement) -> Displacement | None:
     """The displacements (h, w) of the homography nearest to those known; None where these are few or small."""
+    from kornia.geometry.homography import find_homography_dlt, oneway_transfer_error
+
+    height, width = found.y.shape
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
     y, x = np.nonzero(found.known)
     stride = max(1, len(y) // POINTS)
-    y, x = y[::stride], x[::stride]
-    if len(y) < LEAST_POINTS:
+    at = (np.stack((x, y), 1) - middle)[::stride]
+    to = (np.stack((found.x[y, x], found.y[y, x]), 1) - middle)[::stride]
+    if len(at) < LEAST_POINTS or np.median(np.hypot(*(to - at).T)) < LEAST_MOTION:
         return None
-    to_y, to_x = found.y[y, x], found.x[y, x]
-    if np.median(np.hypot(to_y - y, to_x - x)) < LEAST_MOTION:
-        return None
-    height, width = found.y.shape
-    middle_y, middle_x, scale = height / 2, width / 2, height / 2
-    u, v = (x - middle_x) / scale, (y - middle_y) / scale
-    to_u, to_v = (to_x - middle_x) / scale, (to_y - middle_y) / scale
-    h = _fitted(u, v, to_u, to_v)
-    u, v = (np.arange(width) - middle_x) / scale, (np.arange(height)[:, None] - middle_y) / scale
-    to_u, to_v = _mapped(h, u, v)
-    return replace(found, x=scale * to_u + middle_x, y=scale * to_v + middle_y)
-
-
-def _fitted(u: Array, v: Array, to_u: Array, to_v: Array) -> Array:
-    """The eight parameters of a homography, by robust least squares of its linear equations (P,)."""
-    none, one = np.zeros_like(u), np.ones_like(u)
-    design = np.concatenate(
-        [
-            np.stack([u, v, one, none, none, none, -u * to_u, -v * to_u], 1),
-            np.stack([none, none, none, u, v, one, -u * to_v, -v * to_v], 1),
-        ]
-    )
-    target, weights = np.concatenate([to_u, to_v]), one
+    here, there = (torch.from_numpy(each)[None] for each in (at, to))
+    weights = torch.ones(1, len(at), dtype=torch.float64)
     for _ in range(REWEIGHTINGS):
-        weighted = design * np.tile(weights, 2)[:, None]
-        h = np.linalg.solve(weighted.T @ design + RIDGE * np.eye(8), weighted.T @ target)
-        at_u, at_v = _mapped(h, u, v)
-        miss = np.hypot(at_u - to_u, at_v - to_v)
-        weights = 1 / (np.median(miss) ** 2 + miss**2 + RIDGE)
-    return np.asarray(h)
-
-
-def _mapped(h: Array, u: Array, v: Array) -> tuple[Array, Array]:
-    below = h[6] * u + h[7] * v + 1
-    return (h[0] * u + h[1] * v + h[2]) / below, (h[3] * u + h[4] * v + h[5]) / below
+        plane = find_homography_dlt(here, there, weights)
+        missed = oneway_transfer_error(here, there, plane)  # squared
+        weights = 1 / (missed.median() + missed + RIDGE)
+    to_x, to_y = (project_pixels(plane, (height, width))[0].numpy() + middle).T.swapaxes(1, 2)
+    return replace(found, x=to_x, y=to_y)
 
 
 def _inside(found: Displacement) -> Array:

@@ -44,10 +44,14 @@ def test_true_maps_leave_the_scene_and_noise(deepir, folder, simulation, maps):
 def test_the_warnings_of_a_run_are_repeated_where_its_maps_are_applied(deepir, folder):
     deepir("run", "nuc", "data.path=burst.npz", "solver.max_iterations=1", "method=average")
     metrics = folder / "runs/nuc/metrics.json"
-    metrics.write_text(json.dumps(json.loads(metrics.read_text()) | {"messages": ["the frames hardly move"]}))
+    metrics.write_text(
+        json.dumps(
+            json.loads(metrics.read_text()) | {"messages": ["warning[motion-small]: the frames hardly move"]}
+        )
+    )
     status, _, err = deepir("apply", "runs/nuc", "burst.npz", "--output", "a.tif")
     assert status == 0
-    assert "warning: of the run in runs/nuc: the frames hardly move" in err
+    assert "runs/nuc: warning[motion-small]: the frames hardly move" in err
 
 
 def test_the_folder_of_a_run_has_maps(deepir, folder, simulation):

@@ -9,7 +9,7 @@ import pytest
 
 from deepir.calibration import CorrectionMaps
 from deepir.config.schema import Raw
-from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, QUICK_KEYFRAMES, Corrector
+from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, MIN_QUICK_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, Beside, Here
 from deepir.live.sources import Paced, camera_frames, stream_raw
 from deepir.recording.estimate import SensorEstimate
@@ -184,7 +184,7 @@ def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_repla
         corrector._estimator._process.wait()
         for frame in walk.frames:
             corrector(frame)
-        assert corrector.status.keyframes >= QUICK_KEYFRAMES
+        assert corrector.status.keyframes >= MIN_QUICK_KEYFRAMES
         until = time.monotonic() + 60
         while corrector.status.estimates == 0 and time.monotonic() < until:
             corrector(walk.frames[-1])
@@ -201,7 +201,7 @@ def test_an_estimate_that_is_cancelled_does_not_come(walk):
         estimator.cancel()
         assert not estimator.busy()
         assert estimator.poll() is None
-        estimator.submit(chosen(walk.frames[:QUICK_KEYFRAMES]), quick=True, former=None)
+        estimator.submit(chosen(walk.frames[:MIN_QUICK_KEYFRAMES]), quick=True, former=None)
         until = time.monotonic() + 60
         while estimator.busy() and time.monotonic() < until:
             time.sleep(0.05)

@@ -42,22 +42,23 @@ def apply(
     """
     from deepir.calibration import read_maps
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.messages import shown
 
     config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     try:
         with Interruptible(), held_outputs(target, overwrite=overwrite, source=config.data.path):
             found = read_maps(maps)
-            for doubt in _doubts(maps):
-                notify(f"warning: of the run in {maps}: {doubt}")
+            for line in shown(_messages(maps), f"{maps}/report.html"):
+                notify(f"{maps}: {line}")
             echo(_apply(found, config, target, rounded=not float32))
     except Interrupted as error:
         return report_aborted(error)
     return 0
 
 
-def _doubts(maps: Path) -> list[str]:
-    """The warnings of the run that made the maps; none of maps that no run made."""
+def _messages(maps: Path) -> list[str]:
+    """The messages of the run in a folder, labelled; none of maps that are a file."""
     import json
 
     try:
