@@ -14,6 +14,9 @@ from deepir.arrays.autocorrelation import Array, autocorrelation
 MAX_PAIRS = 4  # of frames whose differences are taken
 #: Share of the autocorrelation one px from zero, where noise is no more, that it reaches at a period.
 MIN_REPETITION = 0.8
+MAX_BETWEEN = (
+    0.5  # the same share, below which it falls on the way to the period; smooth scenes, as clouds, stay above
+)
 PEAK_REACH = 1.5  # distance of the peak of a repetition over that of its nearest sample, at most
 
 
@@ -35,10 +38,10 @@ def scene_period(frames: Array, usable: Array) -> float | None:
         return None
     middle = len(total) // 2
     near = total[middle - 1 : middle + 2, middle - 1 : middle + 2]
-    limit = MIN_REPETITION * max(near[0, 1], near[1, 0], near[0, 0], near[0, 2])
-    high, _ = ndimage.label(total > max(limit, 0.0), np.ones((3, 3)))
+    highest = max(near[0, 1], near[1, 0], near[0, 0], near[0, 2], 0.0)
+    parts, _ = ndimage.label(total > MAX_BETWEEN * highest, np.ones((3, 3)))
     apart = np.hypot(*(np.indices(total.shape) - middle))
-    other = (high > 0) & (high != high[middle, middle])
+    other = (total > MIN_REPETITION * highest) & (parts != parts[middle, middle])
     if not other.any():
         return None
     nearest = other & (apart < PEAK_REACH * apart[other].min())  # of a ridge, the part that is nearest

@@ -7,6 +7,7 @@ import deepir
 from deepir.diagnostics.repeating_scene import scene_period
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
+from deepir.simulate.scenes.procedural import sky
 
 X = np.mgrid[:400, :400][1]
 FENCE = 0.1 + 0.8 * (X % 8 < 4)
@@ -52,3 +53,9 @@ def test_other_scenes_have_none(seed):
     assert period(burst(seed=seed).frames) is None
     edge = np.clip((X - 200) / 4, 0, 1)
     assert period(burst(edge, seed=seed, scale=1.25).frames) is None
+
+
+def test_clouds_have_none():
+    """Their differences hardly fall between two places that are alike."""
+    clean = {"shading": 0.0, "dead_pixels": 0.0, "level_drift": 0.0, "photons": 1000.0, "read_noise": 0.002}
+    assert period(simulate(sky(20, (430, 500)), Settings(n_frames=5, **clean), seed=102).frames) is None
