@@ -1,21 +1,25 @@
-"""Problems and components on the pretended device of `pretended_card`: `python on_card.py`.
+"""Problems and components on a device: `python on_card.py [cuda]`, without a name on that of `pretended_card`.
 
 Prints one line of JSON for each: its kind and name, and its difference from the CPU or its error. A process of its own,
-as torch must know the device before the first gradient.
+as torch must know a pretended device before the first gradient.
 """
 
+import contextlib
 import copy
 import json
+import sys
 import traceback
 
 import pretended_card
 import torch
-from pretended_card import Card, OnCard
+from pretended_card import Card
 from small_problems import PROBLEMS, difference, solved
 
 from deepir.kernels import dispatch
 from deepir.registry import components
 
+DEVICE = sys.argv[1] if __name__ == "__main__" and len(sys.argv) > 1 else "card"
+on_device = Card if DEVICE == "card" else contextlib.nullcontext
 #: Torch's thread for the pretended device ends at the gradient of an index: the interpolation of `radial`.
 LEFT_OUT = {"radial", "wavelets"}  # the latter needs an extra
 
@@ -23,8 +27,8 @@ LEFT_OUT = {"radial", "wavelets"}  # the latter needs an extra
 def problem(name):
     """A whole solve, from the registered frames to the figures of the result."""
     wanted = solved(name)
-    with Card():
-        return difference(solved(name, "device=card"), wanted)
+    with on_device():
+        return difference(solved(name, f"device={DEVICE}"), wanted)
 
 
 def operator(name):
@@ -99,9 +103,9 @@ def denoiser(name):
 def both(evaluate):
     """The largest difference of what is evaluated on both devices."""
     wanted = [each.detach() for each in evaluate("cpu")]
-    with Card():
-        found = evaluate("card")
-        off = [each for each in found[:2] if not isinstance(each, OnCard)]
+    with on_device():
+        found = evaluate(DEVICE)
+        off = [each for each in found[:2] if each.device.type != DEVICE]
         if off:
             raise RuntimeError(f"a tensor {tuple(off[0].shape)} came out on the CPU")
         pairs = zip([each.detach().cpu() for each in found], wanted, strict=True)
@@ -119,7 +123,9 @@ def names_of(kind):
 
 
 def main():
-    pretended_card.install()
+    if DEVICE == "card":
+        pretended_card.install()
+    torch.backends.cudnn.allow_tf32 = False  # rounding errors of float32, as on the CPU
     dispatch.ENABLED = False  # so that the CPU takes the same operations
     torch.set_num_threads(1)
     for evaluate in EVALUATED:

@@ -23,12 +23,17 @@ from deepir.registry import components
 ROUNDING = 2e-3
 
 
-@pytest.fixture(scope="module")
-def card():
-    """The differences and errors on the pretended device, by kind and name."""
-    done = subprocess.run(
-        [sys.executable, str(Path(on_card.__file__))], capture_output=True, text=True, check=False
-    )
+@pytest.fixture(
+    scope="module",
+    params=[
+        "card",
+        pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
+    ],
+)
+def card(request):
+    """The differences and errors on a device, by kind and name: a pretended one, and a GPU where there is one."""
+    command = [sys.executable, str(Path(on_card.__file__)), request.param]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return {(each["kind"], each["name"]): each for each in map(json.loads, done.stdout.splitlines())}
 
