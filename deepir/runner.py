@@ -54,7 +54,7 @@ def prepare(
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
-    with threads.for_burst(0), seeded(config.seed):  # nothing here is worth a second thread
+    with threads.for_samples(0), seeded(config.seed):  # nothing here is worth a second thread
         data = bursts.load(
             config.data,
             frames=frames,
@@ -100,7 +100,7 @@ def execute(
     """
     start = time.perf_counter()
     name, method = chosen(config)
-    with threads.for_burst(data.frames.size, config.threads), memory.kept(), seeded(config.seed):
+    with threads.for_samples(data.frames.size, config.threads), memory.kept(), seeded(config.seed):
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     result.messages = [*data.messages, *result.messages]
     result.example, result.config = np.where(data.valid[0], data.frames[0], np.nan), config

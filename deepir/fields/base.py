@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from deepir.fields.sensor_maps import GaussianMap
 
 Shape = tuple[int, ...]
+LAYERS = (nn.Linear, nn.Conv1d, nn.Conv2d, nn.ConvTranspose2d)
 
 
 class Field(nn.Module):
@@ -48,6 +49,11 @@ class Field(nn.Module):
     def parts(self) -> Sequence[GaussianMap]:
         """Gaussian maps whose sum is the deviation from neutral, for a solution in closed form; () without one."""
         return ()
+
+    @property
+    def is_network(self) -> bool:
+        """Whether layers of a network draw the value."""
+        return not self.can_represent or any(isinstance(each, LAYERS) for each in self.modules())
 
     @classmethod
     def example(cls) -> Field:

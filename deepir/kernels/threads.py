@@ -1,7 +1,8 @@
-"""Threads of a solve on the CPU: one for small bursts, for large ones all, of the compiled loops and of torch.
+"""Threads of an estimate on the CPU: one for small bursts; for large ones all, of the compiled loops.
 
-To wake a thread takes as long as a small burst's loops do. The loops' threads sleep until they are needed, torch's
-spin for a moment while they wait for each other.
+To wake a thread takes as long as a small burst's loops do. Torch's operations on a burst are short too, and its threads
+wait for each other after every one: on a busy machine, or with as many threads as a processor has hyperthreads, an
+estimate takes several times as long. So only layers of networks have torch's threads.
 """
 
 from __future__ import annotations
@@ -14,24 +15,46 @@ import torch
 
 #: Samples of a burst from which a second thread is faster.
 MIN_PARALLEL_SAMPLES = 400_000
+#: Threads unless others are asked for. On 16 hyperthreads, 1, 2, 4, 8 and 16 took 15, 10, 7, 5.6 and 14 s.
+MAX_THREADS = 8
 
 _given = ContextVar("threads", default=0)
 
 
+def available() -> int:
+    """Number of threads of an estimate that is given none."""
+    return min(torch.get_num_threads(), MAX_THREADS)
+
+
 def count() -> int:
-    """Number of threads of a compiled loop: that of the running solve, or else that of torch."""
-    return _given.get() or torch.get_num_threads()
+    """Number of threads of a compiled loop."""
+    return _given.get() or available()
 
 
 @contextlib.contextmanager
-def for_burst(samples: int, max_threads: int | None = None) -> Iterator[None]:
-    """Context with threads for a number of samples: one, or `max_threads` (those of torch if None) for large bursts."""
-    before = torch.get_num_threads()
+def for_samples(samples: int, max_threads: int | None = None) -> Iterator[None]:
+    """Context with threads for a number of samples: one, or `max_threads` (None: `available`) for many samples."""
     number = (max_threads or count()) if samples >= MIN_PARALLEL_SAMPLES else 1
     token = _given.set(number)
+    try:
+        with _threads_of_torch(1):
+            yield
+    finally:
+        _given.reset(token)
+
+
+@contextlib.contextmanager
+def for_layers(wanted: bool = True) -> Iterator[None]:
+    """Context in which torch's operations have the threads of the compiled loops, if wanted."""
+    with _threads_of_torch(count()) if wanted else contextlib.nullcontext():
+        yield
+
+
+@contextlib.contextmanager
+def _threads_of_torch(number: int) -> Iterator[None]:
+    before = torch.get_num_threads()
     torch.set_num_threads(number)
     try:
         yield
     finally:
-        _given.reset(token)
         torch.set_num_threads(before)

@@ -19,6 +19,7 @@ import numpy as np
 
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
+from deepir.kernels import threads
 from deepir.recording.estimate import AUTO, estimate_fine_offset
 from deepir.recording.keyframes import ChosenFrames, Keyframes
 from deepir.recording.segments import Segment, estimate_segments
@@ -59,9 +60,10 @@ def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps 
     """
     first, last = int(keyframes.numbers[0]), int(keyframes.numbers[-1])
     try:
-        if quick:
-            return Segment(first, last, estimate_fine_offset(keyframes))
-        return estimate_segments(keyframes, AUTO, former=former)[-1]
+        with threads.for_samples(keyframes.frames.size):
+            if quick:
+                return Segment(first, last, estimate_fine_offset(keyframes))
+            return estimate_segments(keyframes, AUTO, former=former)[-1]
     except DataError as error:
         return Segment(first, last, None, str(error))
 

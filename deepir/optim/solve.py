@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from deepir.errors import SolverError
+from deepir.kernels import threads
 from deepir.optim import Optimiser
 from deepir.optim.active_set import activate_bounds, deactivate_bounds
 from deepir.optim.held_out import held_out_error
@@ -100,7 +101,9 @@ def solve(
                 stage.prepare(problem)
             activate_bounds(problem)
             optimisers = optimisers_of(problem, stage)
-        reason = _run(problem, plan, optimisers, position, callbacks, save)
+        free = {name for step in stage.steps for name in step.group}
+        with threads.for_layers(any(problem.fields[name].is_network for name in free)):
+            reason = _run(problem, plan, optimisers, position, callbacks, save)
         for optimiser, _ in optimisers:
             optimiser.finish()
         if any(step.method == "eliminate" for step in stage.steps):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-from torch import nn
-
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
 from deepir.messages import Message
@@ -47,10 +45,8 @@ def plan(problem: Problem, recipe: Recipe, config: Config) -> list[Stage]:
 def network_message(problem: Problem, stages: list[Stage]) -> list[str]:
     """A line if a network draws the scene and moves by L-BFGS together with the sensor, for lack of `scene.fit`."""
     scene = problem.fields["scene"]
-    layers = (nn.Linear, nn.Conv1d, nn.Conv2d, nn.ConvTranspose2d)
-    network = not scene.can_represent or any(isinstance(each, layers) for each in scene.modules())
     moved = any("scene" in step.group and step.method == "lbfgs" for stage in stages for step in stage.steps)
-    if not (network and moved):
+    if not (scene.is_network and moved):
         return []
     return [
         Message(

@@ -12,6 +12,7 @@ import numpy as np
 
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
+from deepir.kernels import threads
 from deepir.recording.estimate import SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes
 from deepir.recording.pattern_jumps import pattern_jumps
@@ -73,6 +74,11 @@ def estimate_segments(
         ConfigError: There is no such correction.
         DataError: No part can be corrected; the reason of the first.
     """
+    with threads.for_samples(keyframes.frames.size):
+        return _estimate_segments(keyframes, correction, former)
+
+
+def _estimate_segments(keyframes: Keyframes, correction: str, former: CorrectionMaps | None) -> list[Segment]:
     ends = [0, *pattern_jumps(keyframes.frames), len(keyframes.frames)]
     parts = [np.arange(*each) for each in itertools.pairwise(ends)]
     if len(parts) == 1:

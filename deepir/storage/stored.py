@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from deepir.burst import Burst, Truth
 from deepir.config import Config, Data, dump, read
 from deepir.errors import ConfigError, DataError, DeepIRError, SolverError
+from deepir.kernels import threads
 from deepir.messages import MAX_SHOWN, labelled, shown
 from deepir.optim.solve import Progress
 from deepir.paths import expanded
@@ -244,7 +244,7 @@ def pin_config(config: Config, folder: RunFolder) -> Config:
             "physics": inside(config.physics),
             "scene": inside(config.scene),
             "output": config.output.model_copy(update={"dir": str(folder.path)}),
-            "threads": config.threads or torch.get_num_threads(),
+            "threads": config.threads or threads.available(),
         }
     )
 

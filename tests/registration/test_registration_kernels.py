@@ -18,7 +18,7 @@ def test_the_number_of_threads_makes_no_difference_but_of_rounding(camera):
     frames, _ = simulated("camera", **camera)
     found = []
     for number in (1, 3):
-        with threads.for_burst(threads.MIN_PARALLEL_SAMPLES, number):
+        with threads.for_samples(threads.MIN_PARALLEL_SAMPLES, number):
             found.append(register(frames))
     assert_close(found[0].motion, found[1].motion, rtol=0, atol=1e-4)  # torch adds up by threads
     assert_close(found[0].confidence, found[1].confidence, rtol=0, atol=1e-5)
