@@ -29,6 +29,7 @@ COMPONENT_MODULES = {
     "effect": ["deepir.effects"],
     "method": [
         "deepir.pipeline.reconstruct",
+        "deepir.pipeline.whole_recording",
         "deepir.baselines",
         "deepir.baselines.single_frame",
         "deepir.baselines.temporal",

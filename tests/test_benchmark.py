@@ -179,8 +179,8 @@ def test_frame_0_of_the_papers_bursts_is_not_moved(monkeypatch):
 def test_every_problem_that_is_shipped_is_in_the_table_of_problems_with_total_variation_and_two_others():
     from problems import CASES, PRIORS
 
-    from deepir.config import shipped_names
+    from deepir.registry import components
 
-    assert set(CASES) == {name for name in shipped_names() if not name.startswith("paper/")}
+    assert set(CASES) == components("problem").keys() - {"generic"}
     assert PRIORS[0] == "tv"
     assert len(set(PRIORS)) >= 3

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.config import prior_names, shipped_names
+from deepir.config import prior_names
+from deepir.registry import components
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(n_frames=4, shape=(40, 48), max_shift=4.0, shading=0.0, dead_pixels=0.0)
-PROBLEMS = [name for name in shipped_names() if not name.startswith("paper/")]
+PROBLEMS = sorted(components("problem").keys() - {"generic"})
 
 pytestmark = pytest.mark.matrix
 

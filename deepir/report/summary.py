@@ -41,8 +41,9 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     below = [
         draw_map(result.gain, f"gain, std {100 * result.gain.std():.1f} %", SIGNED, size, centre=1.0),
         draw_map(result.offset, f"offset, std {result.offset.std():.3g}", SIGNED, size, centre=0.0),
-        _loss(result.history, size),
     ]
+    if result.history:
+        below.append(_loss(result.history, size))
     more = {name: each for name, each in result.extra.items() if each.shape == result.gain.shape}
     for k, (name, each) in enumerate(more.items()):
         row = (above, below)[k % 2]
@@ -56,10 +57,10 @@ def _loss(history: list[dict[str, Any]], size: tuple[int, int]) -> Image.Image:
         for stage in dict.fromkeys(row["stage"] for row in history)
     }
     fallen = {stage: loss - loss.min() + 1 for stage, loss in stages.items()}
-    highest = max((float(np.nanmax(each)) for each in fallen.values()), default=1.0)
+    highest = max(float(np.nanmax(each)) for each in fallen.values())
     title = "loss in each stage, less its least (nats)"
     limits = 0.8, 1.4 * highest * highest**LEGEND_SHARE
-    axes = Axes(size, title, (0, max(len(history), 1)), limits, "iteration", log=True)
+    axes = Axes(size, title, (0, len(history)), limits, "iteration", log=True)
     start, colours = 0, dict[str, str]()
     for stage, loss in fallen.items():
         kind = stage.rstrip(" 0123456789")  # the rounds of a stage share a colour and a name

@@ -1,0 +1,56 @@
+"""The method `recording`: a whole recording corrected as by `deepir correct`, for runs, comparisons and batches."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.recording.correct import CorrectedRecording
+from deepir.recording.estimate import AUTO
+from deepir.recording.keyframes import choose_keyframes
+from deepir.recording.neighbours import NeighbouringFrames
+from deepir.recording.segments import estimate_segments
+from deepir.registry import register
+from deepir.result import Result, neutral
+
+
+@register("method", "recording")
+def recording(burst: Burst, config: Config, *, correction: str = AUTO) -> Result:
+    """The sensor from a whole recording of a moving camera, as `deepir correct`; each frame's scene is corrected.
+
+    Args:
+        burst: All frames of the recording, in their order.
+        config: The configuration.
+        correction: One of `CORRECTIONS`; "auto": what serves held-out frames best.
+
+    Raises:
+        DataError: Few frames differ, or the camera stands still.
+        ConfigError: There is no such correction.
+    """
+    lost = ~burst.valid & ~burst.bad_pixels
+    frames = np.where(lost, np.nan, burst.frames) if lost.any() else burst.frames
+    neighbours = NeighbouringFrames()
+    keyframes = choose_keyframes(neighbours.of(iter(frames)))
+    segments = estimate_segments(keyframes, correction)
+    corrected = CorrectedRecording(lambda: iter(frames), segments, keyframes, neighbours)
+    maps, estimates = corrected.maps, [each.estimate for each in segments if each.estimate]
+    result = neutral(corrected.frames, len(frames), burst.size, burst.bad_pixels | maps.bad_pixels)
+    return dataclasses.replace(
+        result,
+        gain=maps.gain.astype(np.float32),
+        offset=maps.offset.astype(np.float32),
+        messages=list(dict.fromkeys(message for each in estimates for message in each.messages)),
+        metrics={
+            "correction": corrected.estimate.kept,
+            "nats": corrected.estimate.nats,
+            "shares": corrected.estimate.shares,
+            "first_frames": [each.first for each in segments],
+            "parallax": corrected.estimate.parallax,
+            "iterations": 0,
+            "evaluations": 0,
+            "stop_reason": f"estimated from {len(keyframes.frames)} of {len(frames)} frames",
+        },
+    )
