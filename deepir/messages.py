@@ -29,7 +29,8 @@ WARNINGS = {
     "frames-not-registered": (
         "No single motion explains the frames, but parts of them move. The offset was estimated without registration, "
         "and the scene is the corrected first frame.",
-        "Take the burst again with a smoother motion. For near and far objects try `deepir run flow`.",
+        "Of a recording, `deepir correct` uses all frames. Or take the burst again with a smoother motion. For near "
+        "and far objects try `deepir run flow`.",
     ),
     "correction-replaced": (
         "A simpler correction leaves less fixed pattern than the estimated one, so the result has the simpler one.",

@@ -73,7 +73,8 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool, trusted: bool
         "correction-replaced",
         f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.left)} in "
         f"{'frames beside the burst' if burst.beside is not None else 'the frames'}, {best.name} "
-        f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}",
+        f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}"
+        f"{_more_frames(burst)}",
     )
     if trusted and best is found.fine and result.scene.shape == burst.frames.shape:
         scene = (result.scene + found.slow / result.gain).astype(np.float32)
@@ -107,7 +108,7 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
     message = Message(
         "frames-not-registered",
         f"the frames do not register as a whole, but their parts move: the result has {best.name}. It leaves a fixed "
-        f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}",
+        f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}{_more_frames(burst)}",
     )
     return _replaced(result, burst, best.gain, best.offset, message)
 
@@ -202,6 +203,11 @@ def _figures(raw: Left, corrected: Left) -> dict[str, float]:
     found = {"raw": raw.change, "corrected": corrected.change}
     fine = {"raw_detail": raw.detail, "corrected_detail": corrected.detail}
     return found if np.isnan(raw.detail) else found | fine
+
+
+def _more_frames(burst: Burst) -> str:
+    """What to do with a burst that is a part of a recording."""
+    return "" if burst.beside is None else ". deepir correct uses the whole recording"
 
 
 def _said(left: Left) -> str:
