@@ -89,6 +89,9 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 	$(BIN)/python benchmarks/recordings.py --output notes/bench-real.md
 
+bench-gpu: setup  ## seconds and quality of whole solves on a GPU, where there is one
+	$(BIN)/python benchmarks/gpu.py
+
 bench-startup: setup  ## seconds from the start of a run to its end, beside torch's import and the solve
 	$(BIN)/python benchmarks/startup.py
 
