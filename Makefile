@@ -98,4 +98,4 @@ bench-startup: setup  ## seconds from the start of a run to its end, beside torc
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-physics bench-live bench-effects bench-startup clean
+.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-physics bench-live bench-effects bench-gpu bench-startup clean
