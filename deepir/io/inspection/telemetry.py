@@ -28,9 +28,9 @@ def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
     Returns:
         Row numbers.
     """
-    count, height, _ = frames.shape
+    count, height, width = frames.shape
     edge = MAX_TELEMETRY_ROWS + COMPARED_ROWS
-    if height < 2 * edge:
+    if height < 2 * edge or width < 2:
         return []
     some = frames[:: max(1, count // SAMPLED_FRAMES)]
     inside = some[:, edge:-edge:ROW_STRIDE] if height >= 4 * edge else some

@@ -27,6 +27,8 @@ def torn_frames(frames: Array) -> dict[int, int]:
     Either a part of rows is that of a neighbour, sample for sample, or one step from row to row stands out over the
     whole width. Steps that all frames show are the fixed pattern's.
     """
+    if frames.shape[1] < 2 * MIN_PART_ROWS:
+        return {}
     found = {k: row for k in range(len(frames)) if (row := _repeated_rows(frames, k))}
     if len(found) > MAX_REPEATING * len(frames):
         found = {}
