@@ -90,7 +90,7 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/recordings.py --output notes/bench-real.md
 
 reliability: setup  ## damaged inputs, kills, full disks, flipped bits, races: two hours, goes on where it was cut short
-	PYTHONPATH=tests $(BIN)/python benchmarks/reliability.py --workers $(WORKERS) --output docs/benchmarks/reliability.md
+	$(BIN)/python benchmarks/reliability.py --workers $(WORKERS) --output docs/benchmarks/reliability.md
 
 bench-startup: setup  ## seconds from the start of a run to its end, beside torch's import and the solve
 	$(BIN)/python benchmarks/startup.py

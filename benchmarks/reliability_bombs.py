@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import gzip
 import io
+import runpy
 import struct
 import zipfile
 from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import imagecodecs
 import numpy as np
-import recordings
 import scipy.io
 import tifffile
 
+#: The files that the tests write; `recordings` is a module here too.
+recordings = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[1] / "tests" / "recordings.py")))
 SIDE = 4000  # px, of a frame of zeros that a compressor packs into 20 kB
 Made = tuple[dict[str, bytes], dict[str, str]]
 

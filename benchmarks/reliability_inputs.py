@@ -17,10 +17,9 @@ from typing import Any
 import av
 import imagecodecs
 import numpy as np
-import recordings
 import tifffile
 from PIL import Image
-from reliability_bombs import BOMBS
+from reliability_bombs import BOMBS, recordings
 
 from deepir.config import SHIPPED_CONFIGS
 
