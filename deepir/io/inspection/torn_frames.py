@@ -13,9 +13,12 @@ Array = np.ndarray[Any, np.dtype[Any]]
 MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
 MIN_SEAM_ROWS = 16  # rows of either part, where only their seam tells
 MIN_FRAMES = 3  # frames whose common fixed pattern is left out
+MAX_EQUAL_ELSEWHERE = (
+    0.5  # share of equal samples in the other part; above, a codec has left out what changed little
+)
 MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
 CHUNK = 16  # frames that are compared with each other
-COLUMN_STRIDE = 2  # every n-th column is inspected
+COLUMNS = 100  # of wide frames in which seams are sought
 MIN_SEAM_RATIO = (
     1.9  # step across a seam over the largest of usual frames, and over the next largest of its own
 )
@@ -55,32 +58,34 @@ def _repeated_rows(frames: Array, k: int) -> int:
     """First row of the lower part of frame k if one part repeats a neighbour's, else 0."""
     height = frames.shape[1]
     for other in (k - 1, k + 1):
-        if 0 <= other < len(frames):
-            same = (frames[k] == frames[other]).all(1) & (frames[k] != frames[k][:, :1]).any(1)
-            upper, lower = int(same.cumprod().sum()), int(same[::-1].cumprod().sum())
-            if other < k and MIN_PART_ROWS <= upper <= height - MIN_PART_ROWS:
-                return upper
-            if other > k and MIN_PART_ROWS <= lower <= height - MIN_PART_ROWS:
-                return height - lower
+        edge = 0 if other < k else -1  # from which a repeated part reaches inwards
+        if not 0 <= other < len(frames) or (frames[k, edge] != frames[other, edge]).any():
+            continue
+        equal = frames[k] == frames[other]
+        same = equal.all(1) & (frames[k] != frames[k][:, :1]).any(1)
+        count = int((same if other < k else same[::-1]).cumprod().sum())
+        row = count if other < k else height - count
+        elsewhere = equal[row:] if other < k else equal[:row]
+        if MIN_PART_ROWS <= count <= height - MIN_PART_ROWS and elsewhere.mean() < MAX_EQUAL_ELSEWHERE:
+            return row
     return 0
 
 
 def _seams(frames: Array) -> dict[int, int]:
     """Frames in which one step from row to row stands out, and the row below it."""
-    some = frames[:, :, ::COLUMN_STRIDE]
+    some = frames[:, :, :: max(2, frames.shape[2] // COLUMNS)]
     steps = np.nan_to_num(np.diff(np.where(np.isfinite(some), some, np.nan).astype(np.float32), axis=1))
     steps = np.median(np.abs(steps - np.median(steps, axis=0)), axis=-1)  # (N, h - 1)
     rows, largest = steps.argmax(1), steps.max(1)
     usual = float(np.median(largest))
+    unit = float(
+        np.array_equal(some, np.rint(some), equal_nan=True)
+    )  # a count: steps of fewer are rounded ones
     found = {}
     for k, row in enumerate(rows.tolist()):
         beside = np.concatenate((steps[k, : max(0, row - 2)], steps[k, row + 3 :]))
         inside = MIN_SEAM_ROWS <= row + 1 <= frames.shape[1] - MIN_SEAM_ROWS
-        if (
-            inside
-            and usual > 0
-            and beside.size
-            and largest[k] > MIN_SEAM_RATIO * max(usual, float(beside.max()))
-        ):
+        others = max(usual, float(beside.max(initial=0)))
+        if inside and usual > 0 and beside.size and largest[k] > max(MIN_SEAM_RATIO * others, others + unit):
             found[k] = row + 1
     return found
