@@ -75,6 +75,16 @@ def test_a_step_of_a_count_is_rounding_and_no_seam(step, torn):
     assert torn_frames(frames) == torn
 
 
+def test_an_edge_that_comes_into_view_is_no_seam_and_two_torn_frames_are(frames):
+    edge, torn = frames.astype(np.float32), frames.astype(np.float32)
+    edge[4, 41:] += 800
+    edge[5, 40:] += 1200
+    torn[2, 30:] += 1200
+    torn[3, 60:] += 1200
+    assert torn_frames(edge) == {}
+    assert torn_frames(torn) == {2: 30, 3: 60}
+
+
 def test_text_is_found_and_single_dead_pixels_are_none(frames):
     text = frames.copy()
     text[:, 10:14, 20:40:2] = 16383

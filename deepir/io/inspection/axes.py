@@ -76,19 +76,19 @@ def turned_axes(frames: Array) -> str | None:
         aspect = max(shape[1:]) / min(shape[1:])
         narrow = aspect > MAX_ASPECT and max(height, width) <= USUAL_ASPECT * min(height, width)
         known = (height, width) in DETECTORS and (shape[1], shape[2]) not in DETECTORS
-        unlikely = (narrow or known) and not _holds_pattern(frames)
+        unlikely = (narrow or known) and not _first_counts_frames(frames, axes.index("n"))
         if count < MIN_FRAME_SIDE or unlikely or _counts_frames(frames, axes.index("n")):
             return axes
     return None
 
 
-def _holds_pattern(frames: Array) -> bool:
-    """Whether one fixed pattern goes on along the first axis, and along no other."""
+def _first_counts_frames(frames: Array, other: int) -> bool:
+    """Whether a fixed pattern goes on along the first axis, and not along another."""
     block = np.ma.getdata(frames)[:BLOCK_SIDE, :BLOCK_SIDE, :BLOCK_SIDE].astype(np.float32)
     if min(block.shape) <= LAGS[-1] + 1:
         return False
-    first, *others = (_correlations(block, axis)[1] for axis in range(3))
-    return first > MIN_PERSISTENCE and max(others) < MAX_OTHER_PERSISTENCE * first
+    first, along = (_correlations(block, axis)[1] for axis in (0, other))
+    return first > MIN_PERSISTENCE and along < MAX_OTHER_PERSISTENCE * first
 
 
 def _counts_frames(frames: Array, axis: int) -> bool:

@@ -19,9 +19,9 @@ MAX_EQUAL_ELSEWHERE = (
 MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
 CHUNK = 16  # frames that are compared with each other
 COLUMNS = 100  # of wide frames in which seams are sought
-MIN_SEAM_RATIO = (
-    1.9  # step across a seam over the largest of usual frames, and over the next largest of its own
-)
+#: Step across a seam over the largest of usual frames, the next largest of its own, and those of the frames beside it.
+MIN_SEAM_RATIO = 1.9
+MAX_EDGE_MOTION = 8  # rows from frame to frame of an edge of the scene, which those frames show too
 
 
 def torn_frames(frames: Array) -> dict[int, int]:
@@ -85,7 +85,9 @@ def _seams(frames: Array) -> dict[int, int]:
     for k, row in enumerate(rows.tolist()):
         beside = np.concatenate((steps[k, : max(0, row - 2)], steps[k, row + 3 :]))
         inside = MIN_SEAM_ROWS <= row + 1 <= frames.shape[1] - MIN_SEAM_ROWS
-        others = max(usual, float(beside.max(initial=0)))
+        here = slice(max(0, row - MAX_EDGE_MOTION), row + MAX_EDGE_MOTION + 1)
+        near = [steps[other, here].max() for other in (k - 1, k + 1) if 0 <= other < len(frames)]
+        others = float(max(usual, beside.max(initial=0), *near))
         if inside and usual > 0 and beside.size and largest[k] > max(MIN_SEAM_RATIO * others, others + unit):
             found[k] = row + 1
     return found
