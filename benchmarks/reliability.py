@@ -24,6 +24,14 @@ INPUTS, INPUTS_PER_CELL = 1_000_000, 5_000
 TRIES_PER_CELL = 10
 #: Tries of each part.
 TRIES = {"kills": 200, "kills at events": 100, "full disks": 50, "flipped bits": 200, "races": 100}
+DAMAGES = {
+    "bytes": "one to four bytes are changed",
+    "splice": "the start of one file, and the end of another",
+    "truncation": "a part is cut off, left out or repeated",
+    "fields": "numbers of 16 to 64 bits become zero, all ones, huge, or their own place",
+    "digits": "numbers in texts become others",
+    "bomb, cycle": "one of 1,000: much data in few bytes, directories or links in a circle",
+}
 BATCH = 4  # cells of each worker between looks at the clock
 CODE = deepir.__version__
 
@@ -70,7 +78,7 @@ def _total(part: str) -> Arrays:
 def report() -> Iterator[str]:
     """The page."""
     yield "# Reliability\n"
-    yield "What is damaged is read or refused in one line; what is interrupted goes on: `make reliability` counts.\n"
+    yield "Damaged inputs are read, or refused in one line. Interrupted runs go on. `make reliability` counts both.\n"
     yield from _inputs()
     yield from _runs()
 
@@ -80,28 +88,29 @@ def _inputs() -> Iterator[str]:
     if not total:
         return
     counts = total["counts"]
-    yield f"## Damaged inputs\n\n{counts.sum():,} inputs, each read, described, and every second one streamed too, in a"
-    yield "process that may take 5 s and 1 GB for it. They come from small whole ones by changed bytes, splices of two"
-    yield "files, cuts and repeats, lengths and offsets that are zero, huge or their own place, and changed numbers of"
-    yield "texts; half of the packed ones are damaged inside and packed again. One of 1000 is a bomb of a packer, or"
-    yield "a cycle of directories or links.\n"
+    yield f"## Damaged inputs\n\n{counts.sum():,} inputs were read and described, and every second one was streamed too."
+    yield "A process may take 5 s and 1 GB for each. Inputs come from small whole files. Half of the packed ones are"
+    yield "damaged inside and packed again.\n"
+    yield "| damage | what is done |\n|---|---|"
+    yield from (f"| {name} | {what} |" for name, what in DAMAGES.items())
+    yield ""
     yield f"| kind | {' | '.join(('inputs', *OUTCOMES))} |\n|{'---|' * (len(OUTCOMES) + 2)}"
     for kind, row in zip(("all", *KINDS), (counts.sum(0), *counts), strict=True):
         yield f"| {kind} | {' | '.join(f'{number:,}' for number in (row.sum(), *row))} |"
     share = counts[:, READ].sum() / counts.sum()
-    yield f"\n{share:.0%} are read: the damage lies in samples, or in what nobody reads.\n"
+    yield f"\n{share:.0%} are read: the damage lies in samples, or in unused parts.\n"
 
 
 def _runs() -> Iterator[str]:
     totals = {part: _total(part) for part in TRIES}
     if not any(totals.values()):
         return
-    yield "## Interrupted runs\n\nSmall bursts by `deepir run nuc`, whole processes. As it should be:\n"
-    yield "| what is done | as it should be | tries | failed |\n|---|---|---|---|"
+    yield "## Interrupted runs\n\nWhole processes of `deepir run nuc`, with a small burst.\n"
+    yield "| what is done | right outcome | tries | failed |\n|---|---|---|---|"
     for part, total in totals.items():
         if total:
             yield f"| {part} | {RUNS[part].__doc__} | {total['tries'].sum()} | {total['failed'].sum()} |"
-    yield f"\nEvents are {', '.join(EVENTS)}.\n"
+    yield f"\nA run is killed at each of its events in turn: {', '.join(EVENTS)}.\n"
 
 
 if __name__ == "__main__":
