@@ -88,7 +88,7 @@ def _inputs() -> Iterator[str]:
     if not total:
         return
     counts = total["counts"]
-    yield f"## Damaged inputs\n\n{counts.sum():,} inputs were read and described, and every second one was streamed too."
+    yield f"## Damaged inputs\n\n{counts.sum():,} inputs were read and described, and every second one streamed too."
     yield "A process may take 5 s and 1 GB for each. Inputs come from small whole files. Half of the packed ones are"
     yield "damaged inside and packed again.\n"
     yield "| damage | what is done |\n|---|---|"

@@ -13,8 +13,9 @@ Array = np.ndarray[Any, np.dtype[Any]]
 MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
 MIN_SEAM_ROWS = 16  # rows of either part, where only their seam tells
 MIN_FRAMES = 3  # frames whose common fixed pattern is left out
-MAX_EQUAL_ELSEWHERE = (
-    0.5  # share of equal samples in the other part; above, a codec has left out what changed little
+BLOCK_SIDE = 4  # px, of blocks within those that a codec leaves as they were
+MAX_EQUAL_BLOCKS = (
+    0.02  # share of them that repeat a neighbour's in the other part; above, a codec repeats rows too
 )
 MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
 CHUNK = 16  # frames that are compared with each other
@@ -30,7 +31,7 @@ def torn_frames(frames: Array) -> dict[int, int]:
     Either a part of rows is that of a neighbour, sample for sample, or one step from row to row stands out over the
     whole width. Steps that all frames show are the fixed pattern's.
     """
-    if frames.shape[1] < 2 * MIN_PART_ROWS:
+    if frames.shape[1] < 2 * MIN_PART_ROWS or frames.shape[2] < BLOCK_SIDE:
         return {}
     found = {k: row for k in range(len(frames)) if (row := _repeated_rows(frames, k))}
     if len(found) > MAX_REPEATING * len(frames):
@@ -61,14 +62,25 @@ def _repeated_rows(frames: Array, k: int) -> int:
         edge = 0 if other < k else -1  # from which a repeated part reaches inwards
         if not 0 <= other < len(frames) or (frames[k, edge] != frames[other, edge]).any():
             continue
-        equal = frames[k] == frames[other]
-        same = equal.all(1) & (frames[k] != frames[k][:, :1]).any(1)
+        same = (frames[k] == frames[other]).all(1) & (frames[k] != frames[k][:, :1]).any(1)
         count = int((same if other < k else same[::-1]).cumprod().sum())
         row = count if other < k else height - count
-        elsewhere = equal[row:] if other < k else equal[:row]
-        if MIN_PART_ROWS <= count <= height - MIN_PART_ROWS and elsewhere.mean() < MAX_EQUAL_ELSEWHERE:
+        elsewhere = slice(row, None) if other < k else slice(row)
+        if not MIN_PART_ROWS <= count <= height - MIN_PART_ROWS:
+            continue
+        if _equal_blocks(frames[k, elsewhere], frames[other, elsewhere]) < MAX_EQUAL_BLOCKS:
             return row
     return 0
+
+
+def _equal_blocks(part: Array, other: Array) -> float:
+    """Share of the blocks of two parts (h, w) that are equal, sample for sample, and not of one value."""
+    height, width = (side // BLOCK_SIDE * BLOCK_SIDE for side in part.shape)
+    a, b = (
+        each[:height, :width].reshape(height // BLOCK_SIDE, BLOCK_SIDE, width // BLOCK_SIDE, BLOCK_SIDE)
+        for each in (part, other)
+    )
+    return float(((a == b).all((1, 3)) & (a != a[:, :1, :, :1]).any((1, 3))).mean())
 
 
 def _seams(frames: Array) -> dict[int, int]:
