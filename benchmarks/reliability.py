@@ -90,7 +90,7 @@ def _inputs() -> Iterator[str]:
     counts = total["counts"]
     yield f"## Damaged inputs\n\n{counts.sum():,} inputs were read and described, and every second one streamed too."
     yield "A process may take 5 s and 1 GB for each. Inputs come from small whole files. Half of the packed ones are"
-    yield f"damaged inside and packed again. A failure is mended, and its {INPUTS_PER_CELL:,} inputs are counted again.\n"
+    yield f"damaged inside and packed again. After a repair, a cell of {INPUTS_PER_CELL:,} is counted again.\n"
     yield "| damage | what is done |\n|---|---|"
     yield from (f"| {name} | {what} |" for name, what in DAMAGES.items())
     yield ""
