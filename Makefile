@@ -92,10 +92,13 @@ bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
 bench-gpu: setup  ## seconds and quality of whole solves on a GPU, where there is one
 	$(BIN)/python benchmarks/gpu.py
 
+reliability: setup  ## damaged inputs, kills, full disks, flipped bits, races: two hours, goes on where it was cut short
+	$(BIN)/python benchmarks/reliability.py --workers $(WORKERS) --output docs/benchmarks/reliability.md
+
 bench-startup: setup  ## seconds from the start of a run to its end, beside torch's import and the solve
 	$(BIN)/python benchmarks/startup.py
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-physics bench-live bench-effects bench-gpu bench-startup clean
+.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-physics bench-live bench-effects bench-gpu bench-startup clean

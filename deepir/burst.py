@@ -17,7 +17,7 @@ from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
 from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
-from deepir.io.inspection.drawn_pixels import drawn_message
+from deepir.io.inspection.drawn_pixels import drawn_message, drawn_pixels
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
 from deepir.io.inspection.torn_frames import torn_frames, torn_message
@@ -132,7 +132,7 @@ def load(
     stretched = is_contrast_stretched(stack)
     valid &= ~unrecorded_samples(stack)
     shown = np.where(valid, stack, np.nan)
-    messages = (*messages, *torn_message(torn_frames(shown), len(shown)), *drawn_message(shown))
+    messages = (*messages, *torn_message(torn_frames(shown), len(shown)), *drawn_message(drawn_pixels(shown)))
     if stretched:
         valid &= ~clipped_samples(stack)
     bad = ~valid.any(0)

@@ -184,3 +184,15 @@ def test_every_problem_that_is_shipped_is_in_the_table_of_problems_with_total_va
     assert set(CASES) == components("problem").keys() - {"generic"}
     assert PRIORS[0] == "tv"
     assert len(set(PRIORS)) >= 3
+
+
+def test_damaged_inputs_are_the_same_each_time_and_are_read_or_refused():
+    pytest.importorskip("av")
+    pytest.importorskip("h5py")
+    from reliability_fuzz import ERROR, count_inputs
+    from reliability_inputs import make_input
+
+    assert make_input(7) == make_input(7)
+    counts = count_inputs(1, 41)["counts"]
+    assert counts.sum() == 40
+    assert not counts[:, ERROR:].any()

@@ -22,7 +22,7 @@ LOSSY_TOLERANCE = (
 )
 MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
 MAX_COLOURED_LOSSY = 0.05  # the same where a lossy codec spreads their colours over its blocks
-UNCHECKED_BYTES = GIB // 4  # size up to which a claim is not checked: an empty mask may be that compressible
+UNCHECKED_BYTES = GIB // 16  # size up to which a claim is not checked: an empty mask may be that compressible
 
 log = logging.getLogger("deepir")
 

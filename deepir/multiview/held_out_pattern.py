@@ -92,7 +92,7 @@ class Judge:
             self.found += [each for each in displacements(way, pairs) if each.share_moved >= LEAST_KNOWN]
         #: Scale of the change along each, by the best of these ways; all corrections are compared by it.
         self.scales = [
-            max(min(_spread(_change(way, each)) for way in coarse), np.finfo(float).tiny)
+            max(min(_spread(_change(way, each)) for way in coarse), float(np.finfo(np.float32).tiny))
             for each in self.found
         ]
         self._find_detail()
@@ -135,7 +135,9 @@ class Judge:
         deviations = [
             min(_spread(self._detail(*way, k)) for way in self.ways) for pair in self.moved for k in pair
         ]
-        self.deviation = max(float(np.median(deviations)), np.finfo(float).tiny) if deviations else 1.0
+        self.deviation = (
+            max(float(np.median(deviations)), float(np.finfo(np.float32).tiny)) if deviations else 1.0
+        )
 
     def _detail(self, gain: Array, offset: Array, k: int) -> Array:
         corrected = (self.frames[k] - offset) / gain

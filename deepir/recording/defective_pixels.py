@@ -22,13 +22,15 @@ OFFSET_DEVIATIONS = 10.0
 NEIGHBOURHOOD = 7  # px, side of the square of the pixels near
 
 
-def defective_pixels(frames: Array, usable: Array, offset: Array) -> Array:
+def defective_pixels(frames: Array, usable: Array, offset: Array, rounding: float = 0.0) -> Array:
     """Pixels that do not follow their surroundings from frame to frame, flicker, or are far off.
 
     Args:
         frames: (N, h, w) of a scene that changes, finite.
         usable: which samples count, same shape.
         offset: fixed pattern of the frames, (h, w).
+        rounding: standard deviation of the error of a recorded sample's rounding. In corrected recordings of 8 bits
+            most pixels have no other.
 
     Returns:
         (h, w) bool.
@@ -46,7 +48,7 @@ def defective_pixels(frames: Array, usable: Array, offset: Array) -> Array:
     is_mute = slope + SIGNIFICANCE * error < MUTE_SLOPE
     apart = some - around
     noise = np.median(np.abs(apart - np.median(apart, axis=0)), axis=0)
-    usual = np.maximum(median_filter(noise, NEIGHBOURHOOD), np.median(noise))
+    usual = np.maximum(median_filter(noise, NEIGHBOURHOOD), max(np.median(noise), rounding))
     detail = np.abs(offset - median_filter(offset, 3))
-    is_far = detail > OFFSET_DEVIATIONS * MAD_TO_SIGMA * np.median(detail)
+    is_far = detail > OFFSET_DEVIATIONS * max(MAD_TO_SIGMA * np.median(detail), rounding)
     return np.asarray(is_mute | is_far | (noise > NOISE_RATIO * usual) | ~usable.any(0))

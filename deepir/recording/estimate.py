@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import torch
 
+from deepir.arrays.noise_level import ROUNDING_SIGMA, quantisation_step
 from deepir.calibration import CorrectionMaps
 from deepir.errors import ConfigError, DataError, nearest
 from deepir.io.inspection.saturated_samples import saturated_samples
@@ -111,7 +113,7 @@ def estimate_sensor(
     if gains is not None:
         frames = (frames - level) / gains[:, None, None] + np.float32(level)
         offset = gradient_consensus(frames, usable).astype(np.float32)
-    bad = defective_pixels(frames, usable, offset)
+    bad = defective_pixels(frames, usable, offset, _rounding(estimated.frames))
     pairs = spread(estimated.pairs, MAX_PAIRS)
     separated = separate_offset(frames, usable, ~bad, offset, pairs, level)
     if _rests(separated.displacements, min(frames.shape[1:])):
@@ -163,7 +165,7 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
         DataError: As `estimate_sensor`.
     """
     frames, usable, level, consensus = _consensus(keyframes, _limits(keyframes.frames))
-    bad = defective_pixels(frames, usable, consensus)
+    bad = defective_pixels(frames, usable, consensus, _rounding(keyframes.frames))
     offset = fine_offset(consensus, ~bad)
     offset, shares = _shrunk_by_others(offset - offset[~bad].mean(), frames, usable, ~bad, keyframes.groups)
     return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, shares)
@@ -245,6 +247,12 @@ def _median(frames: Array, usable: Array) -> float:
     return float(
         np.median(frames[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE][usable[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]])
     )
+
+
+def _rounding(frames: Array) -> float:
+    """Standard deviation of the rounding error of samples (N, h, w)."""
+    some = torch.from_numpy(frames[:: max(1, len(frames) // FRAMES_OF_LIMITS)])[:, None]
+    return ROUNDING_SIGMA * quantisation_step(some, some.isfinite())
 
 
 def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]]) -> None:

@@ -109,3 +109,11 @@ def test_repeated_frames_do_not_hide_the_motion():
     lines = describe(burst_of(np.repeat(simulated(3), 3, axis=0)))
     assert "8 frame(s) repeat the one before them; a run leaves them out" in lines
     assert lines[-1].startswith("motion: yes")
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 1, 40), (3, 40, 1), (20, 2, 3), (4, 15, 17), (9, 40, 3)])
+@pytest.mark.parametrize("lost", [0, 0.3, 1])
+def test_frames_of_any_size_are_described(shape, lost):
+    frames = np.random.default_rng(0).normal(8000, 20, shape)
+    frames[np.random.default_rng(1).random(shape) < lost] = np.nan
+    assert f"{shape[0]} frame(s) of {shape[1]} x {shape[2]} px" in text(frames)

@@ -95,3 +95,15 @@ def test_a_turned_array_of_more_frames_than_rows_is_asked_for_too(tmp_path, fram
         read_frames(tmp_path / "a.npy")
     np.save(tmp_path / "b.npy", many)
     np.testing.assert_array_equal(read_frames(tmp_path / "b.npy").frames, many)
+
+
+@pytest.mark.parametrize("shape", [(60, 80, 96), (120, 160, 100), (200, 30, 130)])
+def test_a_recording_whose_sides_look_like_others_is_read_by_its_pattern(tmp_path, shape):
+    """60 frames of 80 x 96 px, and not 96 frames of 60 x 80 px, a detector's sides."""
+    rng = np.random.default_rng(0)
+    recording = (8000 + rng.normal(0, 40, shape[1:]) + rng.normal(0, 5, shape)).astype(np.uint16)
+    np.save(tmp_path / "a.npy", recording)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.npy").frames, recording)
+    np.save(tmp_path / "b.npy", np.moveaxis(recording, 0, -1))
+    with pytest.raises(DataError, match=rf"data\.axes=hwn reads {shape[0]} frames"):
+        read_frames(tmp_path / "b.npy")

@@ -50,6 +50,15 @@ def test_the_edge_of_a_picture_is_a_picture(picture, seed):
     assert telemetry_rows(simulate(picture(seed, (200, 250)), camera, seed=seed).frames) == []
 
 
+@pytest.mark.parametrize("lost", [slice(0, 46), slice(-46, None), slice(0, 48)])
+def test_what_is_left_of_frames_that_are_half_lost_is_a_picture(sim, lost):
+    frames = sim.frames.astype(np.float32)
+    frames[:, lost] = np.nan
+    assert telemetry_rows(frames) == []
+    far = [95] if lost.start == 0 else [0]
+    assert telemetry_rows(told(frames, far)) == far
+
+
 def test_frames_of_few_rows_and_lost_samples_do_no_harm():
     assert telemetry_rows(np.full((2, 16, 20), np.nan, np.float32)) == []
     assert telemetry_rows(np.zeros((1, 8, 20), np.float32)) == []

@@ -47,13 +47,42 @@ def test_whole_frames_are_whole(picture, seed):
         picture(seed, (200, 250)), Settings(n_frames=6, shape=(64, 80), counts=True), seed=seed
     ).frames
     assert torn_frames(whole) == {}
-    assert drawn_message(whole) == []
+    assert drawn_message(drawn_pixels(whole)) == []
 
 
 def test_rows_that_stand_still_in_all_frames_are_not_torn(frames):
     still = frames.copy()
     still[:, 60:] = still[0, 60:]
     assert torn_frames(still) == {}
+
+
+def test_blocks_that_a_codec_leaves_as_they_were_are_not_torn(frames):
+    film, rng = frames.copy(), np.random.default_rng(0)
+    for k in range(1, len(film)):
+        left = np.kron(rng.random((12, 16)) < 0.8, np.ones((8, 8), bool))
+        left[80:] |= k == 3
+        film[k][left] = film[k - 1][left]
+    assert torn_frames(film) == {}
+
+
+@pytest.mark.parametrize(("step", "torn"), [(2, {}), (6, {2: 50})])
+def test_a_step_of_a_count_is_rounding_and_no_seam(step, torn):
+    frames = np.full((6, 96, 128), 100)
+    for k in range(6):
+        frames[k, 20 + 10 * k :] += 1
+    frames[2, 50:] += step - 1
+    frames[2, 40:50] -= 1
+    assert torn_frames(frames) == torn
+
+
+def test_an_edge_that_comes_into_view_is_no_seam_and_two_torn_frames_are(frames):
+    edge, torn = frames.astype(np.float32), frames.astype(np.float32)
+    edge[4, 41:] += 800
+    edge[5, 40:] += 1200
+    torn[2, 30:] += 1200
+    torn[3, 60:] += 1200
+    assert torn_frames(edge) == {}
+    assert torn_frames(torn) == {2: 30, 3: 60}
 
 
 def test_text_is_found_and_single_dead_pixels_are_none(frames):
@@ -64,7 +93,7 @@ def test_text_is_found_and_single_dead_pixels_are_none(frames):
     found = drawn_pixels(text)
     assert found[10, 20:40].all()
     assert not found[50, 60]
-    assert "between rows 10 and" in drawn_message(text)[0]
+    assert "between rows 10 and" in drawn_message(found)[0]
 
 
 def test_frames_that_are_alike_show_nothing_drawn(frames):

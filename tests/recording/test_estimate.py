@@ -37,6 +37,15 @@ def test_pixels_that_do_not_follow_the_scene_are_found(walk):
     assert found[~walk.bad].mean() < 1e-3
 
 
+def test_rounding_makes_no_pixel_of_a_corrected_recording_defective(walk):
+    frames = (walk.scenes / 8).round().astype(np.float32)  # no pattern, no noise, as in a film of eight bits
+    usable = np.ones(frames.shape, bool)
+    consensus = gradient_consensus(frames, usable).astype(np.float32)
+    found = defective_pixels(frames, usable, consensus, rounding=12**-0.5)
+    assert found.mean() < 1e-3
+    assert defective_pixels(frames, usable, consensus).mean() > 0.1
+
+
 def test_most_of_the_pattern_is_taken_off(walk, corrected):
     frames = np.stack([corrected.correct(frame) for frame in walk.frames[::5]])
     assert corrected.estimate.kept == "gain_and_offset"

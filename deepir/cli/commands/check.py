@@ -74,7 +74,8 @@ def _burst(config: Config) -> list[str]:
     lines = describe(replace(frames, radiometry=kelvin))
     lines = [f"data: {frames.source}", *(f"  {line}" for line in lines)]
     try:
-        validate(np.delete(frames.frames, [*unusable_frames(frames.frames)], axis=0), frames.source)
+        unusable = [*unusable_frames(frames.frames)]
+        validate(np.delete(frames.frames, unusable, axis=0) if unusable else frames.frames, frames.source)
     except DataError as error:
         lines.append(f"{REFUSAL}: {error}")
         return lines

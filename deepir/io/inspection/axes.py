@@ -64,8 +64,9 @@ def oriented(frames: Array, axes: str | None, source: str) -> Array:
 def turned_axes(frames: Array) -> str | None:
     """The likely axes of an array that is read as (N, h, w) but is not; None if nothing speaks for that.
 
-    Small frames, long and narrow ones, and those whose other sides are a detector's speak for it, a fixed pattern along
-    another axis than the first, and a scene that is continuous along the first but not along another.
+    Small frames speak for it; long and narrow ones, and those whose other sides are a detector's, unless a fixed
+    pattern goes on along the first axis; a fixed pattern along another axis; and a scene that is continuous along the
+    first axis but not along another.
     """
     shape = frames.shape
     for axes in TURNED:
@@ -75,9 +76,19 @@ def turned_axes(frames: Array) -> str | None:
         aspect = max(shape[1:]) / min(shape[1:])
         narrow = aspect > MAX_ASPECT and max(height, width) <= USUAL_ASPECT * min(height, width)
         known = (height, width) in DETECTORS and (shape[1], shape[2]) not in DETECTORS
-        if count < MIN_FRAME_SIDE or narrow or known or _counts_frames(frames, axes.index("n")):
+        unlikely = (narrow or known) and not _first_counts_frames(frames, axes.index("n"))
+        if count < MIN_FRAME_SIDE or unlikely or _counts_frames(frames, axes.index("n")):
             return axes
     return None
+
+
+def _first_counts_frames(frames: Array, other: int) -> bool:
+    """Whether a fixed pattern goes on along the first axis, and not along another."""
+    block = np.ma.getdata(frames)[:BLOCK_SIDE, :BLOCK_SIDE, :BLOCK_SIDE].astype(np.float32)
+    if min(block.shape) <= LAGS[-1] + 1:
+        return False
+    first, along = (_correlations(block, axis)[1] for axis in (0, other))
+    return first > MIN_PERSISTENCE and along < MAX_OTHER_PERSISTENCE * first
 
 
 def _counts_frames(frames: Array, axis: int) -> bool:

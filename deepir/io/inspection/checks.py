@@ -15,6 +15,7 @@ MAX_VALUE = 1e9  # largest value of a frame: its fourth power stays within float
 MIN_RANGE = 1e-15  # smallest range of a frame: its square stays within float32
 #: Share of the line beside a bar that may hold its value; above, it is a scene at the end of the range.
 MAX_BAR_CONTINUATION = 0.05
+SAMPLES = 100_000  # from which the range of the others is measured
 MIN_COLD_PIXELS = 20  # pixels inside, and at the rim, of a region that is too cold to be recorded
 MIN_COLD_CORE = 0.3  # pixels inside such a region over pixels at its rim
 
@@ -49,7 +50,7 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
             "columns that are there (frames[:, ::2, ::2]), or fill in the others"
         )
     for k in range(count):
-        values = frames[k][valid[k]]
+        values = frames[k] if valid[k].all() else frames[k][valid[k]]
         low, high = float(values.min()), float(values.max())
         if max(-low, high) > MAX_VALUE or high - low < MIN_RANGE:
             raise DataError(
@@ -61,13 +62,15 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
 
 def has_neighbours(valid: Mask) -> bool:
     """Whether 2 x 2 samples side by side count anywhere; valid: (N, h, w)."""
-    return bool((valid[:, 1:, 1:] & valid[:, 1:, :-1] & valid[:, :-1, 1:] & valid[:, :-1, :-1]).any())
+    return any((v[1:, 1:] & v[1:, :-1] & v[:-1, 1:] & v[:-1, :-1]).any() for v in valid)
 
 
 def unusable_frames(frames: np.ndarray[Any, Any]) -> dict[int, str]:
     """Numbers of the frames (N, h, w) without content, and the reason: constant, or mostly not finite."""
     found = {}
     for k, frame in enumerate(frames):
+        if np.isfinite(low := frame.min()) and low < frame.max() < np.inf:
+            continue
         values = frame[np.isfinite(frame)]
         lost = 1 - values.size / frame.size
         if lost > 0.5:
@@ -91,8 +94,10 @@ def unrecorded_samples(frames: np.ndarray[Any, Any]) -> Mask:
     """
     bars = _bars(frames) if len(frames) > 1 else np.zeros(frames.shape[1:], bool)
     zero = frames == 0
-    if (seen := ~(zero | bars)).any() and zero.any():
-        low, high = np.nanquantile(frames[seen][:: max(1, frames.size // 100_000)], (0.01, 0.99))
+    if zero.any() and (seen := ~(zero | bars)).any():
+        step = frames.size // SAMPLES | 1  # odd: not the same columns in every row
+        some = frames.ravel()[::step][seen.ravel()[::step]]
+        low, high = np.nanquantile(some if some.size else frames[seen], (0.01, 0.99))
         if low > high - low:
             return bars | zero & ~_cold(zero & ~bars)
     return np.broadcast_to(bars, frames.shape)
@@ -105,9 +110,8 @@ def _bars(frames: np.ndarray[Any, Any]) -> Mask:
     widths = []
     for axis, way in directions:
         lines = np.moveaxis(frames, axis + 1, 0)[way]
-        bar = np.logical_and.accumulate((lines == lines[:, :1, :1]).all((1, 2)))
-        widths.append(int(bar.sum()))
-        np.moveaxis(found, axis, 0)[way][bar] = True
+        widths.append(next((k for k, line in enumerate(lines) if (line != line[0, 0]).any()), len(lines)))
+        np.moveaxis(found, axis, 0)[way][: widths[-1]] = True
     for (axis, way), width in zip(directions, widths, strict=True):
         lines, known = np.moveaxis(frames, axis + 1, 0)[way], ~np.moveaxis(found, axis, 0)[way]
         beside = lines[width][:, known[width]] if 0 < width < len(lines) else np.zeros((1, 0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,39 +20,66 @@ TLINEAR_COUNTS = (23315, 42315)  # counts of TLinear (K x 100) from -40 to 150 Â
 BLOCK_SIDE = 8  # px; side of the blocks whose means show motion
 MIN_VISIBLE_MOTION = 0.1  # px between frames below which a camera counts as still
 MIN_F_STATISTIC = 10.0  # F statistic above which a shift is significant
+MEASURED_PAIRS = 128  # pairs of consecutive frames in which noise and motion are measured
+SAMPLES = 100_000  # of many values, near whose median theirs is sought
+NEAR_MEDIAN = (0.45, 0.55)  # quantiles of these between which it is
 
 
 def describe(burst: Frames) -> list[str]:
     """Lines on number, size and type of the frames, their values, unusable samples, noise and motion."""
     frames = burst.frames
     count, height, width = frames.shape
-    finite = frames[np.isfinite(frames)]
+    known = np.isfinite(frames)
+    finite = frames.ravel() if known.all() else frames[known]
     lines = [f"{count} frame(s) of {height} x {width} px (height x width), stored as {burst.dtype}"]
     if not finite.size:
         return [*lines, "no finite value at all"]
-    lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
+    lines.append(f"values {finite.min():g} to {finite.max():g}, median {_median(finite):g}")
     lines += _temperatures(burst, finite)
     lines += _unusable(burst, finite)
     unusable = unusable_frames(frames)
     lines += [f"frame {k} shows nothing: it is {why}" for k, why in unusable.items()]
-    frames = np.delete(frames, [*unusable], axis=0)
+    frames = _without(frames, [*unusable], axis=0)
     if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
-        frames = np.delete(frames, rows, axis=1)
+        frames = _without(frames, rows, axis=1)
     lines += torn_message(torn_frames(frames), len(frames))
     if np.isfinite(frames).any() and (empty := unrecorded_samples(frames)).any():
         lines.append(
             f"{int(empty.sum())} sample(s) hold nothing: zeros far below all others, or bars at the edge"
         )
         frames = np.where(empty, np.float32(np.nan), frames)
-    if drawn := drawn_message(frames):
-        lines += drawn
-        frames = np.where(drawn_pixels(frames), np.float32(np.nan), frames)
-    repeats = [k for k in range(1, len(frames)) if np.array_equal(frames[k], frames[k - 1], equal_nan=True)]
+    if (drawn := drawn_pixels(frames)).any():
+        lines += drawn_message(drawn)
+        frames = np.where(drawn, np.float32(np.nan), frames)
+    repeats = [k for k in range(1, len(frames)) if _are_equal(frames[k], frames[k - 1])]
     if 0 < len(repeats) < len(frames) - 1:
         lines.append(f"{len(repeats)} frame(s) repeat the one before them; a run leaves them out")
-        frames = np.delete(frames, repeats, axis=0)
+        frames = _without(frames, repeats, axis=0)
     return lines + _noise_and_motion(frames)
+
+
+def _median(values: Array) -> float:
+    """Median of finite values, exact: of many, only those near the median of some are sorted."""
+    if values.size > SAMPLES:
+        low, high = np.quantile(values[:: values.size // SAMPLES], NEAR_MEDIAN)
+        near = values[(values >= low) & (values <= high)]
+        middle = np.array([values.size - 1, values.size]) // 2 - np.count_nonzero(values < low)
+        if middle[0] >= 0 and middle[1] < near.size:
+            return float(np.partition(near, middle)[middle].mean())
+    return float(np.median(values))
+
+
+def _without(frames: Array, numbers: list[int], axis: int) -> Array:
+    return np.delete(frames, numbers, axis) if numbers else frames
+
+
+def _are_equal(frame: Array, other: Array) -> bool:
+    middle = len(frame) // 2
+    return all(
+        np.array_equal(frame[rows], other[rows], equal_nan=True)
+        for rows in (slice(middle, middle + 1), slice(None))
+    )
 
 
 def _temperatures(burst: Frames, finite: Array) -> list[str]:
@@ -113,6 +139,15 @@ def _is_little(frames: Array) -> bool:
     return len(frames) < 2 or min(frames.shape[1:]) < 2 * BLOCK_SIDE
 
 
+def _pairs(frames: Array) -> tuple[Array, Array]:
+    """First and second frames of pairs of consecutive ones; of long recordings, of some over their whole length."""
+    count = len(frames) - 1
+    if count <= MEASURED_PAIRS:
+        return frames[:-1], frames[1:]
+    starts = np.linspace(0, count - 1, MEASURED_PAIRS).round().astype(int)
+    return frames[starts], frames[starts + 1]
+
+
 def temporal_noise(frames: Array) -> float:
     """Temporal noise of a sample from differences of consecutive frames.
 
@@ -128,10 +163,13 @@ def temporal_noise(frames: Array) -> float:
     Source: the median estimate of Donoho and Johnstone, Ideal spatial adaptation by wavelet shrinkage (1994).
     """
     with np.errstate(invalid="ignore"):
-        d = np.diff(frames, axis=0)[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2]
+        first, second = (
+            each[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2] for each in _pairs(frames)
+        )
+        d = second - first
         detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
     detail = np.abs(detail[np.isfinite(detail)])
-    return float(1.4826 * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
+    return float(1.4826 * _median(detail) / np.sqrt(2)) if detail.size else float("nan")
 
 
 def apparent_motion(frames: Array) -> tuple[float, float]:
@@ -145,10 +183,12 @@ def apparent_motion(frames: Array) -> tuple[float, float]:
     Returns:
         Median shift, px, and median F statistic.
     """
-    finite = np.isfinite(frames)
-    means = _block_means(np.where(finite, frames, np.median(frames[finite])))
+    pairs = np.stack(_pairs(frames))
+    known = np.isfinite(pairs)
+    if not known.all():
+        pairs = np.where(known, pairs, _median(pairs[known]))
     shifts, evidence = [], []
-    for a, b in pairwise(means):
+    for a, b in zip(*map(_block_means, pairs), strict=True):
         gradients = [g.ravel() for g in np.gradient((a + b) / 2)]
         model = np.stack([*gradients, np.ones(a.size)], axis=1)
         change = (b - a).ravel()

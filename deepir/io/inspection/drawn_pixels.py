@@ -29,9 +29,8 @@ def drawn_pixels(frames: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return drawn if is_drawn else np.zeros_like(same)
 
 
-def drawn_message(frames: Array) -> list[str]:
-    """A warning on such pixels; [] if there are none."""
-    drawn = drawn_pixels(frames)
+def drawn_message(drawn: np.ndarray[Any, np.dtype[np.bool_]]) -> list[str]:
+    """A warning on such pixels (h, w); [] if there are none."""
     if not drawn.any():
         return []
     y, x = drawn.nonzero()

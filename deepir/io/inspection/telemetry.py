@@ -28,14 +28,16 @@ def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
     Returns:
         Row numbers.
     """
-    count, height, _ = frames.shape
+    count, height, width = frames.shape
     edge = MAX_TELEMETRY_ROWS + COMPARED_ROWS
-    if height < 2 * edge:
+    if height < 2 * edge or width < 2:
         return []
     some = frames[:: max(1, count // SAMPLED_FRAMES)]
     inside = some[:, edge:-edge:ROW_STRIDE] if height >= 4 * edge else some
-    usual = float(np.median(_rough(inside)))
-    step = float(np.median(np.abs(np.nan_to_num(np.diff(_known(some), axis=1)))))
+    seen, steps = np.isfinite(inside).any((0, 2)), np.abs(np.diff(_known(some), axis=1))
+    if not seen.any() or not (known := np.isfinite(steps)).any():
+        return []
+    usual, step = float(np.median(_rough(inside)[seen])), float(np.median(steps[known]))
     above, below = (_at_start(rows, usual, step) for rows in (some[:, :edge], some[:, : -edge - 1 : -1]))
     return [*range(above), *range(height - below, height)]
 

@@ -22,11 +22,14 @@ def test_another_gzip_is_not_a_recording(tmp_path):
         read_frames(tmp_path / "a.cptv")
 
 
-def test_a_recording_that_claims_a_huge_frame_is_refused_at_once(tmp_path, burst):
+@pytest.mark.parametrize("width", [2**32 - 1, 2**20])
+def test_a_recording_that_claims_a_huge_frame_is_refused_at_once(tmp_path, burst, width):
     recordings.cptv(tmp_path / "a.cptv", burst)
     content = gzip.decompress((tmp_path / "a.cptv").read_bytes())
     at = content.index(b"\4X") + 2
-    (tmp_path / "a.cptv").write_bytes(gzip.compress(content[:at] + b"\xff\xff\xff\xff" + content[at + 4 :]))
+    (tmp_path / "a.cptv").write_bytes(
+        gzip.compress(content[:at] + width.to_bytes(4, "little") + content[at + 4 :])
+    )
     with pytest.raises(DataError, match="declares"):
         read_frames(tmp_path / "a.cptv")
 

@@ -45,3 +45,16 @@ def test_more_than_eight_gib_are_not_read_at_once(tmp_path):
         file.truncate(file.tell() + 9 * 2**30)  # sparse: takes no room
     with pytest.raises(DataError, match=r"9\.0 GiB of data; at most 8 GiB"):
         read_frames(tmp_path / "a.npy")
+
+
+def test_an_npy_that_claims_a_huge_header_is_refused_at_once(tmp_path):
+    (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\2\0" + (2**32 - 1).to_bytes(4, "little") + bytes(100))
+    with pytest.raises(DataError, match=r"damaged: its header claims 4,294,967,295 bytes"):
+        read_frames(tmp_path / "a.npy")
+
+
+def test_an_npy_of_version_two_is_read(tmp_path):
+    frames = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.lib.format.write_array(file, frames, version=(2, 0))
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.npy").frames, frames)

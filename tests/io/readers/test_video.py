@@ -164,3 +164,13 @@ def test_uncompressed_sixteen_bits_by_the_name_of_y16_are_read(tmp_path, burst):
     content[at : at + 4] = b"Y16 "
     (tmp_path / "a.avi").write_bytes(content)
     np.testing.assert_array_equal(read_frames(tmp_path / "a.avi").frames, burst)
+
+
+def test_a_table_that_no_memory_holds_is_damage(tmp_path):
+    yuv(tmp_path / "a.mp4", np.full((3, 32, 32), 90, np.uint8))
+    content = bytearray((tmp_path / "a.mp4").read_bytes())
+    count = content.index(b"stts") + 8  # of the times of its frames
+    content[count : count + 4] = b"\x7f\xff\xff\xff"
+    (tmp_path / "a.mp4").write_bytes(content)
+    with pytest.raises(DataError, match="damaged: it declares a part that is too large"):
+        read_frames(tmp_path / "a.mp4")

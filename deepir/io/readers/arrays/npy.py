@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from deepir.io.readers import Array
 
 ANY_AXES = True
 SUFFIXES = (".npy",)
+MAX_HEADER_BYTES = 10_000  # that NumPy parses
 Header = tuple[tuple[int, ...], bool, np.dtype[Any]]
 
 
@@ -45,10 +47,14 @@ def read_header(stream: IO[bytes], path: Path) -> Header:
     """Shape, Fortran order and type; `stream` then stands at the first byte of the data."""
     version = npy_format.read_magic(stream)
     # Version 3 only adds the names of record fields outside Latin-1, and records are no frames.
-    readers = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
+    readers = {(1, 0): (2, npy_format.read_array_header_1_0), (2, 0): (4, npy_format.read_array_header_2_0)}
     if version not in readers:
         raise DataError(f"{path}: an array of format {version}; only plain arrays of numbers can be read")
-    return readers[version](stream)
+    size, parse = readers[version]
+    length = stream.read(size)
+    if int.from_bytes(length, "little") > MAX_HEADER_BYTES:  # NumPy would take memory for it first
+        raise DataError(f"{path}: damaged: its header claims {int.from_bytes(length, 'little'):,} bytes")
+    return parse(io.BytesIO(length + stream.read(int.from_bytes(length, "little"))))
 
 
 def read_stream(stream: IO[bytes], path: Path, size: int) -> Array:

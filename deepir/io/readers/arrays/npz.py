@@ -59,6 +59,7 @@ def _members(archive: zipfile.ZipFile, path: Path, *, at_once: bool = True) -> d
         raise DataError(f"{path}: a zip archive without NumPy arrays; save the frames with np.savez")
     declared, stored = sum(info.file_size for info in members.values()), path.stat().st_size
     check_size(path, declared, stored, compressed=True, at_once=at_once)
+    check_size(path, sum(info.compress_size for info in members.values()), stored, at_once=False)
     return members
 
 

@@ -6,6 +6,7 @@ import itertools
 import math
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +46,7 @@ def read(path: Path, key: str | None) -> Array:
 
 def stream(path: Path, key: str | None) -> Iterator[Array]:
     """Frame after frame (h, w)."""
-    av = import_optional("av", "video", str(path))
-    with path.open("rb") as file, av.open(file) as container:
+    with _opened(path) as container:
         if not container.streams.video:
             raise DataError(f"{path}: a film without pictures")
         context = container.streams.video[0].codec_context
@@ -86,6 +86,17 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
             coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
             yield np.ma.masked_array(counts, coloured) if coloured.any() else counts
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The film as PyAV opens it."""
+    av = import_optional("av", "video", str(path))
+    try:
+        with path.open("rb") as file, av.open(file) as container:
+            yield container
+    except av.error.MemoryError as error:  # of a size that FFmpeg never allocates, however much there is
+        raise DataError(f"{path}: damaged: it declares a part that is too large for FFmpeg") from error
 
 
 def _y16_size(path: Path) -> tuple[int, int] | None:
