@@ -17,6 +17,7 @@ from deepir.paths import printable
 from deepir.report.maps import COARSE_LEVELS, FINE_LEVELS, pack_map
 from deepir.report.page import write_page
 from deepir.report.panels import evenly_spaced
+from deepir.report.verdict import verdict
 
 if TYPE_CHECKING:
     from deepir.config.schema import Config
@@ -43,6 +44,7 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
     data = {
         "title": config.problem,
         "source": "simulated burst" if source is None else printable(Path(source).name),
+        "verdict": {name: printable(each) for name, each in verdict(result)._asdict().items()},
         "figures": _figures(result),
         "stop_reason": result.metrics.get("stop_reason", ""),
         "messages": [printable(each) for each in labelled(result.messages)],
