@@ -28,7 +28,7 @@ def command(line, capfd):
     """What `deepir ...` prints, on both streams."""
     program, *arguments = shlex.split(SHAPE.sub("shape=[80,96]", line), comments=True)
     assert program == "deepir"
-    quick = ["solver.max_iterations=3"] if arguments[0] == "run" else []
+    quick = ["solver.max_iterations=3"] if arguments[0] in ("run", "analyze") else []
     capfd.readouterr()
     status = main([*arguments, *quick])
     printed = "".join(capfd.readouterr())
