@@ -235,6 +235,10 @@ class Message(str):
         found.name = name
         return found
 
+    def within(self, where: str) -> Message:
+        """The message with what it is about."""
+        return type(self)(self.name, f"{where}: {self}")
+
     def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
         return self.name, str(self)
 
