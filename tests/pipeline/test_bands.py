@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
+from deepir.calibration import read_maps
 from deepir.errors import DataError
 from deepir.metrics import motion_error
 from deepir.simulate import Settings, simulate
@@ -76,6 +77,8 @@ solver: {max_iterations: 3}
     page = (tmp_path / "run/report.html").read_text()
     assert '"name":"gain_1"' in page
     assert '"name":"scene_1"' in page
+    with pytest.raises(DataError, match="maps of 2 bands; save gain"):
+        read_maps(tmp_path / "run")
 
 
 def test_messages_say_of_which_band_they_are(bands):
