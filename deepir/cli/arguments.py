@@ -16,13 +16,11 @@ if TYPE_CHECKING:
 
 Settings = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[KEY=VALUE]...", help="Settings, for example data.path=burst.npz", show_default=False
-    ),
+    typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.path=burst.npz", show_default=False),
 ]
 ReadingSettings = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[KEY=VALUE]...", help="Settings, for example data.axes=hwn", show_default=False),
+    typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.axes=hwn", show_default=False),
 ]
 Plugins = Annotated[
     list[str] | None,
