@@ -17,6 +17,13 @@ SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), 
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
 
+@pytest.fixture(autouse=True)
+def few_trials(monkeypatch):
+    """The solves within a start take few iterations, as those of the stages do."""
+    monkeypatch.setattr("deepir.problems.deblur_lag.TRIAL_ITERATIONS", 3)
+    monkeypatch.setattr("deepir.problems.optical_flow.LEVEL_ITERATIONS", 3)
+
+
 @pytest.fixture
 def working_folder(tmp_path, monkeypatch):
     """An empty one."""
