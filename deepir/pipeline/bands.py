@@ -46,10 +46,14 @@ def solve_bands(burst: Burst, solve: Callable[[Burst], Result]) -> Result:
 
 def contrast_to_noise(band: Burst) -> float:
     """How much the frames change as the camera moves, relative to their noise; a fixed pattern does not count."""
-    frames = np.where(band.valid, band.frames, np.nan)
-    frames = frames - np.nanmedian(frames, axis=(1, 2), keepdims=True)
+    if len(band.frames) < 2:
+        return 0.0
+    levels = [
+        np.median(frame[ok]) if ok.any() else 0.0 for frame, ok in zip(band.frames, band.valid, strict=True)
+    ]
+    change = np.diff(np.where(band.valid, band.frames - np.reshape(levels, (-1, 1, 1)), 0.0), axis=0)
     noise = sample_noise(torch.from_numpy(band.frames), torch.from_numpy(band.valid & ~band.bad_pixels))
-    return float(np.nanstd(frames[1:] - frames[:-1])) / max(noise, 1e-30)
+    return float(change.std()) / max(noise, 1e-30)
 
 
 def _stacked(results: list[Result], lead: int) -> Result:
@@ -59,6 +63,7 @@ def _stacked(results: list[Result], lead: int) -> Result:
     spread = set.intersection(*(set(each.uncertainty) for each in results))
     whole = dataclasses.replace(
         first,
+        example=results[0].example,
         extra={name: np.stack([each.extra[name] for each in results]) for name in sorted(shared)},
         uncertainty={name: np.stack([each.uncertainty[name] for each in results]) for name in sorted(spread)},
         metrics=first.metrics | {"clearest_band": lead, "bands": [each.metrics for each in results]},

@@ -87,3 +87,10 @@ def test_messages_say_of_which_band_they_are(bands):
     messages = deepir.run("nuc", *QUICK, frames=frames).messages
     assert messages
     assert all(message.startswith(("band 0: ", "band 1: ")) for message in messages)
+
+
+def test_bands_without_motion_are_solved_each_by_itself(bands):
+    config = {"problem": "generic", "prior": "tv", "physics": {}}
+    result = deepir.run(config, *QUICK[:2], frames=bands[0][:1])
+    assert result.scene.shape == (2, *bands[0].shape[2:])
+    assert np.isfinite(result.scene).all()
