@@ -31,7 +31,8 @@ def run(
     Args:
         config: A shipped name, a path, a mapping, or a configuration already loaded.
         overrides: `key=value`, as on the command line: `"scene.penalties.foe.weight=50"`.
-        frames: (N, h, w) in place of `data.path`: an array or a tensor; `Result.tensors(frames)` gives tensors back.
+        frames: (N, h, w), or (N, C, h, w) of several bands, in place of `data.path`: an array or a tensor;
+            `Result.tensors(frames)` gives tensors back.
         truth: The known scene, (h, w), a multiple of it, or (N, h, w), in place of `data.truth`; or arrays by name:
             `{"scene": ..., "gain": ...}`.
         callbacks: Called with a `Progress` after each iteration.

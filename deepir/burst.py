@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, fit_truth, read_data, read_mask, read_truth, validate
+from deepir.io.frames import is_banded
 from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
@@ -28,6 +30,7 @@ from deepir.messages import Message
 Array = np.ndarray[Any, Any]
 #: The scene that is known, or arrays by name.
 Truth = Array | Mapping[str, Any]
+BAND_TRUTH = ("scene", "gain", "offset")  # arrays of a truth that each band has for itself
 PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame
 
 
@@ -47,6 +50,8 @@ class Burst:
         clipped: (N, h, w), 1 or -1 for samples cut off at the top or bottom of the range, else 0; None: no such sample.
         beside: (2 M, h, w), pairs of frames of the same recording outside the burst, by which its correction is scored.
         messages: Warnings on what was left out.
+        bands: The other bands of frames of several, each like the first.
+        motion: (N, 3, 3), known pull homographies, px, NaN for frames that are left out; None: it is registered.
     """
 
     frames: Array
@@ -60,6 +65,8 @@ class Burst:
     clipped: Array | None = None
     beside: Array | None = None
     messages: tuple[str, ...] = ()
+    bands: tuple[Burst, ...] = ()
+    motion: Array | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -82,7 +89,7 @@ def load(
 
     Args:
         data: The section `data` of a configuration.
-        frames: (N, h, w), in place of the file.
+        frames: (N, h, w), or (N, C, h, w) of several bands, in place of the file.
         truth: The known scene, or arrays by name, in place of that of a file or a simulation.
         needs: Least number of frames.
         seed: Of a simulated burst.
@@ -96,6 +103,8 @@ def load(
     found = beside = None
     if data.path is not None and data.simulate is not None:
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
+    if frames is not None and is_banded(given := _array(frames)):
+        return _banded(data, given, truth, needs=needs, ordered=ordered)
     if frames is not None:
         source, digest = "frames", ""
         whole = oriented(stacked(_array(frames), source), data.axes, source)
@@ -104,7 +113,11 @@ def load(
             unselected_pairs(whole, data.frames),
         )
     elif data.path is not None:
-        read = read_data(data)
+        read = read_data(data, bands=True)
+        if is_banded(read.frames):
+            apart = data.model_copy(update={"path": None, "frames": None, "axes": None})
+            found_bands = _banded(apart, read.frames, truth, needs=needs, ordered=ordered)
+            return dataclasses.replace(found_bands, source=read.source, sha256=read.sha256)
         stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
         beside = read.beside
     elif data.simulate is not None:
@@ -141,6 +154,28 @@ def load(
     ends = None if stretched else saturated_samples(np.where(valid, stack, np.nan))
     stack = np.where(valid, stack, 0)
     return Burst(stack, valid, bad | mask, source, digest, known, kelvin, stretched, ends, beside, messages)
+
+
+def _banded(data: Data, frames: Array, truth: Truth | None, *, needs: int, ordered: bool) -> Burst:
+    """The first of several bands, (N, C, h, w), with the others; a truth has the bands first."""
+    count = frames.shape[1]
+
+    def of(band: int, known: Any) -> Any:
+        split = isinstance(known, np.ndarray | torch.Tensor) and known.ndim == 3 and len(known) == count
+        return known[band] if split else known
+
+    def truth_of(band: int) -> Truth | None:
+        if isinstance(truth, Mapping):
+            per_band = {name: of(band, each) for name, each in truth.items() if name in BAND_TRUTH}
+            return {**truth, **per_band}
+        return of(band, truth)
+
+    # A frame that is empty in one band stays, so that all bands have the same frames.
+    first, *others = (
+        load(data, frames=frames[:, band], truth=truth_of(band), needs=needs, ordered=True)
+        for band in range(count)
+    )
+    return dataclasses.replace(first, bands=tuple(others))
 
 
 def _without(

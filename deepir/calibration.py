@@ -128,6 +128,10 @@ def read_maps(path: Path) -> CorrectionMaps:
         )
     gain, offset = (np.squeeze(found[name]).astype(np.float64) for name in ("gain", "offset"))
     bad = np.squeeze(found.get("bad_pixels", np.zeros(gain.shape))).astype(bool)
+    if gain.ndim == 3 and gain.shape == offset.shape == bad.shape:
+        raise DataError(
+            f"{file}: maps of {len(gain)} bands; save gain, offset and bad pixels of one band, gain[0], as an .npz"
+        )
     if gain.ndim != 2 or not gain.shape == offset.shape == bad.shape:
         raise DataError(
             f"{file}: gain {gain.shape}, offset {offset.shape} and bad pixels {bad.shape} differ in size"

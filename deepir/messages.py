@@ -219,6 +219,8 @@ NOTES = {
         "Nothing for a single one. For more, take the burst again.",
     ),
 }
+#: Warnings after which the result is not to be used.
+DISTRUSTED = ("scene-in-pattern", "motion-not-trusted", "scene-repeats", "equalised-frames")
 IMPORTANCE = {name: place for place, name in enumerate([*WARNINGS, "", *NOTES])}
 
 
@@ -234,6 +236,10 @@ class Message(str):
         found.name = name
         return found
 
+    def within(self, where: str) -> Message:
+        """The message with what it is about."""
+        return type(self)(self.name, f"{where}: {self}")
+
     def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
         return self.name, str(self)
 
@@ -244,14 +250,16 @@ def labelled(messages: Iterable[str]) -> list[str]:
     >>> labelled(["too dark", Message("line-noise", "rows jump"), Message("motion-small", "it stands still")])
     ['warning[motion-small]: it stands still', 'warning: too dark', 'note[line-noise]: rows jump']
     """
-    named = sorted(
-        ((getattr(each, "name", ""), each) for each in messages),
-        key=lambda pair: IMPORTANCE.get(pair[0], IMPORTANCE[""]),
-    )
     return [
         f"{'note' if name in NOTES else 'warning'}{f'[{name}]' if name else ''}: {text}"
-        for name, text in named
+        for name, text in by_importance(messages)
     ]
+
+
+def by_importance(messages: Iterable[str]) -> list[tuple[str, str]]:
+    """Names and texts of messages, the most important first; those of plugins may have no name, ""."""
+    named = [(getattr(each, "name", ""), str(each)) for each in messages]
+    return sorted(named, key=lambda pair: IMPORTANCE.get(pair[0], IMPORTANCE[""]))
 
 
 def shown(lines: Sequence[str], elsewhere: str) -> list[str]:

@@ -27,7 +27,8 @@ class Result:
     """Scene, sensor and motion in the input's units; estimates that a method does not make are neutral.
 
     Attributes:
-        scene: (H, W), float32, on frame 0's grid; (N, H, W) where each frame has a scene of its own.
+        scene: (H, W), float32, on frame 0's grid; (N, H, W) where each frame has a scene of its own. Of several bands,
+            scene, gain, offset, level and bad pixels have the bands first, (C, H, W).
         gain: (h, w).
         offset: (h, w).
         motion: (N, 3, 3), pull homographies in px of the scene's grid about the centre; NaN for unused frames.

@@ -20,12 +20,13 @@ from deepir import burst as bursts
 from deepir.build.problem import build
 from deepir.comparison import compare_to_truth
 from deepir.config import Config
-from deepir.errors import ConfigError
+from deepir.errors import ConfigError, DataError
 from deepir.kernels import memory, threads
 from deepir.messages import labelled
 from deepir.metrics import roughness
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress
+from deepir.pipeline.bands import PROBLEMS, solve_bands
 from deepir.pipeline.frame_order import demand_order
 from deepir.pipeline.method import chosen
 from deepir.pipeline.recipe import make_recipe
@@ -43,7 +44,7 @@ def prepare(
 
     Args:
         config: The configuration.
-        frames: (N, h, w), in place of `data.path`.
+        frames: (N, h, w), or (N, C, h, w) of several bands, in place of `data.path`.
         truth: The known scene, or arrays by name, in place of `data.truth`.
 
     Raises:
@@ -76,6 +77,11 @@ def check_components(config: Config, data: bursts.Burst) -> None:
     still = torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
     problem, _ = build(config, data, still)
     recipe = make_recipe(config)
+    if data.bands and config.problem not in PROBLEMS:
+        raise DataError(
+            f"{data.source}: frames of {1 + len(data.bands)} bands; problem '{config.problem}' takes one band, "
+            f"frames[:, 0]; {' and '.join(PROBLEMS)} take several"
+        )
     for name in recipe.operators:
         if not any(isinstance(stage, lookup("operator", name)) for _, stage in problem.operator.named()):
             raise ConfigError(
@@ -98,6 +104,15 @@ def execute(
     Returns:
         The result; its metrics include time, memory and scores.
     """
+    if data.bands:
+        start = time.perf_counter()
+        whole = solve_bands(data, lambda band: execute(config, band, callbacks=callbacks))
+        whole.metrics |= {
+            "seconds": round(time.perf_counter() - start, 3),
+            "messages": labelled(whole.messages),
+            "input_sha256": data.sha256,
+        }
+        return whole
     start = time.perf_counter()
     name, method = chosen(config)
     with threads.for_samples(data.frames.size, config.threads), memory.kept(), seeded(config.seed):

@@ -82,11 +82,12 @@ def test_tensors_give_tensors_of_their_type(burst, result):
     assert result.tensors(frames.int())["scene"].dtype == torch.float32
 
 
-def test_frames_of_several_channels_are_refused_in_a_sentence(burst):
-    with pytest.raises(
-        DataError, match=r"several channels are corrected one channel at a time, frames\[:, 0\]"
-    ):
-        deepir.run("nuc", frames=np.stack([burst.frames, burst.frames], 1))
+def test_frames_of_several_channels_are_refused_in_a_sentence_where_one_is_wanted(burst):
+    two = np.stack([burst.frames, burst.frames], 1)
+    with pytest.raises(DataError, match=r"frames of 2 bands; problem 'sr' takes one band, frames\[:, 0\]"):
+        deepir.run("sr", frames=two)
+    with pytest.raises(DataError, match=r"give one channel, frames\[\.\.\., 0\]"):
+        deepir.run("nuc", frames=np.moveaxis(two, 1, -1))
 
 
 def test_two_bands_are_solved_together_from_parts():

@@ -68,7 +68,7 @@ COMMANDS: tuple[Callable[..., int | None], ...] = (
 )
 for each in COMMANDS:
     first_line = (each.__doc__ or "").partition("\n")[0]
-    app.command(each.__name__.partition("_")[0], short_help=first_line.partition(":")[0])(each)
+    app.command(each.__name__.partition("_")[0], short_help=first_line.partition(":")[0].rstrip("."))(each)
 
 
 def _version(wanted: bool) -> None:
@@ -146,6 +146,10 @@ def _usage(message: str, given: Sequence[str]) -> str:
         name = message.partition("--")[2].split(" ")[0].split("=")[0]
         example = f"{name}=..." if annotation_of(Config, name) else "output.dir=FOLDER"
         return f"{message}; settings are key=value without dashes, for example {example}"
+    if message.startswith("Missing argument"):
+        return f"{message}; `deepir {given[0]} --help` shows what it takes"
+    if given[0] == "help":
+        return f"{message}; all commands: deepir --help"
     if message.startswith("No such command") and "Did you mean" not in message:
         from deepir.config import shipped_names
 

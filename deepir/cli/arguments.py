@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
 Settings = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[KEY=VALUE]...", help="Settings, for example data.path=burst.npz", show_default=False
-    ),
+    typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.path=burst.npz", show_default=False),
+]
+ReadingSettings = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.axes=hwn", show_default=False),
 ]
 Plugins = Annotated[
     list[str] | None,
@@ -76,7 +78,9 @@ def recording_config(file: str, settings: Sequence[str], keys: Sequence[str]) ->
 
     for each in settings:
         if not each.startswith(tuple(f"{key}{end}" for key in keys for end in "=.")):
-            raise ConfigError(f"{each}: only settings of {', '.join(keys)} are accepted here")
+            raise ConfigError(
+                f"{each}: only settings of {', '.join(keys)} are accepted here; options start with dashes"
+            )
     return load("nuc", [f"data.path={file}", *settings])
 
 

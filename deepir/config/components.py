@@ -125,7 +125,10 @@ def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) 
         if inside := [key for key in (*_inner_keys(schema), *_paths(whole)) if key.endswith(f".{path}")]:
             return path, f"no option '{path}'; did you mean '{inside[0]}'?"
         allowed = _keys(steps[-2][1] if steps[1:] else schema)
-        return path, f"no option '{path}'; {nearest(steps[-1][0], allowed)}"
+        hint = nearest(steps[-1][0], allowed)
+        if (parent := path.rpartition(".")[0]) and not any(step.isdigit() for step in path.split(".")):
+            hint = hint.replace("did you mean '", f"did you mean '{parent}.")
+        return path, f"no option '{path}'; {hint}"
     if worst["type"] == "missing":
         return path, f"{path} is missing"
     if worst["type"] == "too_short":

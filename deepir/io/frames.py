@@ -23,9 +23,10 @@ from deepir.io.inspection.stored_samples import SAMPLED_FRAMES, have_wrapped, in
 from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.readers import Array
 from deepir.io.readers.pictures import folder
-from deepir.io.selection import Select, selected_in_float32, unselected_pairs
+from deepir.io.selection import Select, select_frames, selected_in_float32, to_float32, unselected_pairs
 from deepir.paths import expanded
 
+MAX_BANDS = 16  # along the second axis of an array (N, C, h, w)
 JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is streamed are judged
 _RAW_ORDER = ", and data.raw.endian=big reads big-endian ones"
 
@@ -35,7 +36,7 @@ class Frames:
     """A burst from a file.
 
     Attributes:
-        frames: (N, h, w), float32, in the data's units.
+        frames: (N, h, w), or (N, C, h, w) of several bands, float32, in the data's units.
         source: The file, for messages.
         dtype: Type in which the frames were stored.
         sha256: Digest of the file; of several files, of their digests in order.
@@ -61,6 +62,7 @@ def read_frames(
     swap_bytes: bool | None = None,
     radiometry: schema.Radiometry | None = None,
     grey_within: Sequence[int] | None = None,
+    bands: bool = False,
 ) -> Frames:
     """Read frames from a file, a folder of pictures or a glob; the contents decide the format.
 
@@ -73,14 +75,20 @@ def read_frames(
         swap_bytes: Whether to swap the bytes of each sample; None: no, and samples that look swapped are an error.
         radiometry: The user's settings: frames of other constants are converted to what frame 0 would have counted.
         grey_within: [y0, y1, x0, x1], the part in which a picture has to be grey; None: the whole picture.
+        bands: Whether frames of several bands are taken.
 
     Raises:
         DataError: It cannot be read, or holds no burst of numbers.
     """
     file = expanded(path)
     with judging_colours_in(grey_within):
-        stored = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
+        stored = readers.read(file, key) if raw is None else headerless.read(file, raw)
     source = f"{file}[{key}]" if key else str(file)
+    if bands and is_banded(stored):
+        return Frames(
+            to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest(file)
+        )
+    stored = to_stack(stored, str(file))
     dtype = stored.dtype
     any_axes = raw is None and getattr(readers.find_reader(file), "ANY_AXES", False)
     stored = oriented(stored, axes or (None if any_axes else USUAL), source)
@@ -130,9 +138,11 @@ def stream_frames(
         yield frame if lost is None else np.ma.masked_array(frame, np.ma.getmaskarray(frame) | lost[0])
 
 
-def read_data(data: schema.Data) -> Frames:
+def read_data(data: schema.Data, *, bands: bool = False) -> Frames:
     """`read_frames` with the settings of a configuration; `data.crop` is left to the caller."""
-    return read_frames(str(data.path), select=data.frames, grey_within=data.crop, **_layout(data))
+    return read_frames(
+        str(data.path), select=data.frames, grey_within=data.crop, bands=bands, **_layout(data)
+    )
 
 
 def stream_data(data: schema.Data) -> Iterator[Array]:
@@ -188,6 +198,13 @@ def digest(path: str | os.PathLike[str]) -> str:
         return _sha256(file)
 
 
+def is_banded(array: Array) -> bool:
+    """Whether an array holds frames of several bands, (N, C, h, w), and no colours, (N, h, w, 3)."""
+    return (
+        array.ndim == 4 and array.dtype.kind in "uif" and 1 < array.shape[1] <= min(MAX_BANDS, array.shape[3])
+    )
+
+
 def to_stack(array: Array, source: str) -> Array:
     """Frames (N, h, w) of an array (h, w), (h, w, 1), (N, h, w), (N, 1, h, w) or (N, h, w, 1).
 
@@ -208,8 +225,8 @@ def to_stack(array: Array, source: str) -> Array:
     if array.ndim == 4 and 0 not in shape:
         one = "frames[:, 0]" if shape[1] < shape[3] else "frames[..., 0]"
         raise DataError(
-            f"{source}: an array of shape {shape}; expected (frames, height, width): frames of several channels are "
-            f"corrected one channel at a time, {one}; a deepir.Problem of your own solves several together"
+            f"{source}: an array of shape {shape}; expected (frames, height, width): give one channel, {one}. "
+            "`deepir run` and deepir.run take several bands, (frames, bands, height, width)"
         )
     if array.ndim != 3 or 0 in shape:
         raise DataError(

@@ -59,6 +59,8 @@ def joint(
     kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken], clipped=clipped)
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
+    if burst.motion is not None and motion is not None:
+        problem.fields[problem.motion_unknown()].requires_grad_(False)
     if burst.stretched:
         messages += equalised_message(np.where(valid, burst.frames, np.nan)[taken])
     messages += given_noise(problem, config)
@@ -84,7 +86,9 @@ def joint(
     unseen = unseen_scene(problem, geometry, kept)
     if not recipe.judged:
         return mark_unseen(result, unseen)
-    doubt = picture or doubtful_motion(problem, burst.frames, burst.valid & ~burst.bad_pixels, used)
+    doubt = picture
+    if burst.motion is None:  # else it was found elsewhere
+        doubt = picture or doubtful_motion(problem, burst.frames, burst.valid & ~burst.bad_pixels, used)
     result.messages = list(dict.fromkeys(doubt + result.messages))
     judged = burst if doubt else _evened(known, problem, taken)
     final = safeguarded(result, judged, registered=motion is not None, trusted=not doubt)

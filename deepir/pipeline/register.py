@@ -34,6 +34,9 @@ def register_frames(
     model = _motion_model(config)
     if model is None or len(burst.frames) == 1:
         return None, everything, []
+    if burst.motion is not None:
+        known = np.asarray(np.isfinite(burst.motion).all((1, 2)))
+        return torch.from_numpy(burst.motion), known, []
     ignore, valid = torch.from_numpy(burst.bad_pixels), torch.from_numpy(burst.valid | burst.bad_pixels)
     frames = _whole(burst)
     part = longest_shutter_segment(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))

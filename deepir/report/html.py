@@ -17,6 +17,7 @@ from deepir.paths import printable
 from deepir.report.maps import COARSE_LEVELS, FINE_LEVELS, pack_map
 from deepir.report.page import write_page
 from deepir.report.panels import evenly_spaced
+from deepir.report.verdict import verdict
 
 if TYPE_CHECKING:
     from deepir.config.schema import Config
@@ -43,6 +44,7 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
     data = {
         "title": config.problem,
         "source": "simulated burst" if source is None else printable(Path(source).name),
+        "verdict": {name: printable(each) for name, each in verdict(result)._asdict().items()},
         "figures": _figures(result),
         "stop_reason": result.metrics.get("stop_reason", ""),
         "messages": [printable(each) for each in labelled(result.messages)],
@@ -52,7 +54,7 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
         "palette": config.output.palette,
         "stages": _stages(result.history),
         "motion": _motion(result),
-        "level": result.level if np.any(result.level) else [],
+        "level": level if np.any(level := np.atleast_2d(result.level)[0]) else [],
         "histogram": _histogram(example, _first(result.scene)),
         "unit": _unit(result),
         "config": dump(config),
@@ -74,14 +76,18 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     kelvin = result.extra.get("scene_kelvin")
     if kelvin is not None and result.radiometry != KELVIN:
         yield from _scenes("scene_kelvin", "Temperature", kelvin, "K")
-    yield _map("gain", f"Gain, σ {100 * result.gain.std():.1f} %", result.gain, "", centre=1.0)
-    yield _map("offset", f"Offset, σ {result.offset.std():.3g}", result.offset, here, centre=0.0)
+    yield from _scenes("gain", f"Gain, σ {100 * result.gain.std():.1f} %", result.gain, "", centre=1.0)
+    yield from _scenes("offset", f"Offset, σ {result.offset.std():.3g}", result.offset, here, centre=0.0)
     for name, image in result.extra.items():
         if image.ndim == 2 and name != "scene_kelvin":
             low, high = display_limits(image.astype(float))
             yield _map(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
     bad = result.bad_pixels
-    yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", bad, "") | {"low": 0, "high": 1, "colours": "mask"}
+    yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", _first(bad), "") | {
+        "low": 0,
+        "high": 1,
+        "colours": "mask",
+    }
     for name, image in result.uncertainty.items():
         own = "" if name == "gain" else here
         yield _map(
@@ -94,12 +100,14 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
         )
 
 
-def _scenes(name: str, title: str, scenes: Array, here: str) -> Iterator[dict[str, Any]]:
-    """The scene; where each frame has its own, that of the first by this name, and some others."""
-    yield _map(name, title, _first(scenes), here)
+def _scenes(
+    name: str, title: str, scenes: Array, here: str, *, centre: float | None = None
+) -> Iterator[dict[str, Any]]:
+    """The scene; where each frame or band has its own, that of the first by this name, and some others."""
+    yield _map(name, title, _first(scenes), here, centre=centre)
     if scenes.ndim == 3:
         for other in evenly_spaced(len(scenes))[1:]:
-            yield _map(f"{name}_{other}", f"{title} {other}", scenes[other], here)
+            yield _map(f"{name}_{other}", f"{title} {other}", scenes[other], here, centre=centre)
 
 
 def _first(scenes: Array) -> Array:

@@ -39,15 +39,17 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     else:
         above.append(draw_map(scene, "scene, inferno", "inferno", size))
     below = [
-        draw_map(result.gain, f"gain, std {100 * result.gain.std():.1f} %", SIGNED, size, centre=1.0),
-        draw_map(result.offset, f"offset, std {result.offset.std():.3g}", SIGNED, size, centre=0.0),
+        draw_map(
+            montage(result.gain), f"gain, std {100 * result.gain.std():.1f} %", SIGNED, size, centre=1.0
+        ),
+        draw_map(montage(result.offset), f"offset, std {result.offset.std():.3g}", SIGNED, size, centre=0.0),
     ]
     if result.history:
         below.append(_loss(result.history, size))
     more = {name: each for name, each in result.extra.items() if each.shape == result.gain.shape}
     for k, (name, each) in enumerate(more.items()):
         row = (above, below)[k % 2]
-        row.append(draw_map(each, f"{name}, std {each.std():.3g}", SIGNED, size, centre=0.0))
+        row.append(draw_map(montage(each), f"{name}, std {each.std():.3g}", SIGNED, size, centre=0.0))
     write_figure(path, [above, below])
 
 

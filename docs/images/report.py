@@ -14,7 +14,7 @@ def main() -> None:
     """Write docs/images/report.png: the report's upper part in ironbow, with a point being read."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 860}, color_scheme="dark")
+        page = browser.new_page(viewport={"width": 1280, "height": 935}, color_scheme="dark")
         page.goto(REPORT.absolute().as_uri())
         page.wait_for_selector("html[data-ready]")
         page.check("#palette input[value=ironbow]", force=True)

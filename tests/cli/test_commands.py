@@ -82,6 +82,22 @@ def test_check_says_what_a_run_refuses(deepir, tmp_path):
     assert "to correct it" not in said
 
 
+def test_check_proposes_what_suits_the_number_of_frames(deepir, folder):
+    scene = np.random.default_rng(0).normal(8000, 100, (40, 140)).cumsum(1)
+    frames = np.stack([scene[:, 2 * k : 2 * k + 48] for k in range(40)])
+    np.save("drive.npy", frames.astype(np.float32))
+    assert (
+        "to correct it: deepir correct drive.npy data.axes=nhw\n"
+        in deepir("check", "drive.npy", "data.axes=nhw")[1]
+    )
+    assert "deepir run nuc data.path=burst.npz" in deepir("check", "burst.npz")[1]
+
+
+def test_help_and_what_is_missing_lead_to_the_help(deepir):
+    assert "all commands: deepir --help" in deepir("help")[2]
+    assert "Missing argument 'FILE'; `deepir correct --help`" in deepir("correct")[2]
+
+
 def test_check_sees_the_motion_that_a_run_sees(deepir, tmp_path):
     """Means of blocks show nothing of a fine scene."""
     scene = np.random.default_rng(0).normal(8000, 100, (96, 300)).astype(np.float32)

@@ -5,8 +5,14 @@ import pytest
 
 from deepir.config import prior_names
 
+#: Of each kind one: a penalty, learned filters, denoisers, networks.
+KINDS = ("tv", "foe", "red", "pnp", "dip", "siren", "grid", "deep_decoder")
 
-@pytest.mark.parametrize("prior", prior_names())
+
+@pytest.mark.parametrize(
+    "prior",
+    [name if name in KINDS else pytest.param(name, marks=pytest.mark.matrix) for name in prior_names()],
+)
 def test_every_prior_corrects_a_burst(nuc, folder, prior):
     status, out, err = nuc("data.path=burst.npz", f"prior={prior}", "solver.max_iterations=2")
     assert status == 0, err

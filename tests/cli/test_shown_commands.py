@@ -17,6 +17,13 @@ SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), 
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
 
+@pytest.fixture(autouse=True)
+def few_trials(monkeypatch):
+    """The solves within a start take few iterations, as those of the stages do."""
+    monkeypatch.setattr("deepir.problems.deblur_lag.TRIAL_ITERATIONS", 3)
+    monkeypatch.setattr("deepir.problems.optical_flow.LEVEL_ITERATIONS", 3)
+
+
 @pytest.fixture
 def working_folder(tmp_path, monkeypatch):
     """An empty one."""
@@ -28,7 +35,7 @@ def command(line, capfd):
     """What `deepir ...` prints, on both streams."""
     program, *arguments = shlex.split(SHAPE.sub("shape=[80,96]", line), comments=True)
     assert program == "deepir"
-    quick = ["solver.max_iterations=3"] if arguments[0] == "run" else []
+    quick = ["solver.max_iterations=3"] if arguments[0] in ("run", "analyze") else []
     capfd.readouterr()
     status = main([*arguments, *quick])
     printed = "".join(capfd.readouterr())

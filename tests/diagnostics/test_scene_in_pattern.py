@@ -14,11 +14,11 @@ def said(result):
 
 def test_a_camera_that_rests_before_somebody_who_walks_is_told():
     rng = np.random.default_rng(3)
-    scene = 8000 + 1500 / 255 * camera()[100:340:2, 100:420:2].astype(float)
+    scene = 8000 + 1500 / 255 * camera()[100:340:3, 100:412:3].astype(float)
     still = scene * (1 + rng.normal(0, 0.03, scene.shape)) + rng.normal(0, 60, scene.shape[1])
     frames = still + rng.normal(0, 3, (8, *scene.shape))
     for k, frame in enumerate(frames):
-        frame[20:100, 10 + 14 * k : 30 + 14 * k] += 500
+        frame[14:66, 6 + 9 * k : 20 + 9 * k] += 500
     assert said(deepir.run("nuc", frames=frames, threads=1))
 
 

@@ -60,7 +60,7 @@ def test_who_walks_through_five_frames_costs_little():
     """Left to the robust weights, he cost the first of these bursts 7 dB."""
     costs = []
     picture, walked = procedural(2, (300, 380)), dataclasses.replace(TONES, walker_speed=4.0, **WALKER)
-    for seed in (13, 14, 15):
+    for seed in (13, 14):
         walker, quality = simulate(picture, walked, seed=seed).truth.moving[0], []
         for settings in (TONES, walked):
             sim = simulate(picture, settings, seed=seed)
@@ -95,7 +95,7 @@ def test_who_walks_is_said_and_shown():
 @pytest.mark.parametrize("seed", [1, 6])
 def test_who_is_far_above_the_noise_is_not_built_into_scene_and_pattern(seed):
     """He covers half of his way in three frames of five; gains there had come to zero before he was found: 25 dB."""
-    settings = Settings(shape=(240, 320), n_frames=5, walker=0.5, walker_speed=8.0, read_noise=0.001)
+    settings = Settings(shape=(160, 208), n_frames=5, walker=0.5, walker_speed=8.0, read_noise=0.001)
     sim = simulate(procedural(1, (700, 900)), settings, seed=seed)
     result = deepir.run("nuc", frames=sim.frames, threads=1)
     truth = np.where(sim.truth.moving[0], np.nan, sim.truth.scene)

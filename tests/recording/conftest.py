@@ -49,3 +49,11 @@ def walk() -> Walk:
     frames[:, bad] = 12000
     frames = frames.round().astype(np.uint16)
     return Walk(frames, scenes, gain, fine - fine.mean(), slow - slow.mean(), bad)
+
+
+@pytest.fixture(scope="session")
+def corrected(walk):
+    """The walk, corrected by its own frames."""
+    from deepir.recording.correct import correct
+
+    return correct(walk.frames)

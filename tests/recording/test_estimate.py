@@ -10,11 +10,6 @@ from deepir.recording.correct import correct
 from deepir.recording.defective_pixels import defective_pixels
 
 
-@pytest.fixture(scope="module")
-def corrected(walk):
-    return correct(walk.frames)
-
-
 def alike(first, second, where):
     return np.corrcoef(first[where], second[where])[0, 1]
 

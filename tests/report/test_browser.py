@@ -2,6 +2,7 @@
 
 import pytest
 
+from deepir.messages import Message
 from deepir.report.html import write_report
 
 PAIR = "#compare .pair"
@@ -119,7 +120,8 @@ def test_hostile_text_is_shown_as_it_is(report, result):
     result.metrics["stop_reason"] = hostile
     result.extra[hostile] = result.extra.pop("stray")
     page = report()
-    assert page.inner_text("#verdict li") == f"warning: {hostile}"
+    assert page.inner_text("#messages li") == f"warning: {hostile}"
+    assert hostile in page.inner_text("#verdict")
     assert page.locator("img").count() == 0
     assert hostile.capitalize() in page.inner_text("#maps .card:nth-child(6) figcaption")
 
@@ -136,6 +138,27 @@ def test_curves_say_what_is_under_the_pointer(report):
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowRight")
     assert page.inner_text("#plots .card:nth-child(1) .reading") == "scene 2: loss 500"
+
+
+def test_the_first_screen_of_a_phone_says_whether_to_trust_the_result(report, result):
+    result.messages = [
+        Message("scene-in-pattern", "the pattern looks like the scene"),
+        Message("line-noise", "rows jump"),
+        Message("motion-small", "the frames move by 1 px"),
+    ]
+    page = report(has_touch=True, is_mobile=True, device_scale_factor=3)
+    page.set_viewport_size({"width": 360, "height": 740})
+    box = page.locator("#verdict").bounding_box()
+    assert box["y"] + box["height"] < 740 / 2
+    assert page.get_attribute("#verdict", "class") == "bad"
+    assert page.inner_text("#verdict").startswith(
+        "Do not trust this result: the estimated pattern looks like"
+    )
+    assert page.inner_text("#verdict code") == "data.mask"
+    colours = page.eval_on_selector_all(
+        "#messages li", "all => all.map(each => getComputedStyle(each).borderLeftColor)"
+    )
+    assert colours[0] == colours[1] != colours[2], "a note looks other than a warning"
 
 
 def test_a_phone_shows_all_of_it_without_scrolling_aside(report):

@@ -97,8 +97,14 @@ def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | No
 def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
     import numpy as np
 
+    from deepir.errors import DataError
+
     with np.load(path / "result.npz") as stored:
         found = [stored[name] for name in ("gain", "offset", "scene", "motion", "bad_pixels")]
+    if found[0].ndim > 2:
+        raise DataError(
+            f"{path}: a result of {len(found[0])} bands; analyse a run of one of them, frames[:, 0]"
+        )
     beside, scene_deviation = path / "uncertainty.npz", None
     if beside.exists():
         with np.load(beside) as stored:

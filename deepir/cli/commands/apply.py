@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Settings, recording_config, recording_radiometry
+from deepir.cli.arguments import (
+    DATA_SETTINGS,
+    Overwrite,
+    ReadingSettings,
+    recording_config,
+    recording_radiometry,
+)
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo, notify
 
@@ -25,7 +31,7 @@ def apply(
         Path, typer.Argument(metavar="MAPS", help="Maps of `deepir calibrate`, or the folder of a run.")
     ],
     file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of the same camera.")],
-    settings: Settings = None,
+    settings: ReadingSettings = None,
     output: Annotated[
         Path | None,
         typer.Option(

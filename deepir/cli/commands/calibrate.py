@@ -23,7 +23,7 @@ def calibrate(
     what: Annotated[
         list[str],
         typer.Argument(
-            metavar="FLAT... [KEY=VALUE]...",
+            metavar="FLAT|KEY=VALUE",
             help="Recordings of something uniform, each of another temperature; settings such as data.key=raw.",
             show_default=False,
         ),

@@ -21,7 +21,7 @@ def capture(
     settings: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KEY=VALUE]...", help="Of the driver, for example device=/dev/video2", show_default=False
+            metavar="KEY=VALUE", help="Of the driver, for example device=/dev/video2", show_default=False
         ),
     ] = None,
     camera: Annotated[str, typer.Option(help="The driver: v4l2, boson.")] = "v4l2",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepir.cli.arguments import Plugins, Settings, load_plugins
+from deepir.cli.arguments import DATA_SETTINGS, Plugins, Settings, load_plugins
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 STILL = "  motion: none"  # beginning of the line on frames in which no motion is seen
 MOTION_FRAMES = 8  # frames that are registered where no motion is seen
+MOST_FRAMES_OF_A_BURST = 30  # more are a recording
 REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
 
 
@@ -27,7 +28,7 @@ def check(
     settings: Settings = None,
     plugin: Plugins = None,
 ) -> int:
-    """Describe a burst, or what a configuration would do, without a run; status 2: a run refuses the burst."""
+    """Describe a burst, or what a configuration would do, without a run: status 2 if a run refuses it."""
     load_plugins(plugin)
     from deepir.config import load, shipped_names
     from deepir.errors import ConfigError
@@ -51,6 +52,9 @@ def check(
             )
         else:
             command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
+            whole = all(each.startswith(DATA_SETTINGS) for each in settings or ())
+            if whole and int(lines[1].split()[0]) > MOST_FRAMES_OF_A_BURST:
+                command = ["deepir", "correct", what, *(settings or ())]
             still = lines[-1].startswith(STILL)
             echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
     else:

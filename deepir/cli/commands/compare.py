@@ -30,12 +30,15 @@ Scheduler = Annotated[
 
 def compare(
     config: Annotated[
-        str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.", show_default=False
+        ),
     ],
     settings: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KEY=VALUE,VALUE,...]...", help="Settings; all combinations are run.", show_default=False
+            metavar="KEY=VALUE,VALUE", help="Settings; all combinations are run.", show_default=False
         ),
     ] = None,
     workers: Workers = None,
@@ -67,12 +70,15 @@ def compare(
 
 def batch(
     config: Annotated[
-        str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.", show_default=False
+        ),
     ],
     what: Annotated[
         list[str],
         typer.Argument(
-            metavar="BURST... [KEY=VALUE]...",
+            metavar="BURST|KEY=VALUE",
             help="Files, folders of pictures or globs of these; settings for all of them.",
             show_default=False,
         ),
@@ -85,7 +91,7 @@ def batch(
     """Correct many bursts the same way: deepir batch nuc 'bursts/*.tiff' [prior=tv ...].
 
     Results go to output.dir (runs/NAME-batch): a folder for each burst, table.md and table.csv.
-    The same command again continues an interrupted comparison.
+    The same command again continues an interrupted batch.
     """
     plugins = load_plugins(plugin)
     from deepir.errors import ConfigError, DataError

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Settings, recording_config, recording_radiometry
+from deepir.cli.arguments import (
+    DATA_SETTINGS,
+    Overwrite,
+    ReadingSettings,
+    recording_config,
+    recording_radiometry,
+)
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo, notify
 from deepir.messages import labelled
@@ -25,7 +31,7 @@ ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys
 
 def correct(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of a camera that moves.")],
-    settings: Settings = None,
+    settings: ReadingSettings = None,
     output: Annotated[
         Path | None,
         typer.Option(

@@ -14,7 +14,9 @@ from deepir.cli.terminal import echo
 def list_components(
     name: Annotated[
         str | None,
-        typer.Argument(help="A kind, such as fields, or a part of a name.", show_default=False),
+        typer.Argument(
+            metavar="NAME", help="A kind, such as fields, or a part of a name.", show_default=False
+        ),
     ] = None,
     plugin: Plugins = None,
 ) -> None:

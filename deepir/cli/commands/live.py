@@ -11,7 +11,14 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.arguments import (
+    DATA_SETTINGS,
+    Overwrite,
+    Plugins,
+    ReadingSettings,
+    load_plugins,
+    recording_config,
+)
 from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import notify
 
@@ -33,7 +40,7 @@ def live(
             metavar="[FILE]", help="A recording; - for raw frames on standard input (data.raw=...)."
         ),
     ] = None,
-    settings: Settings = None,
+    settings: ReadingSettings = None,
     camera: Annotated[
         str | None, typer.Option(help="A camera instead: v4l2, boson.", show_default=False)
     ] = None,

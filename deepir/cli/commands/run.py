@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 def run(
     config: Annotated[
-        str, typer.Argument(help="A shipped configuration (nuc) or a .yaml file.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.", show_default=False
+        ),
     ],
     settings: Settings = None,
     overwrite: Overwrite = False,

@@ -23,9 +23,7 @@ def simulate(
     ],
     settings: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[KEY=VALUE]...", help="Settings, for example n_frames=8 counts=true; kind=drive"
-        ),
+        typer.Argument(metavar="KEY=VALUE", help="Settings, for example n_frames=8 counts=true; kind=drive"),
     ] = None,
     scene: Annotated[
         str | None,

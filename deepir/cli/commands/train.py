@@ -18,7 +18,9 @@ REPORT_INTERVAL = 250  # iterations between two lines of progress
 
 
 def train(
-    name: Annotated[str, typer.Argument(help="What to train: see `deepir list`.", show_default=False)],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="What to train: see `deepir list`.", show_default=False)
+    ],
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.safetensors", help="The weights; NAME.safetensors.")
     ] = None,

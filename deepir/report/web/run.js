@@ -8,14 +8,27 @@ function words() {
       make("div", { class: "figure" }, make("b", { text: value }), make("span", { text: name })),
     ),
   );
-  const good = !data.messages.length;
-  const lines = good ? ["Nothing to object to in this burst."] : data.messages;
+  const { severity, sentence, more } = data.verdict;
+  find("#verdict").classList.add(severity);
   find("#verdict").append(
-    make("ul", { class: good ? "good" : "warned" }, ...lines.map((text) => make("li", { text }))),
+    make("p", { text: sentence }),
+    make("p", { class: "hint" }, ...withCode(more)),
+  );
+  const lines = data.messages.length ? data.messages : ["Nothing to object to in this burst."];
+  find("#messages").append(
+    make("ul", {}, ...lines.map((text) => make("li", { class: kind(text), text }))),
     make("p", { class: "hint", text: `The solver ${data.stop_reason}.` }),
   );
   find("#config").textContent = data.config;
   find("#metrics").textContent = JSON.stringify(data.metrics, null, 2);
+}
+
+/** How a line of the messages is drawn: a warning, a note, or neither. */
+const kind = (text) => /^(warning|note)\b/.exec(text)?.[0] ?? "good";
+
+/** Text whose parts in backquotes are typed. */
+function withCode(text) {
+  return text.split("`").map((text, i) => make(i % 2 ? "code" : "span", { text }));
 }
 
 async function start() {
