@@ -28,7 +28,9 @@ def main() -> None:
             subprocess.run(commands, shell=True, check=True, cwd=folder, env=environment)
             frames = np.load(Path(folder, "burst.npz"))["frames"]
             scene = np.load(Path(folder, f"runs/{name}/result.npz"))["scene"]
-        picture = beside(montage(frames if scene.ndim == 3 else frames[len(frames) // 2]), montage(scene))
+        picture = beside(
+            montage((frames if scene.ndim == 3 else frames[len(frames) // 2]).astype(float)), montage(scene)
+        )
         picture.save(HERE / "gallery" / f"{name}.png", optimize=True)
 
 
