@@ -8,11 +8,9 @@ import numpy as np
 
 from deepir.burst import Burst
 from deepir.config import Config
+from deepir.io.inspection.display_range import has_eight_bits
 from deepir.recording.correct import CorrectedRecording
 from deepir.recording.estimate import AUTO
-from deepir.recording.keyframes import choose_keyframes
-from deepir.recording.neighbours import NeighbouringFrames
-from deepir.recording.segments import estimate_segments
 from deepir.registry import register
 from deepir.result import Result, neutral
 
@@ -30,13 +28,11 @@ def recording(burst: Burst, config: Config, *, correction: str = AUTO) -> Result
         DataError: Few frames differ, or the camera stands still.
         ConfigError: There is no such correction.
     """
-    lost = ~burst.valid & ~burst.bad_pixels
-    frames = np.where(lost, np.nan, burst.frames) if lost.any() else burst.frames
-    neighbours = NeighbouringFrames()
-    keyframes = choose_keyframes(neighbours.of(iter(frames)))
-    segments = estimate_segments(keyframes, correction)
-    corrected = CorrectedRecording(lambda: iter(frames), segments, keyframes, neighbours)
-    maps, estimates = corrected.maps, [each.estimate for each in segments if each.estimate]
+    frames = burst.frames.astype(np.uint8) if has_eight_bits(burst.frames) else burst.frames
+    if (lost := ~burst.valid & ~burst.bad_pixels).any():
+        frames = np.ma.masked_array(frames, lost)
+    corrected = CorrectedRecording.of(lambda: iter(frames), correction)
+    maps, estimates = corrected.maps, [each.estimate for each in corrected.segments if each.estimate]
     result = neutral(corrected.frames, len(frames), burst.size, burst.bad_pixels | maps.bad_pixels)
     return dataclasses.replace(
         result,
@@ -47,10 +43,10 @@ def recording(burst: Burst, config: Config, *, correction: str = AUTO) -> Result
             "correction": corrected.estimate.kept,
             "nats": corrected.estimate.nats,
             "shares": corrected.estimate.shares,
-            "first_frames": [each.first for each in segments],
+            "first_frames": [each.first for each in corrected.segments],
             "parallax": corrected.estimate.parallax,
             "iterations": 0,
             "evaluations": 0,
-            "stop_reason": f"estimated from {len(keyframes.frames)} of {len(frames)} frames",
+            "stop_reason": f"estimated from {len(corrected.keyframes.frames)} of {len(frames)} frames",
         },
     )

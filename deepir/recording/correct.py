@@ -43,6 +43,22 @@ class CorrectedRecording:
     keyframes: Keyframes
     neighbours: NeighbouringFrames
 
+    @classmethod
+    def of(cls, read: Callable[[], Iterator[Array]], correction: str) -> CorrectedRecording:
+        """Read a recording once, and estimate its sensor.
+
+        Args:
+            read: Reads the recorded frames (h, w) from the start.
+            correction: One of `CORRECTIONS`, or "auto".
+
+        Raises:
+            DataError: It has few frames, or the camera stands still.
+            ConfigError: There is no such correction.
+        """
+        neighbours = NeighbouringFrames()
+        keyframes = choose_keyframes(neighbours.of(read()))
+        return cls(read, estimate_segments(keyframes, correction), keyframes, neighbours)
+
     def __len__(self) -> int:
         return self.keyframes.length
 
@@ -154,6 +170,4 @@ def correct(
         )
     else:
         read = functools.partial(stream_data, data.model_copy(update={"path": os.fspath(recording)}))
-    neighbours = NeighbouringFrames()
-    keyframes = choose_keyframes(neighbours.of(read()))
-    return CorrectedRecording(read, estimate_segments(keyframes, correction), keyframes, neighbours)
+    return CorrectedRecording.of(read, correction)

@@ -49,5 +49,6 @@ def _gradients(frames: Array) -> Array:
 def _change(gradients: Array, place: int) -> float:
     """Mean difference of the median gradients before and after a place, in units of their errors."""
     before, after = gradients[max(0, place - WINDOW) : place], gradients[place : place + WINDOW]
-    apart = np.abs(np.nanmedian(before, 0) - np.nanmedian(after, 0))
-    return float(np.nanmean(apart)) / (1 / len(before) + 1 / len(after)) ** 0.5
+    known = np.isfinite(before).any(0) & np.isfinite(after).any(0)
+    apart = np.abs(np.nanmedian(before[:, known], 0) - np.nanmedian(after[:, known], 0))
+    return float(apart.mean() if known.any() else 0.0) / (1 / len(before) + 1 / len(after)) ** 0.5

@@ -31,6 +31,14 @@ def test_lost_samples_do_not_count(walk):
     assert np.corrcoef(result.offset[~walk.bad], (walk.fine + walk.slow)[~walk.bad])[0, 1] > 0.9
 
 
+def test_pictures_have_a_strength_of_the_pattern_each_as_in_correct(walk):
+    contrast = np.linspace(0.03, 0.07, 30)[:, None, None]
+    frames = (128 + contrast * (walk.frames[::4] - 8600.0)).clip(0, 255).astype(np.uint8)
+    result, corrected = deepir.run("recording", frames=frames), deepir.correct(frames)
+    assert corrected.estimate.strength is not None
+    assert np.corrcoef(result.offset[~walk.bad], corrected.maps.offset[~walk.bad])[0, 1] > 0.99
+
+
 @pytest.mark.parametrize("wrong", ["method.correction=nix", "method.gain=1"])
 def test_a_wrong_choice_is_refused(walk, wrong):
     with pytest.raises(deepir.DeepIRError, match=r"allowed|unknown"):

@@ -33,6 +33,12 @@ def test_a_jump_is_found_at_its_frame(jumping):
     assert abs(found - JUMP) <= 1
 
 
+def test_samples_that_are_lost_for_long_do_not_count(walk):
+    frames = walk.frames.astype(np.float32)
+    frames[:40, 10:20] = np.nan
+    assert pattern_jumps(frames) == []
+
+
 def test_frames_that_are_all_alike_do_not_jump():
     assert pattern_jumps(np.full((60, 40, 40), 7.0, np.float32)) == []
 
