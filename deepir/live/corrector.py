@@ -110,6 +110,7 @@ class Corrector:
         self._faded = 0  # frames since the newest estimate
         self._checks: deque[bool] = deque(maxlen=CHECKS)  # whether the maps fitted the last frames
         self._relearns = False  # another pattern than the maps'
+        self._is_first = True  # of a pattern: an estimate that takes little time
         self._due = 0
         self._frames = self._estimates = self._rejected = 0
         self._message = ""
@@ -166,12 +167,13 @@ class Corrector:
         self._keyframes.add(frame)
         taken = self._keyframes.taken
         former = self.maps if self._fits else None
-        quick = former is None and self._keyframes.count < MIN_KEYFRAMES
+        quick = former is None and (self._is_first or self._keyframes.count < MIN_KEYFRAMES)
         enough = taken >= self._due and self._keyframes.count >= (
             MIN_QUICK_KEYFRAMES if quick else MIN_KEYFRAMES
         )
         if enough and not self._estimator.busy():
             self._estimator.submit(self._keyframes.chosen(), quick=quick, former=former)
+            self._is_first = False
             growth = round((GROWTH - 1) * self._keyframes.count)
             self._due = taken + (MIN_QUICK_KEYFRAMES if quick else min(MAX_NEW_KEYFRAMES, growth))
 
@@ -179,7 +181,7 @@ class Corrector:
         """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
         self._checks.append(fits(_values(frame), corrected, self._bad_pixels))
         if not self._fits and not self._relearns and not self.hold:
-            self._relearns = True
+            self._relearns = self._is_first = True
             self._keyframes.forget(self._keyframes.length - CHECK_INTERVAL)  # two checks have failed since
             self._estimator.cancel()
             self._due = self._keyframes.taken

@@ -21,13 +21,15 @@ from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import threads
 from deepir.recording.estimate import AUTO, estimate_fine_offset
-from deepir.recording.keyframes import ChosenFrames, Keyframes
+from deepir.recording.keyframes import ChosenFrames, Keyframes, spread
 from deepir.recording.segments import Segment, estimate_segments
 
 SWITCH_INTERVAL = (
     0.5e-3  # s that a thread keeps the interpreter while keyframes are sent: frames wait no longer
 )
 NICENESS = 10  # of the process, where systems have it: frames come first
+QUICK_KEYFRAMES = 24  # that a quick estimate uses at most: with more the fine offset has the same errors
+READY = b"r"  # what the process writes first
 ENDED = "the estimating process ended by itself; it is started again"
 
 
@@ -62,7 +64,8 @@ def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps 
     try:
         with threads.for_samples(keyframes.frames.size):
             if quick:
-                return Segment(first, last, estimate_fine_offset(keyframes))
+                some = spread(range(len(keyframes.frames)), QUICK_KEYFRAMES)
+                return Segment(first, last, estimate_fine_offset(keyframes.some(np.array(some))))
             return estimate_segments(keyframes, AUTO, former=former)[-1]
     except DataError as error:
         return Segment(first, last, None, str(error))
@@ -104,11 +107,13 @@ class Beside:
         self._interval = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_INTERVAL)
         self._sender = ThreadPoolExecutor(1)
+        #: Done once the process takes requests: frames that are sent before are old by then.
+        self._ready: Future[bool] = self._sender.submit(self._wait)
         self._pending: Future[Segment] | None = None
 
     def busy(self) -> bool:
-        """Whether an estimate is under way."""
-        return self._pending is not None and not self._pending.done()
+        """Whether an estimate is under way, or the process begins."""
+        return not self._ready.done() or (self._pending is not None and not self._pending.done())
 
     def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
         """Begin an estimate."""
@@ -123,8 +128,9 @@ class Beside:
 
     def cancel(self) -> None:
         """Give the estimate up: its process ends, and another one takes its place."""
-        if self.busy():
+        if self._pending is not None and self.busy():
             self._process.kill()
+            self._ready = self._sender.submit(bool, 1)  # after the process that takes its place has begun
         self._pending = None
 
     def close(self) -> None:
@@ -139,6 +145,15 @@ class Beside:
         if not self._closed:
             self._end()
             self._process = self._start()
+            self._wait()
+
+    def _wait(self) -> bool:
+        """Wait until the process takes requests; false if it has ended."""
+        assert self._process.stdout is not None
+        try:
+            return self._process.stdout.read(len(READY)) == READY
+        except (OSError, ValueError):  # closed meanwhile
+            return False
 
     def _end(self) -> None:
         self._process.kill()
@@ -198,6 +213,8 @@ def main() -> None:
         os.nice(NICENESS)
     answers: Any = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints does not disturb
+    answers.write(READY)
+    answers.flush()
     serve(sys.stdin.buffer, answers)
 
 

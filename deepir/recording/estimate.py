@@ -53,6 +53,7 @@ AT_REST = (
     "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
     "deepir apply MAPS FILE"
 )
+FOLDS = 4  # parts of a few groups of frames, each of which is held out once
 FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
 #: Gains outside these limits are of pixels that do not respond to the scene.
 GAIN_LIMITS = (0.5, 2.0)
@@ -191,10 +192,10 @@ def _shrunk(
 def _shrunk_by_others(
     offset: Array, frames: Array, usable: Array, known: Array, groups: Array
 ) -> tuple[Array, dict[str, float]]:
-    """A fine offset (h, w), scaled by the mean shares that each group of frames holds of what the others give."""
+    """A fine offset (h, w), scaled by the mean shares that some groups of frames hold of what the others give."""
     found = []
-    for group in np.unique(groups):
-        here = groups == group
+    for fold in np.unique(groups % FOLDS):
+        here = groups % FOLDS == fold
         if here.all():
             return offset, {}
         others = fine_offset(gradient_consensus(frames[~here], usable[~here]), known)

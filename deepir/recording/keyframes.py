@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 Array = np.ndarray[Any, Any]
+T = TypeVar("T")
 Chosen = tuple[int, Array, int]  # number, frame (h, w), spacing
 
 GROUP_SIZE = 4  # frames of a group
@@ -256,6 +257,6 @@ def motion_spacing(recent: Array) -> tuple[int, float]:
     return next(gap for gap, change in changes.items() if change >= enough), most
 
 
-def spread(pairs: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]]:
-    """At most so many of the pairs, evenly spread."""
-    return [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))]
+def spread(values: Sequence[T], most: int) -> list[T]:
+    """At most so many of the values, evenly spread."""
+    return [values[i] for i in np.unique(np.linspace(0, len(values) - 1, min(most, len(values))).astype(int))]

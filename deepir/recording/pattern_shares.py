@@ -24,12 +24,11 @@ BLOB_SIGMAS = (
     8.0,
 )  # px; Gaussians between which the pattern's blobs are: finer are pixels, broader is slow
 REWEIGHTINGS = 8  # by Cauchy's likelihood: the scene's gradients have heavy tails
-MAX_GRADIENTS = 40_000  # of a frame along each axis that are looked at
+MAX_GRADIENTS = 10_000  # of a frame along each axis that are looked at
 #: Share of the maps' pattern in a frame from which they fit, by one weighted fit, which underestimates patterns as weak
 #: as the scene's gradients. In four simulated recordings it was 0.50 to 0.84 where the correction helped, and 0.11 to
 #: 0.43 where not.
 MIN_SHARE_TO_FIT = 0.45
-GRADIENTS_OF_A_FRAME = 10_000  # the same, where one frame decides at once
 SIGNIFICANCE = 2.0  # standard errors by which a share has to be too small
 CORRELATED_GRADIENTS = 4.0  # gradients that say the same: those of neighbours
 RIDGE = 1e-6  # weak prior on a slope: without it, a part that is zero everywhere makes the system singular
@@ -73,9 +72,7 @@ def _may_be_above(share: float, before: Array, after: Array, bad: Array, *, rewe
     """Whether the slope of a frame's gradients over what is taken off is, or may be by its standard error, larger."""
     removed = before - after
     known = ~bad & np.isfinite(removed)
-    (slope,), (error,) = shares(
-        before[None], removed[None], known, reweightings=reweightings, gradients=GRADIENTS_OF_A_FRAME
-    )
+    (slope,), (error,) = shares(before[None], removed[None], known, reweightings=reweightings)
     return bool(slope + SIGNIFICANCE * error > share)
 
 
@@ -85,7 +82,6 @@ def shares(
     known: Array,
     *,
     reweightings: int = REWEIGHTINGS,
-    gradients: int = MAX_GRADIENTS,
 ) -> tuple[Array, Array]:
     """Slopes of the gradients of frames over those of parts, by robust least squares.
 
@@ -95,12 +91,10 @@ def shares(
         known: (h, w) bool, pixels that count.
         reweightings: number of weighted fits: the first weights are by the frames' gradients, the others by residuals.
 
-        gradients: of a frame along each axis that are looked at, about.
-
     Returns:
         Slopes (K,) and their standard errors (K,).
     """
-    stride = max(1, known.size // gradients)
+    stride = max(1, known.size // MAX_GRADIENTS)
     design = sampled_gradients(np.where(known, parts, np.nan), stride, stride)
     good = np.isfinite(design).all(0)
     design, steps = design[:, good], sampled_gradients(frames, stride, stride)[:, good]
