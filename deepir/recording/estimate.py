@@ -53,7 +53,7 @@ AT_REST = (
     "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
     "deepir apply MAPS FILE"
 )
-FOLDS = 4  # parts of a few groups of frames, each of which is held out once
+FOLDS = 4  # parts of the groups of frames; each part is held out once
 FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
 #: Gains outside these limits are of pixels that do not respond to the scene.
 GAIN_LIMITS = (0.5, 2.0)
