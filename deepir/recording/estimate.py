@@ -59,6 +59,10 @@ FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
 GAIN_LIMITS = (0.5, 2.0)
 
 
+class CameraAtRestError(DataError):
+    """The camera stands still."""
+
+
 @dataclass(frozen=True)
 class SensorEstimate:
     """What a recording tells of its sensor: `frame = level + offset + gain (scene - level)`.
@@ -118,7 +122,7 @@ def estimate_sensor(
     pairs = spread(estimated.pairs, MAX_PAIRS)
     separated = separate_offset(frames, usable, ~bad, offset, pairs, level)
     if _rests(separated.displacements, min(frames.shape[1:])):
-        raise DataError(AT_REST)
+        raise CameraAtRestError(AT_REST)
     offsets = {"fine": separated.fine}
     if separated.whole is not None:
         offsets["whole"] = separated.whole
@@ -266,7 +270,7 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
         or np.median(changes) < LEAST_CHANGE * noise
         or is_at_rest(some, np.ones(some.shape, bool))
     ):
-        raise DataError(AT_REST)
+        raise CameraAtRestError(AT_REST)
 
 
 def _rests(found: Sequence[Displacement], short_side: int) -> bool:

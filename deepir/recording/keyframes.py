@@ -26,6 +26,7 @@ WINDOW = 65
 CHANGE_WITHIN_SPACING = 0.35
 #: Change since the last group, relative to that over the window, below which the camera stands and no group begins.
 LEAST_CHANGE = 0.25
+LEAST_CHANGE_OF_FRAME = 0.1  # the same since the last frame, below which the camera stands
 SPACINGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # frames
 SHORT_SIDE = 48  # px, shorter side of the averaged frames whose changes are measured
 HELD_OUT_EVERY = 6  # groups, of which one is held out
@@ -62,6 +63,16 @@ class Keyframes:
         """The keyframes with these numbers, or where this is True, (N,)."""
         parts = ("frames", "numbers", "groups", "spacings")
         return replace(self, **{name: getattr(self, name)[chosen] for name in parts})
+
+    def moving(self) -> Keyframes:
+        """Those that show something else than the one before: without the frames in which the camera stands."""
+        small = [coarse(frame) for frame in self.frames]
+        _, typical = motion_spacing(np.stack(small))
+        kept = [0]
+        for k in range(1, len(small)):
+            if np.abs(small[k] - small[kept[-1]]).mean() >= LEAST_CHANGE_OF_FRAME * typical:
+                kept.append(k)
+        return self.some(np.array(kept))
 
     @property
     def pairs(self) -> list[tuple[int, int]]:

@@ -96,25 +96,39 @@ def shares(
     """
     stride = max(1, known.size // MAX_GRADIENTS)
     design = sampled_gradients(np.where(known, parts, np.nan), stride, stride)
+    return slopes(sampled_gradients(frames, stride, stride), design, reweightings=reweightings)
+
+
+def slopes(steps: Array, design: Array, *, reweightings: int = REWEIGHTINGS) -> tuple[Array, Array]:
+    """Slopes of samples over those of parts, by robust least squares.
+
+    Args:
+        steps: (N, samples); NaN where a sample does not count.
+        design: (K, samples), in the same units; NaN as well.
+        reweightings: see `shares`.
+
+    Returns:
+        Slopes (K,) and their standard errors (K,).
+    """
     good = np.isfinite(design).all(0)
-    design, steps = design[:, good], sampled_gradients(frames, stride, stride)[:, good]
-    slopes: Array = np.zeros(len(parts))
+    design, steps = design[:, good], steps[:, good]
+    found: Array = np.zeros(len(design))
     tiny = float(np.finfo(np.float32).tiny)
     for _ in range(reweightings):
-        normal, score = RIDGE * np.eye(len(parts)), np.zeros(len(parts))
+        normal, score = RIDGE * np.eye(len(design)), np.zeros(len(design))
         scatter = normal.copy()
         for frame in steps:
             seen = np.isfinite(frame)
             step, each = frame[seen], design[:, seen]
-            rest = step - slopes @ each
+            rest = step - found @ each
             scale = max(MAD_TO_SIGMA * float(np.median(np.abs(rest))), tiny) if rest.size else 1.0
             weighted = each / (scale**2 + rest**2)
             normal += _products(weighted, each)
             score += _products(weighted, step[None])[:, 0]
             scatter += CORRELATED_GRADIENTS * _products(weighted * rest, weighted * rest)
-        slopes = np.linalg.solve(normal, score)
+        found = np.linalg.solve(normal, score)
     covariance = np.linalg.solve(normal, np.linalg.solve(normal, scatter).T)
-    return slopes, np.sqrt(np.diag(covariance))
+    return found, np.sqrt(np.diag(covariance))
 
 
 def _products(one: Array, other: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,15 @@ import numpy as np
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import threads
-from deepir.recording.estimate import SensorEstimate, estimate_sensor
-from deepir.recording.keyframes import Keyframes
+from deepir.recording.estimate import CameraAtRestError, SensorEstimate, estimate_sensor
+from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.pattern_jumps import pattern_jumps
-from deepir.recording.pattern_shares import is_better
+from deepir.recording.pattern_shares import fits, is_better
 
 Array = np.ndarray[Any, Any]
+
+FRAMES_TO_FIT = 5  # of a segment, which maps of another one have to fit
+MIN_MOVING = 16  # keyframes in which the camera moves, that a sensor is estimated from
 
 
 @dataclass(frozen=True)
@@ -82,18 +85,44 @@ def _estimate_segments(keyframes: Keyframes, correction: str, former: Correction
     ends = [0, *pattern_jumps(keyframes.frames), len(keyframes.frames)]
     parts = [np.arange(*each) for each in itertools.pairwise(ends)]
     if len(parts) == 1:
-        return [_segment(keyframes, estimate_sensor(keyframes, correction, former=former))]
+        return [_segment(keyframes, _estimate(keyframes, correction, former))]
     found, refused = [], []
     for part in parts:
         some = keyframes.some(part)
         try:
-            found.append(_segment(some, estimate_sensor(some, correction, former=former)))
+            found.append(_segment(some, _estimate(some, correction, former)))
         except DataError as error:
             refused.append(error)
             found.append(_segment(some, None, str(error)))
     if len(refused) == len(parts):
         raise refused[0]
-    return found
+    return [
+        each
+        if each.estimate
+        else _with_maps_of_neighbour(each, found[max(0, k - 1) : k + 2], keyframes.frames[part])
+        for k, (each, part) in enumerate(zip(found, parts, strict=True))
+    ]
+
+
+def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], frames: Array) -> Segment:
+    """A segment without maps, with those of one before or after it that fit its frames (N, h, w), if any do."""
+    some = spread(list(frames), FRAMES_TO_FIT)
+    for each in neighbours:
+        found = each.estimate
+        if found and all(fits(frame, each.correct(frame), found.bad_pixels) for frame in some):
+            return replace(segment, estimate=found, refused="")
+    return segment
+
+
+def _estimate(keyframes: Keyframes, correction: str, former: CorrectionMaps | None) -> SensorEstimate:
+    """From all keyframes, or from those in which the camera moves, if it stands in most of them."""
+    try:
+        return estimate_sensor(keyframes, correction, former=former)
+    except CameraAtRestError:
+        moving = keyframes.moving()
+        if not MIN_MOVING <= len(moving.frames) < len(keyframes.frames):
+            raise
+        return estimate_sensor(moving, correction, former=former)
 
 
 def _segment(keyframes: Keyframes, estimate: SensorEstimate | None, refused: str = "") -> Segment:

@@ -7,6 +7,7 @@ from deepir.errors import ConfigError, DataError
 from deepir.recording.correct import correct
 from deepir.recording.pattern_jumps import pattern_jumps
 from deepir.recording.segments import Segment, segment_at
+from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 JUMP = 62  # first frame with the second pattern
 
@@ -31,6 +32,27 @@ def test_a_jump_is_found_at_its_frame(jumping):
     frames, _ = jumping
     (found,) = pattern_jumps(frames)
     assert abs(found - JUMP) <= 1
+
+
+def test_a_camera_that_stands_at_the_ends_of_a_pan_does_not_change_its_pattern():
+    recording = simulate_recording(RecordingSettings(kind="pan", n_frames=100, shape=(96, 128)), seed=22)
+    corrected = correct(recording.frames)
+    assert len(corrected.segments) == 1
+    good, scenes = ~recording.truth.bad_pixels, recording.truth.scene
+    for number in (0, 50, 99):
+        raw, left = recording.frames[number], corrected.correct(recording.frames[number], number)
+        assert np.std((left - scenes[number])[good]) < 0.4 * np.std((raw - scenes[number])[good])
+
+
+def test_a_part_at_rest_is_corrected_with_the_maps_of_its_neighbour_if_they_fit(walk):
+    rest = walk.frames[40:41] + np.random.default_rng(6).integers(-5, 6, (60, *walk.gain.shape))
+    frames = np.concatenate([walk.frames[:40], rest]).astype(np.float32)
+    another = 40 * np.random.default_rng(1).standard_normal(walk.gain.shape)
+    changed = np.concatenate([frames[:40], frames[40:] - walk.fine + another]).astype(np.float32)
+    good = ~walk.bad
+    left, untouched = (correct(each).correct(each[70], 70) for each in (frames, changed))
+    assert np.std((left - walk.scenes[40])[good]) < 0.6 * np.std((frames[70] - walk.scenes[40])[good])
+    assert np.array_equal(untouched, changed[70])
 
 
 def test_samples_that_are_lost_for_long_do_not_count(walk):
