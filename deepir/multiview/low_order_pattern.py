@@ -59,6 +59,7 @@ def slow_pattern(
     rounds: int = ROUNDS,
     removed: Array | None = None,
     change_sigma: float = CHANGE_SIGMA,
+    quantile: float = 0.5,
 ) -> SlowPattern:
     """The slow additive pattern that frames still hold.
 
@@ -71,6 +72,8 @@ def slow_pattern(
             frames: it is put back where displacements are sought.
         change_sigma: px of the averaged frames; Gaussian over which changes of brightness are averaged: errors of
             displacements at edges have both signs.
+        quantile: over pairs of neighbours, of the share of the frame whose displacement is known: whether frames are
+            related is judged by it.
 
     Returns:
         The pattern in the frames' units; zero where the frames are not related.
@@ -91,14 +94,14 @@ def slow_pattern(
     for round_ in range(rounds):
         both = tuple(displacements(coarse + back - total, pairs, both_ways=True))
         ahead = both[::2]
-        if round_ == 0 and not _related(coarse, ahead):
+        if round_ == 0 and not _related(coarse, ahead, quantile):
             return SlowPattern(np.zeros(frames.shape[1:]), related=False, displacements=both)
         total += grid.fitted(coarse - total, ahead)
     offset = contrast * _enlarged(total, frames.shape[1:], factor)
     return SlowPattern(offset - offset.mean(), related=True, displacements=both)
 
 
-def _related(frames: Array, found: Sequence[Displacement]) -> bool:
+def _related(frames: Array, found: Sequence[Displacement], quantile: float) -> bool:
     """Whether the displacements are known in far more places than those to mirrored frames, which are chance."""
     if not found:
         return False
@@ -106,9 +109,10 @@ def _related(frames: Array, found: Sequence[Displacement]) -> bool:
     first = np.arange(count) * (len(frames) - 1) // count
     mirrored = np.concatenate([[frames[k], frames[k + 1][:, ::-1]] for k in first])
     by_chance = displacements(mirrored, [(2 * k, 2 * k + 1) for k in range(count)])
-    chance = float(np.median([each.share_moved for each in by_chance]))
+    chance = float(np.quantile([each.share_moved for each in by_chance], quantile))
     nearest = min(each.second - each.first for each in found)
-    known = float(np.median([each.share_moved for each in found if each.second - each.first == nearest]))
+    shares = [each.share_moved for each in found if each.second - each.first == nearest]
+    known = float(np.quantile(shares, quantile))
     return known >= max(LEAST_KNOWN, CHANCE_FACTOR * chance)
 
 

@@ -53,6 +53,19 @@ AT_REST = (
     "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
     "deepir apply MAPS FILE"
 )
+#: Of a camera whose scenes do not move along this axis.
+ONE_WAY = (
+    Message(
+        "shading-down-not-separated",
+        "the camera turns sideways only: the shading of the fixed pattern from top to bottom is not separated from the "
+        "scenes', and was left as it is. Tilt the camera too",
+    ),
+    Message(
+        "shading-across-not-separated",
+        "the camera tilts only: the shading of the fixed pattern from left to right is not separated from the scenes', "
+        "and was left as it is. Turn the camera sideways too",
+    ),
+)
 FOLDS = 4  # parts of the groups of frames; each part is held out once
 FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
 #: Gains outside these limits are of pixels that do not respond to the scene.
@@ -132,6 +145,8 @@ def estimate_sensor(
     held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, list(offsets.values()))
     masked = np.where(usable, frames, np.nan).astype(np.float32)
     base, messages = _base(offsets, held_out, correction)
+    if separated.axis_at_rest is not None and base[0] == "offset":
+        messages.append(ONE_WAY[separated.axis_at_rest])
     candidates = _candidates(masked, base, separated.displacements, level, with_gain=gains is None)
     bad |= _unresponsive(candidates["gain_and_offset"][0]) if "gain_and_offset" in candidates else False
     nats = {name: found for name, each in candidates.items() if np.isfinite(found := held_out.nats(*each))}
@@ -305,7 +320,7 @@ def _base(
         Message(
             "slow-part-not-separated",
             "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
-            "or the camera moves too little, or turns only one way",
+            "or the camera moves too little",
         )
     ]
 

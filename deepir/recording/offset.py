@@ -28,6 +28,9 @@ Array = np.ndarray[Any, Any]
 FIRST_STRIDE = 2  # the first estimate uses every second pair of frames
 #: px of the averaged frames; Gaussian over which changes of brightness are averaged: many pairs allow more than few.
 CHANGE_SIGMA = 2.0
+RELATED_QUANTILE = (
+    0.75  # over pairs of frames: a camera turns too fast at times, and some pairs show the same things
+)
 CUTOFF_PAIRS = 12  # pairs of frames by which the cut-off is chosen
 LEAST_COMMON = 200  # px of the averaged frames whose displacement has to be known in a pair
 #: Ratio of the changes along displacements with a low cut-off to those with a high one, from which the texture in
@@ -51,13 +54,15 @@ class SeparatedOffset:
 
     Attributes:
         fine: (h, w), without what is slow.
-        whole: (h, w), with it; None where the scenes do not move, or along one axis only.
+        whole: (h, w), with it; None where the scenes do not move.
         displacements: of the scenes, between frames averaged over blocks.
+        axis_at_rest: 0 or 1, along which the scenes do not move: `whole` is without what is slow along it alone.
     """
 
     fine: Array
     whole: Array | None
     displacements: tuple[Displacement, ...]
+    axis_at_rest: int | None = None
 
 
 def separate_offset(
@@ -97,17 +102,20 @@ def separate_offset(
             rounds=1,
             removed=slow_part(offset - columns, known, cutoff),
             change_sigma=CHANGE_SIGMA,
+            quantile=RELATED_QUANTILE,
         )
         found = slow.displacements
         if not slow.related:
             return SeparatedOffset(fine, None, found)
         offset = (offset + slow.offset).astype(np.float32)
     corrected = frames - offset
-    lines = _scene_lines(fine, corrected, found)
-    fine, offset = fine - lines, offset - lines
-    if _axes_at_rest(found):
-        return SeparatedOffset(fine, None, found)
-    return SeparatedOffset(fine, offset - _scene_left(corrected.mean(0), known, found), found)
+    whole = offset - _scene_left(corrected.mean(0), known, found)
+    if (axis := _axis_at_rest(found)) is None:
+        return SeparatedOffset(fine, whole, found)
+    lines = _scene_lines(fine, corrected, axis)
+    slow = whole - fine
+    slow = slow - slow.mean(1 - axis, keepdims=True)
+    return SeparatedOffset(fine - lines, fine - lines + slow, found, axis)
 
 
 def fine_offset(consensus: Array, known: Array) -> Array:
@@ -183,33 +191,30 @@ def _share_at_rest(found: Sequence[Displacement]) -> float:
     return float(1 - moved.mean())
 
 
-def _axes_at_rest(found: Sequence[Displacement]) -> list[int]:
+def _axis_at_rest(found: Sequence[Displacement]) -> int | None:
     """The axis along which the scene does not move while it moves across, if any."""
     extent = motion_extent(found)
-    return [
-        axis
-        for axis in (0, 1)
-        if extent[1 - axis] >= TURN_MOTION and extent[axis] < CROSS_RATIO * extent[1 - axis]
-    ]
+    for axis in (0, 1):
+        if extent[1 - axis] >= TURN_MOTION and extent[axis] < CROSS_RATIO * extent[1 - axis]:
+            return axis
+    return None
 
 
-def _scene_lines(fine: Array, corrected: Array, found: Sequence[Displacement]) -> Array:
-    """What of rows or columns is the scene's, (h, w).
+def _scene_lines(fine: Array, corrected: Array, axis: int) -> Array:
+    """What of rows (axis 0) or columns (1), along which the scene does not move, is the scene's: (h, 1) or (1, w).
 
     A camera that only turns sideways sees a ledge at the same rows in all frames.
 
     Args:
         fine: (h, w), fine offset.
         corrected: (N, h, w), frames less what they share.
-        found: displacements.
+        axis: that is at rest.
     """
-    lines = np.zeros_like(fine)
-    for axis in _axes_at_rest(found):
-        profile = _detail(fine.mean(1 - axis))
-        scene = np.median([_detail(frame.mean(1 - axis)).std() for frame in corrected])
-        if profile.std() < LEAST_LINE_RATIO * scene:
-            lines = lines + np.expand_dims(profile, 1 - axis)
-    return lines
+    profile = fine.mean(1 - axis, keepdims=True)
+    scene = np.median([_detail(frame.mean(1 - axis)).std() for frame in corrected])
+    if _detail(profile.ravel()).std() >= LEAST_LINE_RATIO * scene:
+        return np.zeros_like(profile)
+    return np.asarray(profile - profile.mean())
 
 
 def _detail(profile: Array) -> Array:
