@@ -110,6 +110,11 @@ WARNINGS = {
         "or the motion does not reveal it.",
         "Turn the camera both ways, and record for longer.",
     ),
+    "camera-turns-one-way": (
+        "Where the scene moves along one axis only, the shading of the sensor along the other axis is the same in all "
+        "frames, as is that of the scene. It stays in the recording.",
+        "Turn the camera along the other axis too.",
+    ),
     "no-correction-helps": (
         "No correction makes held-out frames of the recording more likely. The recording is left as it is.",
         "Nothing if the camera is corrected already. Otherwise record for some seconds while the camera moves.",

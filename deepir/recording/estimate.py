@@ -23,6 +23,7 @@ from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.low_order_part import slow_part
 from deepir.multiview.texture_flow import Displacement, motion_extent
 from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
+from deepir.recording.candidates import candidate_corrections, choose_correction, choose_offset, turns_one_way
 from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels
 from deepir.recording.held_out import HeldOutFrames
@@ -30,7 +31,7 @@ from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.offset import fine_offset, separate_offset
 from deepir.recording.parallax import parallax_ratio
 from deepir.recording.pattern_shares import scale_parts, shrink_offset
-from deepir.recording.responses import noise_deviation, refine_responses
+from deepir.recording.responses import noise_deviation
 
 Array = np.ndarray[Any, Any]
 
@@ -39,7 +40,6 @@ MIN_KEYFRAMES = 4
 #: What a correction may consist of, from nothing to all; and the word for the choice by held-out frames.
 CORRECTIONS = ("none", "fine_offset", "offset", "registered_offset", "gain_and_offset")
 AUTO = "auto"
-LEAST_NATS = 30.0  # by which a larger correction makes held-out frames likelier, to be chosen
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
@@ -52,19 +52,6 @@ AT_REST = (
     "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
     "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
     "deepir apply MAPS FILE"
-)
-#: Of a camera whose scenes do not move along this axis.
-ONE_WAY = (
-    Message(
-        "shading-down-not-separated",
-        "the camera turns sideways only: the shading of the fixed pattern from top to bottom is not separated from the "
-        "scenes', and was left as it is. Tilt the camera too",
-    ),
-    Message(
-        "shading-across-not-separated",
-        "the camera tilts only: the shading of the fixed pattern from left to right is not separated from the scenes', "
-        "and was left as it is. Turn the camera sideways too",
-    ),
 )
 FOLDS = 4  # parts of the groups of frames; each part is held out once
 FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
@@ -144,15 +131,15 @@ def estimate_sensor(
         offsets["former"] = separated.fine + slow_part(rest, ~bad)
     held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, list(offsets.values()))
     masked = np.where(usable, frames, np.nan).astype(np.float32)
-    base, messages = _base(offsets, held_out, correction)
+    base, messages = choose_offset(offsets, held_out, correction)
     if separated.axis_at_rest is not None and base[0] == "offset":
-        messages.append(ONE_WAY[separated.axis_at_rest])
-    candidates = _candidates(masked, base, separated.displacements, level, with_gain=gains is None)
+        messages.append(turns_one_way(separated.axis_at_rest))
+    candidates = candidate_corrections(masked, base, separated.displacements, level, with_gain=gains is None)
     bad |= _unresponsive(candidates["gain_and_offset"][0]) if "gain_and_offset" in candidates else False
     nats = {name: found for name, each in candidates.items() if np.isfinite(found := held_out.nats(*each))}
     kept = correction
     if correction == AUTO:
-        kept = _choice(nats)
+        kept = choose_correction(nats)
         if kept == "none":
             messages.append(
                 Message(
@@ -239,15 +226,6 @@ def _consensus(keyframes: Keyframes, limits: tuple[float, float]) -> tuple[Array
     return frames, usable, level, offset
 
 
-def _choice(nats: dict[str, float]) -> str:
-    """The simplest correction that no larger one beats clearly; the fine offset where frames do not tell."""
-    kept = "none" if nats else "fine_offset"
-    for name, each in nats.items():
-        if each < nats[kept] - LEAST_NATS:
-            kept = name
-    return kept
-
-
 def _limits(frames: Array) -> tuple[float, float]:
     """Values at or beyond which samples are saturated."""
     some = frames[:: max(1, len(frames) // FRAMES_OF_LIMITS)]
@@ -299,51 +277,6 @@ def _held_out_frames(held: Keyframes, usable: Array, offsets: Sequence[Array]) -
     """Frames that judge; the displacements of their scenes are sought with each offset."""
     level = _median(held.frames, usable) if usable.any() else 0.0
     return HeldOutFrames(held, usable, level, [(np.ones_like(each), each) for each in offsets])
-
-
-def _base(
-    offsets: dict[str, Array], held_out: HeldOutFrames, correction: str
-) -> tuple[tuple[str, Array], list[str]]:
-    """The offset with or without what is slow, new or former, named as in `CORRECTIONS`; and messages."""
-    if correction == "fine_offset":
-        return (correction, offsets["fine"]), []
-    whole = offsets.get("whole")
-    if correction == "offset" and whole is not None:
-        return (correction, whole), []
-    left = {name: _slow_nats(held_out, each) for name, each in offsets.items()}
-    better = [
-        name for name in offsets if left["fine"] - left[name] > (LEAST_NATS if name == "whole" else 0.0)
-    ]
-    if better:
-        return ("offset", offsets[min(better, key=left.__getitem__)]), []
-    return ("fine_offset", offsets["fine"]), [
-        Message(
-            "slow-part-not-separated",
-            "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
-            "or the camera moves too little",
-        )
-    ]
-
-
-def _candidates(
-    masked: Array, base: tuple[str, Array], found: Sequence[Displacement], level: float, *, with_gain: bool
-) -> dict[str, tuple[Array, Array]]:
-    """Corrections (gain, offset), each of more than the one before."""
-    name, offset = base
-    one = np.ones_like(offset)
-    gain, registered = refine_responses(masked, found, one, offset, level, with_gain=with_gain)
-    candidates = {
-        "none": (one, np.zeros_like(one)),
-        name: (one, offset),
-        "registered_offset": (one, registered),
-    }
-    return candidates | ({"gain_and_offset": (gain, registered)} if with_gain else {})
-
-
-def _slow_nats(held_out: HeldOutFrames, offset: Array) -> float:
-    """Of the changes of brightness along displacements, which the fine pattern has no part in; NaN: not judged."""
-    left = held_out.left(np.ones_like(offset), offset)
-    return np.nan if left is None else left.nats
 
 
 def _unresponsive(gain: Array) -> Array:
