@@ -34,6 +34,7 @@ DATA_SETTINGS = (
     "data.axes",
     "data.swap_bytes",
     "data.radiometry",
+    "data.crop",
 )  # of how a file is read
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 

@@ -18,6 +18,7 @@ from deepir.io import raw as headerless
 from deepir.io import readers
 from deepir.io.guards import judging_colours_in, warn_once
 from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
+from deepir.io.inspection.checks import crop
 from deepir.io.inspection.fill_values import lost_samples
 from deepir.io.inspection.stored_samples import SAMPLED_FRAMES, have_wrapped, in_order, swapped
 from deepir.io.radiometry import Radiometry, as_of_frame_0
@@ -146,8 +147,10 @@ def read_data(data: schema.Data, *, bands: bool = False) -> Frames:
 
 
 def stream_data(data: schema.Data) -> Iterator[Array]:
-    """`stream_frames` with the settings of a configuration."""
-    return stream_frames(str(data.path), **_layout(data))
+    """`stream_frames` with the settings of a configuration, cropped."""
+    frames = stream_frames(str(data.path), **_layout(data))
+    box = data.crop
+    return frames if box is None else (crop(frame, box) for frame in frames)
 
 
 def _layout(data: schema.Data) -> dict[str, Any]:

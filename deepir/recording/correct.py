@@ -15,6 +15,7 @@ from deepir.calibration import CorrectionMaps
 from deepir.config.components import validate
 from deepir.config.schema import Data, Radiometry, Raw
 from deepir.errors import ConfigError, DataError
+from deepir.io import crop as cropped
 from deepir.io import stream_data, write_npz
 from deepir.io.inspection.axes import oriented
 from deepir.recording.estimate import AUTO, SensorEstimate
@@ -138,6 +139,7 @@ def correct(
     key: str | None = None,
     raw: Raw | Mapping[str, Any] | None = None,
     axes: str | None = None,
+    crop: list[int] | None = None,
     swap_bytes: bool | None = None,
     radiometry: Radiometry | Mapping[str, Any] | None = None,
     correction: str = AUTO,
@@ -149,6 +151,7 @@ def correct(
         key: Name of the array in a file that holds several.
         raw: Layout of a file without a header: `{"width": 640, "height": 512}`.
         axes: Order of the array's axes, as `data.axes`: "hwn" for (height, width, frames).
+        crop: Part of the frames, [y0, y1, x0, x1], as `data.crop`.
         swap_bytes: Whether the bytes of each sample are swapped, of a file.
         radiometry: Conversion to kelvin, of a file, as `data.radiometry`.
         correction: What is corrected, one of `CORRECTIONS`; "auto": what serves held-out frames best.
@@ -157,16 +160,24 @@ def correct(
         DataError: It cannot be read, has few frames, or the camera stands still.
         ConfigError: An option is wrong.
     """
-    options = {"key": key, "raw": raw, "axes": axes, "swap_bytes": swap_bytes, "radiometry": radiometry}
+    options = {
+        "key": key,
+        "raw": raw,
+        "axes": axes,
+        "crop": crop,
+        "swap_bytes": swap_bytes,
+        "radiometry": radiometry,
+    }
     given = {name: value for name, value in options.items() if value is not None}
     data = Data(**validate(Data, given, "correct"))
     if isinstance(recording, np.ndarray):
         if recording.ndim != 3 or not len(recording):
             raise DataError(f"frames of shape {recording.shape}; expected (frames, height, width)")
-        if of_file := next(iter(given.keys() - {"axes"}), None):
+        if of_file := next(iter(given.keys() - {"axes", "crop"}), None):
             raise ConfigError(f"correct: '{of_file}' is for a file, and the frames are an array")
+        frames = oriented(recording, axes, "frames") if axes else recording
         read: Callable[[], Iterator[Array]] = functools.partial(
-            iter, oriented(recording, axes, "frames") if axes else recording
+            iter, frames if crop is None else cropped(frames, crop)
         )
     else:
         read = functools.partial(stream_data, data.model_copy(update={"path": os.fspath(recording)}))

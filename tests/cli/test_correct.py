@@ -8,6 +8,7 @@ import pytest
 from skimage import data
 
 from deepir.io import read_frames
+from deepir.recording.correct import correct
 from deepir.recording.keyframes import choose_keyframes
 from deepir.recording.segments import estimate_segments
 from deepir.storage.lock import locked_files
@@ -100,6 +101,15 @@ def test_of_an_interrupted_correction_the_maps_are_kept_unless_there_were_others
     assert outputs(folder).keys() == {"walk_corrected_maps.npz"}
     status, _, err = deepir("correct", "walk.npz", "--float32", "--overwrite")
     assert (status, "nothing was written" in err) == (130, True)
+
+
+def test_a_part_of_the_frames_is_corrected(deepir, folder, recording, estimated):
+    frames = recording[1].round().astype(np.uint16)
+    edged = np.pad(frames, ((0, 0), (2, 0), (0, 0)))  # as with telemetry above the picture
+    np.savez("walk.npz", frames=edged)
+    assert deepir("correct", "walk.npz", "data.crop=[2,62,0,80]", "--output", "part.tif")[0] == 0
+    assert read_frames("part.tif").frames.shape == frames.shape
+    assert np.array_equal(correct(edged, crop=[2, 62, 0, 80]).frames[5], correct(frames).frames[5])
 
 
 def test_one_process_writes_a_correction(deepir, folder, recording):

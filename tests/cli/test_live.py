@@ -56,6 +56,8 @@ def test_raw_frames_pass_from_standard_input_to_standard_output(deepir, recordin
         (("drive.npy", "--maps", "nowhere.npz"), "nowhere.npz"),
         (("drive.npy", "--output", "out.avi"), "written as .tif"),
         (("--camera", "boson5"), "boson5"),
+        (("drive.npy", "--port", "9000"), "add --page"),
+        (("drive.npy", "--record-to", "films"), "--record-to is an option of the page"),
     ],
 )
 def test_mistakes_are_one_line(deepir, recording, arguments, words):

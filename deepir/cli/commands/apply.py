@@ -43,7 +43,7 @@ def apply(
 ) -> int:
     """Correct a whole recording, frame by frame: deepir apply maps.npz flight.seq --output flight.mp4.
 
-    The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.swap_bytes,
+    The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.crop, data.swap_bytes,
     data.radiometry, output.palette, output.tones.
     """
     from deepir.calibration import read_maps

@@ -51,7 +51,7 @@ def correct(
     """Correct a whole recording of a moving camera: deepir correct drive.avi.
 
     Writes the corrected recording, the camera's maps (OUTPUT_maps.npz, for `deepir apply`) and a picture (OUTPUT.png).
-    The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.swap_bytes,
+    The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.crop, data.swap_bytes,
     data.radiometry, output.palette, output.tones.
     """
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted

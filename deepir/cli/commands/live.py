@@ -30,10 +30,12 @@ if TYPE_CHECKING:
 
 ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys, of a recording
 STATUS_EVERY = 1.0  # s between two lines of status
+OF_THE_PAGE = ("port", "host", "record_to")  # options
 STANDARD = "-"  # in place of a file: standard input or output
 
 
 def live(
+    context: typer.Context,
     source: Annotated[
         str | None,
         typer.Argument(
@@ -79,8 +81,8 @@ def live(
 ) -> int:
     """Correct frames as they come, better and better while the camera moves: deepir live drive.avi --page.
 
-    Settings of a recording: data.key, data.raw, data.axes, data.swap_bytes, data.radiometry, output.palette,
-    output.tones; of a camera: its driver's, such as device=/dev/video2.
+    Settings of a recording: data.key, data.raw, data.axes, data.crop, data.swap_bytes, data.radiometry,
+    output.palette, output.tones; of a camera: its driver's, such as device=/dev/video2.
     """
     load_plugins(plugin)
     from deepir.calibration import read_maps
@@ -96,6 +98,9 @@ def live(
         raise ConfigError(
             "give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2"
         )
+    given = [each for each in OF_THE_PAGE if _is_given(context, each)]
+    if given and not page:
+        raise ConfigError(f"--{given[0].replace('_', '-')} is an option of the page: add --page")
     files = [Path(each) for each in (output, save_maps) if each and each != STANDARD]
     start = read_maps(maps) if maps else None
     status, count, ended = 0, 0, "the recording has ended"
@@ -136,6 +141,11 @@ def live(
         if session and ended:
             keep_page(session, ended)
     return status
+
+
+def _is_given(context: typer.Context, option: str) -> bool:
+    source = context.get_parameter_source(option)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterable[Array]:
