@@ -43,8 +43,6 @@ REST_MOTION = 2.0
 #: Where the camera turns only one way: px of the averaged frames that the scene moves along one axis at least, and what
 #: it seems to move across, relative to that.
 TURN_MOTION, CROSS_RATIO = 2.5, 0.2
-#: Deviation of the pattern's lines that have not moved, relative to the scene's that have: they are the sensor's from.
-LEAST_LINE_RATIO = 1.2
 COLUMN_SIGMA = 16.0  # px; of the Gaussian below which the columns' means are the scene's
 
 
@@ -108,14 +106,12 @@ def separate_offset(
         if not slow.related:
             return SeparatedOffset(fine, None, found)
         offset = (offset + slow.offset).astype(np.float32)
-    corrected = frames - offset
-    whole = offset - _scene_left(corrected.mean(0), known, found)
-    if (axis := _axis_at_rest(found)) is None:
-        return SeparatedOffset(fine, whole, found)
-    lines = _scene_lines(fine, corrected, axis)
-    slow = whole - fine
-    slow = slow - slow.mean(1 - axis, keepdims=True)
-    return SeparatedOffset(fine - lines, fine - lines + slow, found, axis)
+    whole = offset - _scene_left((frames - offset).mean(0), known, found)
+    if (axis := _axis_at_rest(found)) is not None:
+        if axis == 1:  # columns too are the same in all frames: broad ones may be the scene's
+            fine = consensus - slow_part(consensus, known, cutoff)
+        whole = whole - (whole - fine).mean(1 - axis, keepdims=True)
+    return SeparatedOffset(fine, whole, found, axis)
 
 
 def fine_offset(consensus: Array, known: Array) -> Array:
@@ -198,24 +194,3 @@ def _axis_at_rest(found: Sequence[Displacement]) -> int | None:
         if extent[1 - axis] >= TURN_MOTION and extent[axis] < CROSS_RATIO * extent[1 - axis]:
             return axis
     return None
-
-
-def _scene_lines(fine: Array, corrected: Array, axis: int) -> Array:
-    """What of rows (axis 0) or columns (1), along which the scene does not move, is the scene's: (h, 1) or (1, w).
-
-    A camera that only turns sideways sees a ledge at the same rows in all frames.
-
-    Args:
-        fine: (h, w), fine offset.
-        corrected: (N, h, w), frames less what they share.
-        axis: that is at rest.
-    """
-    profile = fine.mean(1 - axis, keepdims=True)
-    scene = np.median([_detail(frame.mean(1 - axis)).std() for frame in corrected])
-    if _detail(profile.ravel()).std() >= LEAST_LINE_RATIO * scene:
-        return np.zeros_like(profile)
-    return np.asarray(profile - profile.mean())
-
-
-def _detail(profile: Array) -> Array:
-    return np.asarray(profile - ndimage.gaussian_filter1d(profile, SLOW_SIGMA))
