@@ -6,6 +6,7 @@ import recordings
 
 from deepir.errors import DataError
 from deepir.io import read_frames
+from deepir.io.readers.pictures import video
 
 pytest.importorskip("av")
 
@@ -42,6 +43,18 @@ def test_a_grey_film_in_a_colour_format_is_grey(tmp_path, name):
     assert read.frames.shape == (2, 32, 32)
     expected = (ramp.astype(float) - 16) * 255 / 219  # luma counts from 16 to 235
     np.testing.assert_allclose(read.frames, expected, atol=6)
+
+
+@pytest.mark.parametrize("name", ["yuv420p", "yuv422p", "yuv444p"])
+def test_luma_is_stretched_as_by_ffmpeg(name):
+    import av
+
+    luma = np.tile(np.arange(256, dtype=np.uint8), (16, 1))
+    frame = av.VideoFrame(256, 16, name)
+    frame.planes[0].update(np.pad(luma, ((0, 0), (0, frame.planes[0].line_size - 256))).tobytes())
+    for plane in frame.planes[1:]:
+        plane.update(bytes([128]) * plane.buffer_size)
+    np.testing.assert_array_equal(video.STRETCHED[luma], frame.to_ndarray(format="gray"))
 
 
 def test_a_film_in_colour_carries_no_radiometry(tmp_path, burst):
