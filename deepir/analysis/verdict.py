@@ -14,6 +14,7 @@ MIN_MOTION_SPAN = 3.0
 MIN_LATERAL_MOTION = 1.5  # px across a line; a burst that moves less across a line moves along that line only
 MIN_INDEPENDENT_LOOKS = 3.0  # independent views of the pattern that a burst needs
 UNCERTAIN_PIXEL_RATIO = 1.5  # scene deviation over its median from which a pixel is weakly determined
+MIN_PHASES = 0.9  # share of the sub-pixel phases that super-resolution needs
 #: Fewest and most frames; fewer cost over 1 dB, more are seldom worth their time.
 RECOMMENDED_FRAMES = (5, 20)
 MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at which the motion is evaluated
@@ -39,7 +40,7 @@ class Verdict:
         return 1 / max(self.residual_share, 1e-3) ** 2
 
 
-def assess(statistics: Statistics, motion: Array) -> Verdict:
+def assess(statistics: Statistics, motion: Array, factor: int = 1) -> Verdict:
     """What a burst with a given motion makes of the pattern.
 
     In the average of N registered frames that look at pixels d_k, the variance of the pattern is
@@ -48,6 +49,7 @@ def assess(statistics: Statistics, motion: Array) -> Verdict:
     Args:
         statistics: Of the pattern.
         motion: (N, 3, 3), pull homographies in px of the detector.
+        factor: of super-resolution.
 
     Source: Saragadam et al. 2021, the variance of the estimate.
     """
@@ -59,7 +61,23 @@ def assess(statistics: Statistics, motion: Array) -> Verdict:
     residual_share = math.sqrt(max(float(statistics.at(apart).mean()), 0.0))
     verdict = Verdict(displacements, residual_share)
     verdict.flags.extend([*_too_little(statistics, displacements), *_too_few(verdict, len(motion))])
+    if (seen := phases_seen(displacements, factor)) < MIN_PHASES * factor**2:
+        verdict.flags.append(
+            f"the frames show {seen:.1f} of the {factor**2} sub-pixel phases of super-resolution by {factor}: what is "
+            "finer than the detector's pixels is in part the prior's; take more frames"
+        )
     return verdict
+
+
+def phases_seen(displacements: Array, factor: int) -> float:
+    """How many of the factor^2 positions of the detector's grid on the finer one frames show; mean over points.
+
+    Args:
+        displacements: (P, N, 2), px of the detector.
+        factor: of super-resolution.
+    """
+    steps = np.rint(displacements * factor).astype(int) % factor
+    return float(np.mean([len(np.unique(each, axis=0)) for each in steps]))
 
 
 def _too_little(statistics: Statistics, displacements: Array) -> list[str]:

@@ -23,6 +23,14 @@ def motion(shifts):
     return found
 
 
+def test_super_resolution_needs_all_sub_pixel_phases(pattern):
+    far = np.array([(0, 0), (12, 3), (-8, 12), (5, -12), (-12, -8), (9, 9)])
+    whole = assess(pattern, motion(far), factor=2)
+    assert "show 1.0 of the 4 sub-pixel phases of super-resolution by 2" in whole.flags[-1]
+    halves = np.array([(0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5), (0, 0), (0.1, 0.6)])
+    assert assess(pattern, motion(far + halves), factor=2).flags == []
+
+
 def test_far_enough_in_both_directions_suffices(pattern):
     verdict = assess(pattern, motion([(0, 0), (12, 3), (-8, 12), (5, -12), (-12, -8)]))
     assert verdict.flags == []

@@ -128,4 +128,4 @@ def _judged(
     seen = motion[np.isfinite(motion).all((1, 2))]
     if len(seen) < 2 or scene.ndim > 2:  # no motion across the pattern
         return statistics, None
-    return statistics, assess(statistics, coarser @ seen @ np.linalg.inv(coarser))
+    return statistics, assess(statistics, coarser @ seen @ np.linalg.inv(coarser), round(finer))
