@@ -108,7 +108,7 @@ def a65() -> Iterator[str]:
     pairs = [(40, 69), (44, 65), (0, 29)]
     far = [np.mean([detail_correlation(each[i], each[j]) for i, j in pairs]) for each in (frames, whole)]
     yield f"Correlation of the fine detail of frames 21 to 29 apart: {far[0]:.3f} raw, {far[1]:.3f} corrected.\n"
-    yield f"What is left along the displacements of {HELD_OUT} frames that no estimate used, counts: of the fine "
+    yield f"What is left along the displacements of {HELD_OUT} frames that no estimate used, counts: of the fine"
     yield "pattern, and of what is slow. Least nats are best; 0 is raw.\n"
     yield "| held out | method | fine | slow | nats |\n|---|---|---|---|---|"
     for start in HELD_OUT_AT:
