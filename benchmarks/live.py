@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +22,7 @@ from written import write
 
 from deepir.live.corrector import Corrector
 from deepir.live.estimation import Here
+from deepir.live.playback import play
 from deepir.live.sources import Paced
 from deepir.simulate.recording import RecordingSettings
 
@@ -74,10 +74,8 @@ def _delay_row(stream: Stream, seconds: float, cores: int) -> str:
     frames = (moment.frame for moment in stream.moments(seconds))
     played, delays, memory = Paced(frames, stream.rate), [], []
     with Corrector() as corrector:
-        for frame in played:
-            begun = time.perf_counter()
-            corrector(frame)
-            delays.append(1000 * (time.perf_counter() - begun))
+        for shown in play(played, corrector):
+            delays.append(1000 * shown.delay)
             if len(delays) % round(seconds * stream.rate / 4) == 0:
                 memory.append(_memory())
         status = corrector.status

@@ -67,6 +67,53 @@ def test_mistakes_are_one_line(deepir, recording, arguments, words):
     assert err.count("\n") == 1
 
 
+@pytest.fixture
+def shown_to_programs(monkeypatch):
+    """What a virtual camera is given: its size and rate, then pictures."""
+    given = []
+
+    class Camera:
+        def __init__(self, width, height, fps):
+            given.append((width, height, fps))
+
+        def send(self, picture):
+            given.append(picture)
+
+        def close(self):
+            given.append("closed")
+
+    monkeypatch.setitem(sys.modules, "pyvirtualcam", SimpleNamespace(Camera=Camera))
+    return given
+
+
+def test_frames_are_shown_as_a_camera_to_video_programs(deepir, recording, shown_to_programs):
+    status, _, err = deepir("live", "drive.npy", "--fast", "--virtual-camera", "--rate", "9")
+    assert status == 0, err
+    size, *pictures, end = shown_to_programs
+    assert (size, end) == ((32, 24, 9.0), "closed")
+    assert len(pictures) == len(recording)
+    assert (pictures[0].shape, pictures[0].dtype) == ((24, 32, 3), np.uint8)
+
+
+def test_a_virtual_camera_without_a_driver_says_what_to_install(deepir, recording, monkeypatch):
+    def refuse(**_):
+        raise RuntimeError("no device /dev/video*")
+
+    monkeypatch.setitem(sys.modules, "pyvirtualcam", SimpleNamespace(Camera=refuse))
+    status, _, err = deepir("live", "drive.npy", "--fast", "--virtual-camera")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "modprobe v4l2loopback" in err
+
+
+def test_raw_frames_are_cropped(deepir, recording, monkeypatch):
+    incoming, outgoing = io.BytesIO(recording.tobytes()), io.BytesIO()
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=incoming))
+    monkeypatch.setattr("deepir.cli.commands.live.standard_output", lambda: outgoing)
+    sizes = "data.raw.width=32", "data.raw.height=24", "data.crop=[0,24,8,32]"
+    assert deepir("live", "-", *sizes, "--fast", "--output", "-")[0] == 0
+    assert outgoing.getvalue() == recording[:, :, 8:].tobytes()
+
+
 def test_the_page_shows_the_last_frame_until_ctrl_c(deepir, recording, monkeypatch):
     pytest.importorskip("uvicorn", reason="no uvicorn: pip install 'deepir[live]'")
     shown = {}

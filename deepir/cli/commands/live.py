@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
@@ -23,6 +23,7 @@ from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import notify
 
 if TYPE_CHECKING:
+    from deepir.config.schema import Output
     from deepir.io.output.recording import Array, Write
     from deepir.live.corrector import Corrector
     from deepir.live.page.session import Session
@@ -65,6 +66,9 @@ def live(
     save_maps: Annotated[
         Path | None, typer.Option(help="Write the newest maps here at the end.", show_default=False)
     ] = None,
+    virtual: Annotated[
+        bool, typer.Option("--virtual-camera", help="Show the frames as a camera to video programs.")
+    ] = False,
     page: Annotated[
         bool, typer.Option("--page", help="Show the frames in the browser, with controls, until Ctrl-C.")
     ] = False,
@@ -89,23 +93,19 @@ def live(
     from deepir.cli.live_camera import camera_frames, keep, open_camera
     from deepir.cli.live_page import keep_page, open_page
     from deepir.cli.signals import Interrupted, Interruptible
-    from deepir.errors import ConfigError, DataError
+    from deepir.errors import DataError
     from deepir.live.corrector import Corrector
     from deepir.live.estimation import Beside, Here
     from deepir.live.kept_maps import KeptMaps
+    from deepir.live.virtual_camera import virtual_camera
 
-    if (source is None) == (camera is None):
-        raise ConfigError(
-            "give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2"
-        )
-    given = [each for each in OF_THE_PAGE if _is_given(context, each)]
-    if given and not page:
-        raise ConfigError(f"--{given[0].replace('_', '-')} is an option of the page: add --page")
+    _check(context, source, camera, page=page)
     files = [Path(each) for each in (output, save_maps) if each and each != STANDARD]
     start = read_maps(maps) if maps else None
     status, count, ended = 0, 0, "the recording has ended"
     session: Session | None = None
     kept: KeptMaps | None = None
+    viewers: list[Callable[[Moment], None]] = []
     with (
         held_outputs(*files, overwrite=overwrite, source=source),
         Corrector(start, estimator=Here() if fast else Beside()) as corrector,
@@ -124,7 +124,11 @@ def live(
                     session = shown.enter_context(
                         open_page(corrector, source or str(camera), config, (host, port), record_to)
                     )
-                for moment in _play(frames, corrector, output, settings or (), session, stack):
+                    viewers.append(session.show)
+                display = _display(settings or ())
+                if virtual:
+                    viewers.append(stack.enter_context(virtual_camera(rate, display.palette, display.tones)))
+                for moment in _play(frames, corrector, output, display, viewers, stack):
                     count = moment.number
             except Interrupted as error:  # the usual end of a camera: what was recorded is kept
                 status, ended = 0 if camera else error.status, ""
@@ -143,15 +147,24 @@ def live(
     return status
 
 
-def _is_given(context: typer.Context, option: str) -> bool:
-    source = context.get_parameter_source(option)
-    return source is not None and source.name == "COMMANDLINE"
+def _check(context: typer.Context, source: str | None, camera: str | None, *, page: bool) -> None:
+    """Raise `ConfigError` on options that do not go together."""
+    from deepir.errors import ConfigError
+
+    if (source is None) == (camera is None):
+        raise ConfigError(
+            "give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2"
+        )
+    for option in () if page else OF_THE_PAGE:
+        how = context.get_parameter_source(option)
+        if how is not None and how.name == "COMMANDLINE":
+            raise ConfigError(f"--{option.replace('_', '-')} is an option of the page: add --page")
 
 
 def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterable[Array]:
     """The frames of standard input or of a recording; at a rate unless it is None."""
     from deepir.errors import ConfigError
-    from deepir.io import stream_data
+    from deepir.io import crop, stream_data
     from deepir.live.sources import Paced, stream_raw
 
     config = recording_config(source, settings, ACCEPTED_SETTINGS)
@@ -163,7 +176,9 @@ def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterabl
             "data.raw.width=640 data.raw.height=512"
         )
     else:
-        frames = stream_raw(sys.stdin.buffer, config.data.raw)
+        box, frames = config.data.crop, stream_raw(sys.stdin.buffer, config.data.raw)
+        if box is not None:
+            frames = (crop(frame, box) for frame in frames)
     return Paced(frames, rate) if rate else frames
 
 
@@ -171,8 +186,8 @@ def _play(
     frames: Iterable[Array],
     corrector: Corrector,
     output: str | None,
-    settings: Sequence[str],
-    session: Session | None,
+    display: Output,
+    viewers: Sequence[Callable[[Moment], None]],
     stack: ExitStack,
 ) -> Iterator[Moment]:
     """Correct, write and show frame after frame, and say every second how it goes."""
@@ -182,10 +197,10 @@ def _play(
     said = time.monotonic()
     for moment in play(frames, corrector):
         if write is None:
-            write = _writer(output, moment.raw, settings, stack)
+            write = _writer(output, moment.raw, display, stack)
         write(moment.corrected)
-        if session:
-            session.show(moment)
+        for show in viewers:
+            show(moment)
         if (now := time.monotonic()) - said > STATUS_EVERY:
             said = now
             dropped = f", {moment.dropped} dropped" if moment.dropped else ""
@@ -193,7 +208,13 @@ def _play(
         yield moment
 
 
-def _writer(output: str | None, frame: Array, settings: Sequence[str], stack: ExitStack) -> Write:
+def _display(settings: Sequence[str]) -> Output:
+    """Palette and tones; of a camera, the other settings are its driver's."""
+    shown = [each for each in settings if each.startswith("output.")]
+    return recording_config(STANDARD, shown, ACCEPTED_SETTINGS).output
+
+
+def _writer(output: str | None, frame: Array, display: Output, stack: ExitStack) -> Write:
     """What takes corrected frames, in the type of the first recorded one."""
     from deepir.io.output.recording import cast, open_writer, output_type
 
@@ -203,12 +224,7 @@ def _writer(output: str | None, frame: Array, settings: Sequence[str], stack: Ex
     if output == STANDARD:
         stream = standard_output()
         return lambda corrected: _send(stream, cast(corrected, dtype))
-    shown = recording_config(
-        output, [each for each in settings if each.startswith("output.")], ACCEPTED_SETTINGS
-    )
-    write: Write = stack.enter_context(
-        open_writer(Path(output), dtype, {}, shown.output.palette, shown.output.tones)
-    )
+    write: Write = stack.enter_context(open_writer(Path(output), dtype, {}, display.palette, display.tones))
     return write
 
 
