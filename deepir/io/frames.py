@@ -148,9 +148,12 @@ def read_data(data: schema.Data, *, bands: bool = False) -> Frames:
 
 def stream_data(data: schema.Data) -> Iterator[Array]:
     """`stream_frames` with the settings of a configuration, cropped."""
-    frames = stream_frames(str(data.path), **_layout(data))
-    box = data.crop
-    return frames if box is None else (crop(frame, box) for frame in frames)
+    return cropped(stream_frames(str(data.path), **_layout(data)), data.crop)
+
+
+def cropped(frames: Iterable[Array], box: Sequence[int] | None) -> Iterator[Array]:
+    """The part `data.crop` of frame after frame; all of each if it is None."""
+    return iter(frames) if box is None else (crop(frame, box) for frame in frames)
 
 
 def _layout(data: schema.Data) -> dict[str, Any]:

@@ -15,8 +15,7 @@ from deepir.calibration import CorrectionMaps
 from deepir.config.components import validate
 from deepir.config.schema import Data, Radiometry, Raw
 from deepir.errors import ConfigError, DataError
-from deepir.io import crop as cropped
-from deepir.io import stream_data, write_npz
+from deepir.io import cropped, stream_data, write_npz
 from deepir.io.inspection.axes import oriented
 from deepir.recording.estimate import AUTO, SensorEstimate
 from deepir.recording.halves import half_offsets
@@ -176,9 +175,7 @@ def correct(
         if of_file := next(iter(given.keys() - {"axes", "crop"}), None):
             raise ConfigError(f"correct: '{of_file}' is for a file, and the frames are an array")
         frames = oriented(recording, axes, "frames") if axes else recording
-        read: Callable[[], Iterator[Array]] = functools.partial(
-            iter, frames if crop is None else cropped(frames, crop)
-        )
+        read: Callable[[], Iterator[Array]] = functools.partial(cropped, frames, crop)
     else:
         read = functools.partial(stream_data, data.model_copy(update={"path": os.fspath(recording)}))
     return CorrectedRecording.of(read, correction)

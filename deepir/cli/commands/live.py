@@ -164,7 +164,7 @@ def _check(context: typer.Context, source: str | None, camera: str | None, *, pa
 def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterable[Array]:
     """The frames of standard input or of a recording; at a rate unless it is None."""
     from deepir.errors import ConfigError
-    from deepir.io import crop, stream_data
+    from deepir.io import cropped, stream_data
     from deepir.live.sources import Paced, stream_raw
 
     config = recording_config(source, settings, ACCEPTED_SETTINGS)
@@ -176,9 +176,7 @@ def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterabl
             "data.raw.width=640 data.raw.height=512"
         )
     else:
-        box, frames = config.data.crop, stream_raw(sys.stdin.buffer, config.data.raw)
-        if box is not None:
-            frames = (crop(frame, box) for frame in frames)
+        frames = cropped(stream_raw(sys.stdin.buffer, config.data.raw), config.data.crop)
     return Paced(frames, rate) if rate else frames
 
 
