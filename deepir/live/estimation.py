@@ -19,7 +19,7 @@ import numpy as np
 
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
-from deepir.kernels import threads
+from deepir.kernels import memory, threads
 from deepir.recording.estimate import AUTO, estimate_fine_offset
 from deepir.recording.keyframes import ChosenFrames, Keyframes, spread
 from deepir.recording.segments import Segment, estimate_segments
@@ -62,7 +62,7 @@ def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps 
     """
     first, last = int(keyframes.numbers[0]), int(keyframes.numbers[-1])
     try:
-        with threads.for_samples(keyframes.frames.size):
+        with threads.for_samples(keyframes.frames.size), memory.kept():
             if quick:
                 some = spread(range(len(keyframes.frames)), QUICK_KEYFRAMES)
                 return Segment(first, last, estimate_fine_offset(keyframes.some(np.array(some))))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.kernels import memory
 from deepir.live.corrector import Corrector, Status
 from deepir.live.sources import Paced
 
@@ -49,11 +50,12 @@ def play(frames: Iterable[Array], corrector: Corrector) -> Iterator[Moment]:
         corrector: Of their camera.
     """
     times: deque[float] = deque(maxlen=RATE_OVER + 1)
-    for number, frame in enumerate(frames, 1):
-        begun = time.perf_counter()
-        corrected = corrector(frame)
-        now = time.perf_counter()
-        times.append(now)
-        rate = (len(times) - 1) / (now - times[0]) if len(times) > 1 else 0.0
-        dropped = frames.dropped if isinstance(frames, Paced) else 0
-        yield Moment(number, frame, corrected, corrector.status, rate, now - begun, dropped)
+    with memory.kept():
+        for number, frame in enumerate(frames, 1):
+            begun = time.perf_counter()
+            corrected = corrector(frame)
+            now = time.perf_counter()
+            times.append(now)
+            rate = (len(times) - 1) / (now - times[0]) if len(times) > 1 else 0.0
+            dropped = frames.dropped if isinstance(frames, Paced) else 0
+            yield Moment(number, frame, corrected, corrector.status, rate, now - begun, dropped)

@@ -12,7 +12,7 @@ import numpy as np
 
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
-from deepir.kernels import threads
+from deepir.kernels import memory, threads
 from deepir.recording.estimate import CameraAtRestError, SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.pattern_jumps import pattern_jumps
@@ -77,7 +77,7 @@ def estimate_segments(
         ConfigError: There is no such correction.
         DataError: No part can be corrected; the reason of the first.
     """
-    with threads.for_samples(keyframes.frames.size):
+    with threads.for_samples(keyframes.frames.size), memory.kept():
         return _estimate_segments(keyframes, correction, former)
 
 
