@@ -34,9 +34,8 @@ def equalised_statistics(frames: Array) -> tuple[Array, Array]:
 
 def equalised(mean: Array, deviation: Array) -> tuple[Array, Array]:
     """Gain and offset (h, w) that give all pixels the same of these."""
-    gain = (
-        np.maximum(deviation, np.finfo(np.float32).tiny) / deviation.mean()
-    )  # dead pixels have no deviation
+    deviation = np.maximum(deviation, np.finfo(np.float32).tiny)  # dead pixels have none
+    gain = deviation / deviation.mean()
     return gain, mean - gain * mean.mean()
 
 
