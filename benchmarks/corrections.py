@@ -24,7 +24,7 @@ import deepir
 from deepir.baselines.online import last_of
 from deepir.baselines.temporal.multiview_tv import median_offset
 from deepir.errors import DeepIRError
-from deepir.multiview.held_out_pattern import Judge
+from deepir.multiview.held_out_pattern import CorrectionScorer
 from deepir.simulate.recording import Recording, RecordingSettings, simulate_recording
 from deepir.simulate.recording.settings import RECORDING_KINDS
 
@@ -128,13 +128,13 @@ def _held_out_rows(frames: np.ndarray, start: int) -> Iterator[str]:
         maps[f"{problem}, {count} frames"] = result.gain, result.offset
     one = np.ones(held.shape[1:])
     for name, (gain, offset) in maps.items():
-        judge = Judge(
+        scorer = CorrectionScorer(
             held,
             np.ones(held.shape, bool),
             [(k, k + half) for k in range(half)],
             [(one, 0 * one), (gain, offset)],
         )
-        before, after = judge.left(one, 0 * one), judge.left(gain, offset)
+        before, after = scorer.score(one, 0 * one), scorer.score(gain, offset)
         if before is None or after is None:
             yield f"| {start} to {last} | {name} | not judged | | |"
             continue

@@ -130,7 +130,7 @@ def judged(frames: np.ndarray) -> tuple[dict[str, str], str]:
     if estimate.strength is None:  # else no gain is sought
         said["pattern"] = "gain and offset" if with_gain else "offset only"
     figures = f"ratio {estimate.parallax:.2f}"
-    return said, figures + (f", lag {lag.frames:.2f} ({lag.nats:.1f} nats)" if lag else "")
+    return said, figures + (f", lag {lag.time_constant:.2f} ({lag.nats:.1f} nats)" if lag else "")
 
 
 def matrix(name: str, counts: Counter[tuple[str, str]]) -> Iterator[str]:

@@ -21,7 +21,7 @@ from written import write
 
 import deepir
 from deepir.errors import DeepIRError
-from deepir.multiview.held_out_pattern import Judge, Left
+from deepir.multiview.held_out_pattern import CorrectionScorer, ResidualPattern
 from deepir.result import Result
 from deepir.simulate.recording import Recording, RecordingSettings, residual_map, simulate_recording
 from deepir.simulate.recording.settings import RECORDING_KINDS
@@ -149,22 +149,24 @@ def drive() -> Iterator[str]:
     yield from rows
 
 
-def judged(frames: np.ndarray, used: np.ndarray, result: Result) -> tuple[Left | None, Left | None]:
+def judged(
+    frames: np.ndarray, used: np.ndarray, result: Result
+) -> tuple[ResidualPattern | None, ResidualPattern | None]:
     """What raw and corrected frames beside the burst leave."""
     beside = np.setdiff1d(np.arange(used[0] + 1, min(used[-1] + 10, len(frames) - 4)), used)[::3][:6]
     pairs = np.stack((beside, np.minimum(beside + 4, len(frames) - 1)), 1)
     some = frames[pairs.ravel()]
-    judge = Judge(
+    scorer = CorrectionScorer(
         some,
         np.ones(some.shape, bool),
         [(2 * k, 2 * k + 1) for k in range(len(beside))],
         [(result.gain, result.offset)],
     )
-    raw = judge.left(np.ones_like(result.gain), np.zeros_like(result.offset))
-    return raw, judge.left(result.gain, result.offset)
+    raw = scorer.score(np.ones_like(result.gain), np.zeros_like(result.offset))
+    return raw, scorer.score(result.gain, result.offset)
 
 
-def said(before: Left | None, after: Left | None) -> str:
+def said(before: ResidualPattern | None, after: ResidualPattern | None) -> str:
     """Two cells of a table: of what is slow, and of the fine pattern."""
     if before is None or after is None:
         return "not judged | "

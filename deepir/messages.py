@@ -101,13 +101,13 @@ WARNINGS = {
         "Use neighbouring frames of a moving camera.",
     ),
     "shading-implausible": (
-        "The slow part that all frames share is too strong for a sensor with so weak a fine pattern. It is left to the "
-        "scenes.",
+        "The low-order part that all frames share is too strong for a sensor with so weak a fine pattern. It is left "
+        "to the scenes.",
         "Take frames of different scenes, with a camera that turns.",
     ),
-    "slow-part-not-separated": (
-        "The slow part of the fixed pattern was not separated from the scenes and stays in the recording. It is weak, "
-        "or the motion does not reveal it.",
+    "low-order-part-not-separated": (
+        "The low-order part (shading) of the fixed pattern was not separated from the scenes and stays in the "
+        "recording. It is weak, or the motion does not reveal it.",
         "Turn the camera both ways, and record for longer.",
     ),
     "camera-turns-one-way": (

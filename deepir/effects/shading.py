@@ -49,10 +49,10 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
             each.sigma.fill_(float(each.coefficients.square().mean().sqrt()) if known else smooth)
         if step is not None:
             each.preconditioning_scale.copy_(step)
-            each.init_from(evidence.slow_pattern(smooth, drift))
+            each.init_from(evidence.low_order_pattern(smooth, drift))
     if start and (smooth or drift):
         scene = problem.fields["scene"]
-        scene.init_from(scene() + evidence.slow_scene(smooth, drift).to(problem.data))
+        scene.init_from(scene() + evidence.low_order_scene(smooth, drift).to(problem.data))
 
 
 def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpansion], list[Drift]]:
@@ -72,7 +72,7 @@ def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpan
 
 
 def low_order_doubt(problem: Problem) -> Tensor:
-    """Variances by which the slow parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
+    """Variances by which the low-order parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
     return LowOrderEvidence(problem, problem.closed_form(), strays(problem)).doubt
 
 

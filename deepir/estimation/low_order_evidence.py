@@ -88,17 +88,17 @@ class LowOrderEvidence:
     def _with_variance(
         self, seen: Tensor, variance: Tensor
     ) -> tuple[LowOrderModel, MarginalLikelihood, Tensor]:
-        """What is slow if so much of it varies by chance, its evidence, and its nats, shading and drift free."""
-        slow, free = self.low_order.with_frame_variance(variance), len(self.low_order.scene.whitened) + 1
-        levels = slow.level_columns()
-        normal = slow.normal_matrix(levels)
-        rhs = slow.right_hand_side(seen, levels)
+        """The low-order model with this variance per frame, its evidence, and its nats with free shading and drift."""
+        model, free = self.low_order.with_frame_variance(variance), len(self.low_order.scene.whitened) + 1
+        levels = model.level_columns()
+        normal = model.normal_matrix(levels)
+        rhs = model.right_hand_side(seen, levels)
         for each in self.strays:  # the residual is without what is known of them
-            terms = slow.basis_columns(each)[0] @ each.coefficients.double()
+            terms = model.basis_columns(each)[0] @ each.coefficients.double()
             rhs += normal[:, free - 1 : free + len(self.expected)] @ terms
         evidence = MarginalLikelihood(normal, rhs, free)
         nats = evidence.nats(self._prior(self.expected.new_tensor([2 * [self.contrast]])))[0]
-        return slow, evidence, slow.null_nats(seen).cpu() + evidence.constant.cpu() + nats
+        return model, evidence, model.null_nats(seen).cpu() + evidence.constant.cpu() + nats
 
     def _line_variance(self, variance: dict[tuple[int, ...], float]) -> float:
         """Variance of what the lines' pattern does to the frames by chance.
@@ -152,7 +152,7 @@ class LowOrderEvidence:
 
     def _scene_change(self, one: Sequence[float], other: Sequence[float]) -> float:
         """How far apart scenes are at two strengths (shading, drift), in standard deviations of the data."""
-        return float((self.slow_scene(*one) - self.slow_scene(*other)).std()) / self.contrast
+        return float((self.low_order_scene(*one) - self.low_order_scene(*other)).std()) / self.contrast
 
     def _best(self, used: Tensor, strengths: Tensor) -> tuple[Tensor, Tensor]:
         """Nats and strengths (shading, drift) of the best of `strengths` (K, 2), and then of those about it."""
@@ -181,11 +181,11 @@ class LowOrderEvidence:
         found = self.low_order.level_columns()[:, 0] @ self._posterior(smooth, drift)[1][-self.count :]
         return found[:, None, None, None]
 
-    def slow_pattern(self, smooth: float, drift: float) -> Tensor:
+    def low_order_pattern(self, smooth: float, drift: float) -> Tensor:
         """Posterior mean of the low-order pattern, (h, w)."""
         return self.low_order.frame.synthesise(self._posterior(smooth, drift)[1][: -self.count])
 
-    def slow_scene(self, smooth: float, drift: float) -> Tensor:
+    def low_order_scene(self, smooth: float, drift: float) -> Tensor:
         """Posterior mean of the low-order correction of the scene, on its grid."""
         return self.low_order.scene.synthesise(self._posterior(smooth, drift)[0][:-1])
 

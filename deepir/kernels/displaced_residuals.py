@@ -7,7 +7,9 @@ from deepir.kernels.compile import compiled
 
 
 @compiled
-def displaced_residuals(first, last, here, there, y, x, known, factor, noise, edge_error, least, level, sums):
+def displaced_residuals(
+    first, last, here, there, y, x, known, factor, noise, displacement_error, least, level, sums
+):
     """Add a pair's weighted moments of scene and residual at each pixel.
 
     The displacement is given for blocks of pixels, and interpolated. Residuals weigh as of a Cauchy distribution, whose
@@ -21,7 +23,7 @@ def displaced_residuals(first, last, here, there, y, x, known, factor, noise, ed
         known: bool, same shape, whether it is trusted.
         factor: side of a block, px.
         noise: scale of the residuals, in the frames' units.
-        edge_error: error of the displacement, px.
+        displacement_error: error of the displacement, px.
         least: px; displacements below it tell nothing, as the pattern's detail does not leave its place.
         level: subtracted from the scene.
         sums: (5, h, w), float64, of weight, scene, scene squared, residual, scene times residual; added to.
@@ -63,7 +65,9 @@ def displaced_residuals(first, last, here, there, y, x, known, factor, noise, ed
             steep_x = (upper + lower) / 2
             steep_y = (there[p + 1, q] - there[p, q] + there[p + 1, q + 1] - there[p, q + 1]) / 2
             rest = here[i, j] - scene
-            variance = noise * noise + edge_error * edge_error * (steep_x * steep_x + steep_y * steep_y)
+            variance = noise * noise + displacement_error * displacement_error * (
+                steep_x * steep_x + steep_y * steep_y
+            )
             weight = 1 / (variance + rest * rest)
             if not weight > 0:  # a sample that is not a number
                 continue

@@ -11,13 +11,13 @@ import numpy as np
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, Beside, Estimator
 from deepir.live.keyframes import LiveKeyframes
-from deepir.recording.pattern_shares import fits, is_better
+from deepir.recording.pattern_shares import contains_pattern, removes_more
 from deepir.recording.segments import Segment
 
 Array = np.ndarray[Any, Any]
 
 MIN_QUICK_KEYFRAMES = 16  # before a quick estimate, of the fine offset, where frames are not corrected
-MIN_KEYFRAMES = 48  # before an estimate of all: the slow part needs more
+MIN_KEYFRAMES = 48  # before an estimate of all: the low-order part needs more
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
 CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
@@ -179,7 +179,7 @@ class Corrector:
 
     def _check(self, frame: Array, corrected: Array) -> None:
         """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
-        self._checks.append(fits(_values(frame), corrected, self._bad_pixels))
+        self._checks.append(contains_pattern(_values(frame), corrected, self._bad_pixels))
         if not self._fits and not self._relearns and not self.hold:
             self._relearns = self._is_first = True
             self._keyframes.forget(self._keyframes.length - CHECK_INTERVAL)  # two checks have failed since
@@ -210,8 +210,8 @@ class Corrector:
         corrected = found.correct(frame)
         now = self._correct(frame) if self._fits else None
         if now is None:
-            return fits(frame, corrected, found.maps.bad_pixels)
-        return is_better(now, corrected, found.maps.bad_pixels | self._bad_pixels)
+            return contains_pattern(frame, corrected, found.maps.bad_pixels)
+        return removes_more(now, corrected, found.maps.bad_pixels | self._bad_pixels)
 
     def _correct(self, frame: Array) -> Array | None:
         """The frame corrected by the newest maps, faded in from the former ones; None as long as there are none."""

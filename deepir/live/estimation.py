@@ -65,7 +65,7 @@ def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps 
         with threads.for_samples(keyframes.frames.size), memory.kept():
             if quick:
                 some = spread(range(len(keyframes.frames)), QUICK_KEYFRAMES)
-                return Segment(first, last, estimate_fine_offset(keyframes.some(np.array(some))))
+                return Segment(first, last, estimate_fine_offset(keyframes.subset(np.array(some))))
             return estimate_segments(keyframes, AUTO, former=former)[-1]
     except DataError as error:
         return Segment(first, last, None, str(error))

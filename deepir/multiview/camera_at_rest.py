@@ -40,8 +40,7 @@ def is_at_rest(frames: Array, usable: Array) -> bool:
     first = np.unique(np.linspace(0, len(frames) - half - 1, PAIRS).round().astype(int))
     shares, quartiles = [], []
     for found in displacements(blocks, [(k, k + half) for k in first]):
-        rows, columns = np.mgrid[: found.y.shape[0], : found.y.shape[1]]
-        moved = np.hypot(found.y - rows, found.x - columns)[found.known]
+        moved = np.hypot(*found.vectors)[found.known]
         shares.append(found.known.mean())
         quartiles.append(np.quantile(moved, 0.75) * factor if moved.size else np.inf)
     return bool(np.median(shares) >= SHARED and np.median(quartiles) <= REST)

@@ -1,9 +1,9 @@
 """How much fixed pattern a correction leaves, judged by frames of a moving scene.
 
 The scene moves, the pattern stays. Along the displacement of the scene between two frames the brightness of corrected
-frames does not change; what a slow pattern leaves does. The fine detail of two frames at the same pixel is unrelated
-where the scene has moved; what a fine pattern leaves is the same. This needs no truth, and frames that the correction
-was not estimated from.
+frames does not change; a residual low-order pattern changes it. The fine detail of two frames at the same pixel is
+unrelated where the scene has moved; a residual fine pattern is the same in both. This needs no truth, and frames that
+the correction was not estimated from.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ Array = np.ndarray[Any, Any]
 LEAST_KNOWN = 0.02
 #: Shorter side, px, to which frames are averaged at least.
 SHORT_SIDE = 80
-#: Samples that say the same, for the displacement of all in a window is one.
+#: Correlated samples: one displacement is estimated for all of a window.
 CORRELATED = (2 * RADIUS + 1) ** 2
 DETAIL = 5  # px, of the box average that is taken off for the pattern's detail
-#: Pixels of the detail that say the same.
+#: Correlated pixels of the detail.
 CORRELATED_DETAIL = 4.0
 #: px by which the scene has moved where its detail is unrelated to that before, and robust deviations of the detail
 #: beyond which it is an edge, and counts as these.
@@ -37,13 +37,14 @@ DETAIL_REACH, EDGE_LIMIT = 2.0, 3.0
 
 
 @dataclass(frozen=True)
-class Left:
-    """What a correction leaves.
+class ResidualPattern:
+    """Residual fixed pattern of corrected frames.
 
-    `change` is the root mean square change of brightness along the displacements of the scene, robust, and `detail` the
-    deviation of the fine pattern, in the frames' units; `pair_nats` and `detail_nats` minus the logarithms of their
-    likelihoods, the former for each pair of frames, but for constants that all corrections share. The fine pattern's
-    are NaN where it is not judged.
+    Attributes:
+        change: robust root mean square change of brightness along the scene's displacements, frames' units.
+        pair_nats: negative log-likelihood of these changes, of each pair of frames, up to a constant.
+        detail: standard deviation of the fine pattern, frames' units; NaN where it is not judged.
+        detail_nats: negative log-likelihood of the fine detail, up to a constant; NaN likewise.
     """
 
     change: float
@@ -53,12 +54,12 @@ class Left:
 
     @property
     def nats(self) -> float:
-        """Those of all pairs."""
+        """Negative log-likelihood of the changes of all pairs."""
         return float(self.pair_nats.sum())
 
 
-class Judge:
-    """Compares corrections (gain, offset), (h, w), on frames (N, h, w).
+class CorrectionScorer:
+    """Scores corrections (gain, offset), (h, w), on frames (N, h, w).
 
     Args:
         frames: of one sensor.
@@ -81,10 +82,10 @@ class Judge:
     ) -> None:
         self.usable, self.factor = usable, max(1, min(frames.shape[1:]) // SHORT_SIDE)
         self.frames, self.independent = frames, independent
-        #: What all frames share, (h, w), as their median gradients have it.
+        #: Pattern (h, w) of the frames' median gradients.
         self.shared = median_pattern(frames, usable)
         detail = self.shared - ndimage.uniform_filter(self.shared, DETAIL)
-        #: Displacements that tell, found in each of these ways.
+        #: Displacements of moving scenes, found in each of these ways.
         self.found: list[Displacement] = []
         self.ways = [(np.ones_like(detail), detail), *corrections]
         coarse = [self.coarse(*each) for each in self.ways]
@@ -101,8 +102,8 @@ class Judge:
         """The corrected frames, averaged over blocks."""
         return block_means((self.frames - offset) / gain, self.usable, self.factor)
 
-    def left(self, gain: Array, offset: Array) -> Left | None:
-        """What a correction leaves; None where the frames do not tell."""
+    def score(self, gain: Array, offset: Array) -> ResidualPattern | None:
+        """Residual pattern of the corrected frames; None if no pair of frames has known displacements."""
         if not self.found:
             return None
         frames, spreads = self.coarse(gain, offset), []
@@ -114,7 +115,7 @@ class Judge:
         shared, count = self._detail_shared(gain, offset)
         detail = max(shared / count, 0.0) ** 0.5 if count else np.nan
         fine = shared / self.deviation**2 / CORRELATED_DETAIL / 2 if count else np.nan
-        return Left(float(np.mean(spreads)) / 2**0.5, np.array(list(nats.values())), detail, fine)
+        return ResidualPattern(float(np.mean(spreads)) / 2**0.5, np.array(list(nats.values())), detail, fine)
 
     def _find_detail(self) -> None:
         """Where the scene of each pair has moved by more than its detail reaches, and the detail's deviation."""
@@ -123,8 +124,7 @@ class Judge:
             return
         height, width = self.frames.shape[1:]
         for each in self.found:
-            rows, columns = np.mgrid[: each.y.shape[0], : each.y.shape[1]]
-            far = np.hypot(each.y - rows, each.x - columns) * self.factor > DETAIL_REACH
+            far = np.hypot(*each.vectors) * self.factor > DETAIL_REACH
             whole = np.zeros((height, width), bool)
             block = (far & each.known).repeat(self.factor, 0).repeat(self.factor, 1)
             whole[: block.shape[0], : block.shape[1]] = block

@@ -1,4 +1,4 @@
-"""The slow part of an additive pattern, from what a moving scene's brightness changes along its way.
+"""The low-order part of an additive pattern, from what a moving scene's brightness changes along its way.
 
 A point of the scene that is seen at p in one frame and at p + v in another differs in brightness by L(p) - L(p + v),
 where L is the pattern. The differences along the displacements of many pairs of frames give L by robust least squares,
@@ -38,8 +38,8 @@ MINIMUM_SAMPLES = 50
 
 
 @dataclass(frozen=True)
-class SlowPattern:
-    """A slow additive pattern.
+class LowOrderPattern:
+    """A low-order additive pattern.
 
     Attributes:
         offset: (h, w), mean zero.
@@ -52,7 +52,7 @@ class SlowPattern:
     displacements: tuple[Displacement, ...]
 
 
-def slow_pattern(
+def low_order_pattern(
     frames: Array,
     usable: Array,
     pairs: Sequence[tuple[int, int]] | None = None,
@@ -60,16 +60,16 @@ def slow_pattern(
     removed: Array | None = None,
     change_sigma: float = CHANGE_SIGMA,
     quantile: float = 0.5,
-) -> SlowPattern:
-    """The slow additive pattern that frames still hold.
+) -> LowOrderPattern:
+    """The low-order additive pattern that frames still hold.
 
     Args:
         frames: (N, h, w), in any order in which neighbours may show the same scene; fine pattern taken off.
         usable: (N, h, w) bool, which samples count.
         pairs: numbers of frames that may show the same scene, nearest first; None: all that are `GAPS` apart.
         rounds: times that displacements are sought.
-        removed: slow part of what was taken off, (h, w). It holds some of the scenes, which would stand still in the
-            frames: it is put back where displacements are sought.
+        removed: low-order part of the offset that was subtracted, (h, w). Some of it is the scenes', which would then
+            stand still in the frames: it is added back where displacements are sought.
         change_sigma: px of the averaged frames; Gaussian over which changes of brightness are averaged: errors of
             displacements at edges have both signs.
         quantile: over pairs of neighbours, of the share of the frame whose displacement is known: whether frames are
@@ -95,10 +95,10 @@ def slow_pattern(
         both = tuple(displacements(coarse + back - total, pairs, both_ways=True))
         ahead = both[::2]
         if round_ == 0 and not _related(coarse, ahead, quantile):
-            return SlowPattern(np.zeros(frames.shape[1:]), related=False, displacements=both)
+            return LowOrderPattern(np.zeros(frames.shape[1:]), related=False, displacements=both)
         total += grid.fitted(coarse - total, ahead)
     offset = contrast * _enlarged(total, frames.shape[1:], factor)
-    return SlowPattern(offset - offset.mean(), related=True, displacements=both)
+    return LowOrderPattern(offset - offset.mean(), related=True, displacements=both)
 
 
 def _related(frames: Array, found: Sequence[Displacement], quantile: float) -> bool:

@@ -1,7 +1,7 @@
 """The sensor's pattern from frames of different scenes, of which none can be registered to another.
 
 `deepir.multiview.gradients` holds the statistics of the frames. The parts of gain and offset are Gaussian, with
-standard deviations of maximum marginal likelihood. Slow slopes are common to many scenes (the sky is above): a
+standard deviations of maximum marginal likelihood. Low-order slopes are common to many scenes (the sky is above): a
 polynomial that all frames share is attributed to the scenes, unless the offset has a `shading`.
 """
 
@@ -22,8 +22,8 @@ from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
 from deepir.multiview.coloured_pixels import ColouredPixels
 from deepir.multiview.gradients import AXES, Edges, median_gradients
-from deepir.multiview.low_order_part import is_implausible, slow_part
-from deepir.multiview.low_order_pattern import slow_pattern
+from deepir.multiview.low_order_part import is_implausible, low_order_part
+from deepir.multiview.low_order_pattern import low_order_pattern
 from deepir.multiview.whitened_maps import WhiteParts
 
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
@@ -48,7 +48,7 @@ def find_pattern(
         offset: parts of the offset, and perhaps a shading.
 
     Returns:
-        The edges; all that the frames were found to share, of gain and level, (2, h, w); and what is slow of the
+        The edges; all that the frames were found to share, of gain and level, (2, h, w); and the low-order part of the
         level, which is in no part unless a shading's strength is given.
     """
     isolated = isolated_pixels(frames, usable)
@@ -69,29 +69,29 @@ def find_pattern(
     for part in offset:
         if part.constant_axes == PIXEL and not isinstance(part, Shading):
             part.assign(part.values + isolated)
-    return edges, pattern, unknowns.slow
+    return edges, pattern, unknowns.low_order
 
 
 def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, bool]:
     """The offset (h, w), mean zero, that frames (N, h, w) share, found without registration; no gain.
 
-    Also, whether neighbouring frames show the same things displaced; these then tell what is slow of the offset. A slow
-    part that is implausibly strong for a sensor is left out.
+    Also, whether neighbouring frames show the same things displaced; these then give the low-order part of the offset.
+    A low-order part that is implausibly strong for a sensor is left out.
     """
     maps = (1, 1, *frames.shape[1:])
     data, good = torch.from_numpy(frames), torch.from_numpy(usable)
-    _, pattern, slow = find_pattern(data, good, (), (Column(maps), Row(maps), Pixel(maps)))
+    _, pattern, low_order = find_pattern(data, good, (), (Column(maps), Row(maps), Pixel(maps)))
     offset = pattern[1].numpy()
-    moved = slow_pattern(frames - offset, usable)
+    moved = low_order_pattern(frames - offset, usable)
     if moved.related:
         offset = offset + moved.offset
     else:
-        shared = slow.values[0, 0].detach().numpy()
-        shrink_shading(slow, data - pattern[1])
-        offset = offset - shared + slow.values[0, 0].detach().numpy()
+        shared = low_order.values[0, 0].detach().numpy()
+        shrink_shading(low_order, data - pattern[1])
+        offset = offset - shared + low_order.values[0, 0].detach().numpy()
     known = np.asarray(usable.any(0))
     if is_implausible(offset, known):
-        offset = offset - slow_part(offset, known)
+        offset = offset - low_order_part(offset, known)
     return offset - offset[known].mean(), moved.related
 
 
@@ -181,29 +181,29 @@ class _Unknowns:
         self.shading = next((part for part in offset if isinstance(part, Shading)), None)
         given = self.shading is not None and self.shading.sigma_is_fixed
         free = Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
-        self.slow = self.shading if self.shading is not None and given else free
+        self.low_order = self.shading if self.shading is not None and given else free
         deviation = float(edges.frames.flatten(1).std(1).median())
         self.unit = math.hypot(edges.level, deviation)  # counts that a gain of one is about
         free_by = edges.scales.new_tensor([[1.0 if gain else 0.0], [deviation]])  # of gain and level
-        self.steep = free_by / (self.slow.order_y + self.slow.order_x).square()
+        self.steep = free_by / (self.low_order.order_y + self.low_order.order_x).square()
         self.sizes = [math.prod(parts.shape) for parts in self.parts]
         self.white = edges.scales.new_zeros(sum(self.sizes) + self.steep.numel())
 
     def split(self, white: Tensor) -> tuple[list[Tensor], Tensor]:
         """The values of the parts, and the terms of the polynomial."""
-        *each, slow = white.split([*self.sizes, self.steep.numel()])
+        *each, low_order = white.split([*self.sizes, self.steep.numel()])
         values = [parts.values(mine) for parts, mine in zip(self.parts, each, strict=True)]
-        return values, self.steep * slow.view_as(self.steep)
+        return values, self.steep * low_order.view_as(self.steep)
 
     def pattern(self, white: Tensor) -> Tensor:
         """All that the frames share, of gain and level, (2, h, w)."""
         values, terms = self.split(white)
-        return sum(values, self.slow.synthesise(terms))
+        return sum(values, self.low_order.synthesise(terms))
 
     def adjoint(self, pattern: Tensor) -> Tensor:
         """The adjoint of `pattern`."""
-        slow = (self.steep * self.slow.analyse(pattern)).flatten()
-        return torch.cat([*(parts.adjoint(pattern) for parts in self.parts), slow])
+        low_order = (self.steep * self.low_order.analyse(pattern)).flatten()
+        return torch.cat([*(parts.adjoint(pattern) for parts in self.parts), low_order])
 
     def solve(self, edges: Edges) -> None:
         """The optimum for the edges' weights, by conjugate gradients from where it is."""
@@ -224,7 +224,12 @@ class _Unknowns:
 
     def _smooth(self, edges: Edges) -> Tensor:
         """The inverse of the polynomials' block of the normal matrix, if all edges along an axis weighed the same."""
-        y, x, order_y, order_x = self.slow.basis_y, self.slow.basis_x, self.slow.order_y, self.slow.order_x
+        y, x, order_y, order_x = (
+            self.low_order.basis_y,
+            self.low_order.basis_x,
+            self.low_order.order_y,
+            self.low_order.order_x,
+        )
         steep = self.steep.flatten()
         block = torch.zeros(len(steep), len(steep)).to(steep)
         for sums, down, across in zip(edges.sums, (y, y.diff()), (x.diff(), x), strict=True):
@@ -252,7 +257,7 @@ class _Unknowns:
             for part, value in zip(parts.pair, parts.split(mine), strict=True):
                 if part:
                     part.assign(value.reshape(part.whitened.shape))
-        if not self.slow.sigma_is_fixed:
-            self.slow.sigma.copy_(terms[1].square().mean().sqrt())
-        self.slow.assign(self.slow.synthesise(terms[1])[None, None])
+        if not self.low_order.sigma_is_fixed:
+            self.low_order.sigma.copy_(terms[1].square().mean().sqrt())
+        self.low_order.assign(self.low_order.synthesise(terms[1])[None, None])
         return self.pattern(self.white)

@@ -35,8 +35,10 @@ BORDER = 2  # px from the border within which no displacement is trusted
 class Displacement:
     """Displacement field from frame `first` to frame `second`.
 
-    y, x: (h, w), row and column, px, at which the second frame shows what the first shows at each pixel. known: (h, w)
-    bool, True where these are trusted.
+    Attributes:
+        first, second: numbers of the frames.
+        y, x: (h, w), row and column, px, at which the second frame shows what the first shows at each pixel.
+        known: (h, w) bool, True where these are trusted.
     """
 
     first: int
@@ -46,10 +48,14 @@ class Displacement:
     known: Array
 
     @property
+    def vectors(self) -> Array:
+        """Displacement down and across, (2, h, w), px."""
+        return np.stack([self.y, self.x]) - np.indices(self.y.shape)
+
+    @property
     def share_moved(self) -> float:
         """Fraction of the frame whose displacement is trusted and at least `MIN_DISPLACEMENT` px."""
-        rows, columns = np.mgrid[: self.y.shape[0], : self.y.shape[1]]
-        moved = np.hypot(self.y - rows, self.x - columns) >= MIN_DISPLACEMENT
+        moved = np.hypot(*self.vectors) >= MIN_DISPLACEMENT
         return float((moved & self.known).mean())
 
 
@@ -58,12 +64,9 @@ def motion_extent(found: Sequence[Displacement]) -> tuple[float, float]:
 
     The upper quartile over pairs of frames of the upper quartiles of their displacements.
     """
-    far = []
-    for each in found:
-        if each.known.any():
-            rows, columns = np.nonzero(each.known)
-            moved = each.y[each.known] - rows, each.x[each.known] - columns
-            far.append([np.quantile(np.abs(along), 0.75) for along in moved])
+    far = [
+        np.quantile(np.abs(each.vectors[:, each.known]), 0.75, axis=1) for each in found if each.known.any()
+    ]
     down, across = np.quantile(far, 0.75, axis=0) if far else (0.0, 0.0)
     return float(down), float(across)
 

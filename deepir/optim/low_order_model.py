@@ -40,7 +40,7 @@ Variances = dict[tuple[int, ...], float]
 
 
 class LowOrderModel:
-    """The slow parts of a burst, whose scene is seen through a warp.
+    """The low-order parts of a burst, whose scene is seen through a warp.
 
     `scene`: a shading whose polynomials are over the canvas, `frame`: over a frame; `transport` (N, terms + 1, terms):
     T_j; `information` (N, terms + 1, terms + 1): M_j.
@@ -110,8 +110,8 @@ class LowOrderModel:
     def basis_columns(self, field: BasisExpansion) -> tuple[Tensor, Tensor]:
         """Low-order projection of the K terms of a map, (terms + 1, K), and the rest, (K, points y, points x)."""
         maps = field.sample_basis(*self.stride).double()
-        slow = torch.linalg.lstsq(self.terms, maps.flatten(1).T, driver="gels").solution
-        return slow, maps - (self.terms @ slow).T.reshape(maps.shape)
+        low_order = torch.linalg.lstsq(self.terms, maps.flatten(1).T, driver="gels").solution
+        return low_order, maps - (self.terms @ low_order).T.reshape(maps.shape)
 
     def _design(self, more: Sequence[Tensor]) -> Tensor:
         """Design matrix of each frame, (N, terms + 1, unknowns)."""

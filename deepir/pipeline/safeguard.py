@@ -1,9 +1,9 @@
 """A correction that leaves more fixed pattern than a simpler one is given up for it, part by part.
 
-First the fine part of gain and offset, then their slow part: as estimated, as an estimate that registers no frames has
+First the fine part of gain and offset, then their low-order part: as estimated, as an estimate without registration has
 it, or none. Each is judged by frames of the same recording that the estimate did not use, where there are any, else by
-the burst's own, which judge no fine part. A slow part that no registration has found needs evidence: scenes share slow
-slopes (the sky is above), and an estimate takes these for the sensor's.
+the burst's own, which judge no fine part. A low-order part that no registration has found needs evidence: scenes share
+low-order slopes (the sky is above), and an estimate takes these for the sensor's.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from deepir.arrays.fill import fill_nearest
 from deepir.burst import Burst
 from deepir.errors import DataError
 from deepir.messages import Message
-from deepir.multiview.held_out_pattern import Judge, Left
-from deepir.multiview.low_order_part import is_implausible, slow_part
+from deepir.multiview.held_out_pattern import CorrectionScorer, ResidualPattern
+from deepir.multiview.low_order_part import is_implausible, low_order_part
 from deepir.multiview.pattern import estimate_offset
 from deepir.result import Result, neutral
 
@@ -28,7 +28,7 @@ Array = np.ndarray[Any, Any]
 
 #: Nats by which a simpler correction has to be likelier than the one that was found, for that to be given up.
 MARGIN = 10.0
-#: Standard errors over pairs of frames by which a slow part that no registration found has to be likelier than none.
+#: Standard errors over pairs of frames by which a low-order part without registration has to be likelier than none.
 CERTAINTY = 3.0
 #: Pairs of the burst's own frames that are compared, and frames apart.
 OWN_PAIRS, GAPS = 4, (1, 2)
@@ -44,40 +44,40 @@ class Correction:
     name: str
     gain: Array
     offset: Array
-    left: Left
+    residual: ResidualPattern
 
 
 def safeguarded(result: Result, burst: Burst, *, registered: bool, trusted: bool = True) -> Result:
     """The result, or one with a simpler correction that leaves less pattern; a message says so.
 
-    It has to leave clearly less, or the result more than uncorrected frames. A slow part stays without evidence only in
-    a result of `registered` frames. A result that is not `trusted` gives way to the first frame as it is, where nothing
-    else takes its place.
+    It has to leave clearly less, or the result more than uncorrected frames. A low-order part stays without evidence
+    only in a result of `registered` frames. A result that is not `trusted` gives way to the first frame as it is, where
+    nothing else takes its place.
     """
     kept = result if trusted else _uncorrected(result, burst)
-    judge = _judge(burst, [(result.gain, result.offset)], result.level)
-    found = _candidates("gain and offset as estimated", judge, burst, result.gain, result.offset)
+    scorer = _scorer(burst, [(result.gain, result.offset)], result.level)
+    found = _candidates("gain and offset as estimated", scorer, burst, result.gain, result.offset)
     one, zero = np.ones(burst.size), np.zeros(burst.size)
-    raw, shared = _candidates("no correction", judge, burst, one, zero), judge.left(one, judge.shared)
+    raw, shared = _candidates("no correction", scorer, burst, one, zero), scorer.score(one, scorer.shared)
     if found is None or raw is None or shared is None:
         return kept
     free = None
     if registered and len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
-        free = _candidates(UNREGISTERED, judge, burst, one, offset)
-    best = _best(found, free, raw, judge, registered=registered)
-    result.metrics["fixed_pattern_left"] = _figures(raw.whole.left, best.left)
+        free = _candidates(UNREGISTERED, scorer, burst, one, offset)
+    best = _best(found, free, raw, scorer, registered=registered)
+    result.metrics["fixed_pattern_left"] = _figures(raw.whole.residual, best.residual)
     if best is found.whole:
         return kept
     message = Message(
         "correction-replaced",
-        f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.left)} in "
+        f"gain and offset as estimated leave a fixed pattern of {_said(found.whole.residual)} in "
         f"{'frames beside the burst' if burst.beside is not None else 'the frames'}, {best.name} "
-        f"{_said(best.left)}, uncorrected frames {_said(raw.whole.left)}: the result has {best.name}"
+        f"{_said(best.residual)}, uncorrected frames {_said(raw.whole.residual)}: the result has {best.name}"
         f"{_more_frames(burst)}",
     )
     if trusted and best is found.fine and result.scene.shape == burst.frames.shape:
-        scene = (result.scene + found.slow / result.gain).astype(np.float32)
+        scene = (result.scene + found.low_order / result.gain).astype(np.float32)
         offset = best.offset.astype(np.float32)
         return dataclasses.replace(result, scene=scene, offset=offset, messages=[message, *result.messages])
     return _replaced(result, burst, best.gain, best.offset, message)
@@ -92,23 +92,23 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
     if not related:
         raise refusal
     one, zero = np.ones(burst.size), np.zeros(burst.size)
-    judge = _judge(burst, [(one, offset)], np.zeros(len(burst.frames)))
-    found = _candidates(UNREGISTERED, judge, burst, one, offset)
-    raw = _candidates("no correction", judge, burst, one, zero)
+    scorer = _scorer(burst, [(one, offset)], np.zeros(len(burst.frames)))
+    found = _candidates(UNREGISTERED, scorer, burst, one, offset)
+    raw = _candidates("no correction", scorer, burst, one, zero)
     if found is None or raw is None:
         raise refusal
-    best = _best(found, None, raw, judge, registered=False)
+    best = _best(found, None, raw, scorer, registered=False)
     result = neutral(burst.frames[0], len(burst.frames), burst.size, burst.bad_pixels)
     result.metrics = {
         "iterations": 0,
         "evaluations": 0,
         "stop_reason": "the frames do not register as a whole",
-        "fixed_pattern_left": _figures(raw.whole.left, best.left),
+        "fixed_pattern_left": _figures(raw.whole.residual, best.residual),
     }
     message = Message(
         "frames-not-registered",
         f"the frames do not register as a whole, but their parts move: the result has {best.name}. It leaves a fixed "
-        f"pattern of {_said(best.left)}, uncorrected frames {_said(raw.whole.left)}{_more_frames(burst)}",
+        f"pattern of {_said(best.residual)}, uncorrected frames {_said(raw.whole.residual)}{_more_frames(burst)}",
     )
     return _replaced(result, burst, best.gain, best.offset, message)
 
@@ -124,45 +124,54 @@ def _uncorrected(result: Result, burst: Burst) -> Result:
 
 @dataclass(frozen=True)
 class _Candidates:
-    """A correction, the same without its slow part, and that part at the frames' level, (h, w).
+    """A correction, the same without its low-order part, and that part at the frames' level, (h, w).
 
-    `plausible`: whether a sensor may have so strong a slow part.
+    `plausible`: whether a sensor may have so strong a low-order part.
     """
 
     whole: Correction
     fine: Correction
-    slow: Array
+    low_order: Array
     plausible: bool
 
     @property
     def fine_nats(self) -> float:
         """Nats of the fine part; of the whole or the fine part where no fine part is judged."""
-        judged = self.fine.left.detail_nats
-        return judged if not np.isnan(judged) else min(self.whole.left.nats, self.fine.left.nats)
+        judged = self.fine.residual.detail_nats
+        return judged if not np.isnan(judged) else min(self.whole.residual.nats, self.fine.residual.nats)
 
 
-def _candidates(name: str, judge: Judge, burst: Burst, gain: Array, offset: Array) -> _Candidates | None:
-    """None where the frames do not judge."""
+def _candidates(
+    name: str, scorer: CorrectionScorer, burst: Burst, gain: Array, offset: Array
+) -> _Candidates | None:
+    """None if no pair of frames has known displacements."""
     level = float(np.median(burst.frames[burst.valid]))
     pattern, good = offset + (gain - 1) * level, ~burst.bad_pixels
-    slow = slow_part(pattern, good)
-    whole, fine = judge.left(gain, offset), judge.left(gain, offset - slow)
+    low_order = low_order_part(pattern, good)
+    whole, fine = scorer.score(gain, offset), scorer.score(gain, offset - low_order)
     if whole is None or fine is None:
         return None
-    short = Correction(f"{name}, without its slow part", gain, offset - slow, fine)
-    return _Candidates(Correction(name, gain, offset, whole), short, slow, not is_implausible(pattern, good))
+    short = Correction(f"{name}, without its low-order part", gain, offset - low_order, fine)
+    return _Candidates(
+        Correction(name, gain, offset, whole), short, low_order, not is_implausible(pattern, good)
+    )
 
 
-def _doubtful(found: _Candidates, raw: _Candidates, shared: Left) -> bool:
-    """Whether half the fine pattern is left, or more of what is slow than the median gradients leave."""
-    half = found.fine.left.detail > raw.fine.left.detail / 2
-    return half or shared.nats < min(found.whole.left.nats, found.fine.left.nats)
+def _doubtful(found: _Candidates, raw: _Candidates, shared: ResidualPattern) -> bool:
+    """Whether half the fine pattern is left, or more of the low-order part than the median gradients leave."""
+    half = found.fine.residual.detail > raw.fine.residual.detail / 2
+    return half or shared.nats < min(found.whole.residual.nats, found.fine.residual.nats)
 
 
 def _best(
-    found: _Candidates, free: _Candidates | None, raw: _Candidates, judge: Judge, *, registered: bool
+    found: _Candidates,
+    free: _Candidates | None,
+    raw: _Candidates,
+    scorer: CorrectionScorer,
+    *,
+    registered: bool,
 ) -> Correction:
-    """The fine part of the one or the other, or none; with the slow part of the one or the other, or none."""
+    """The fine part of the one or the other, or none; with the low-order part of the one or the other, or none."""
     fine = found
     if free and free.fine_nats < found.fine_nats - MARGIN:
         fine = free
@@ -170,16 +179,16 @@ def _best(
         fine = raw
     best = raw.whole if fine is raw else fine.fine
     for each in filter(None, (found, free)):
-        other = each.whole if each is fine else _mixed(fine, each, judge)
-        own, gain = each is fine and each.plausible, best.left.nats - other.left.nats
-        if registered and own and each is found and each.whole.left.nats <= raw.whole.left.nats:
+        other = each.whole if each is fine else _mixed(fine, each, scorer)
+        own, gain = each is fine and each.plausible, best.residual.nats - other.residual.nats
+        if registered and own and each is found and each.whole.residual.nats <= raw.whole.residual.nats:
             taken = gain >= -MARGIN
         else:
-            certain = _is_certain(best.left.pair_nats - other.left.pair_nats)
+            certain = _is_certain(best.residual.pair_nats - other.residual.pair_nats)
             taken = certain and gain >= (0.0 if own else MARGIN)
         if taken:
             best = other
-    return raw.whole if best.left.nats > raw.whole.left.nats + MARGIN else best
+    return raw.whole if best.residual.nats > raw.whole.residual.nats + MARGIN else best
 
 
 def _is_certain(gains: Array) -> bool:
@@ -189,17 +198,17 @@ def _is_certain(gains: Array) -> bool:
     return bool(gains.mean() > CERTAINTY * gains.std(ddof=1) / len(gains) ** 0.5)
 
 
-def _mixed(fine: _Candidates, slow: _Candidates, judge: Judge) -> Correction:
-    """The fine part of one with the slow part of another."""
-    gain, offset = fine.fine.gain, fine.fine.offset + slow.slow
-    name = f"{fine.whole.name}, with the slow part of {slow.whole.name}"
-    left = judge.left(gain, offset)
-    assert left is not None  # the same frames have judged both
-    return Correction(name, gain, offset, left)
+def _mixed(fine: _Candidates, low_order: _Candidates, scorer: CorrectionScorer) -> Correction:
+    """The fine part of one with the low-order part of another."""
+    gain, offset = fine.fine.gain, fine.fine.offset + low_order.low_order
+    name = f"{fine.whole.name}, with the low-order part of {low_order.whole.name}"
+    residual = scorer.score(gain, offset)
+    assert residual is not None  # the same frames have judged both
+    return Correction(name, gain, offset, residual)
 
 
-def _figures(raw: Left, corrected: Left) -> dict[str, float]:
-    """What uncorrected and corrected frames leave, slow and fine, for `metrics.json`."""
+def _figures(raw: ResidualPattern, corrected: ResidualPattern) -> dict[str, float]:
+    """What uncorrected and corrected frames leave, low-order and fine, for `metrics.json`."""
     found = {"raw": raw.change, "corrected": corrected.change}
     fine = {"raw_detail": raw.detail, "corrected_detail": corrected.detail}
     return found if np.isnan(raw.detail) else found | fine
@@ -210,21 +219,23 @@ def _more_frames(burst: Burst) -> str:
     return "" if burst.beside is None else ". deepir correct uses the whole recording"
 
 
-def _said(left: Left) -> str:
-    return f"{left.change:.3g}" + ("" if np.isnan(left.detail) else f" (fine {left.detail:.3g})")
+def _said(residual: ResidualPattern) -> str:
+    return f"{residual.change:.3g}" + ("" if np.isnan(residual.detail) else f" (fine {residual.detail:.3g})")
 
 
-def _judge(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) -> Judge:
+def _scorer(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) -> CorrectionScorer:
     """Compares corrections by the frames beside the burst, or else by its own less their `level`, (N,)."""
     if burst.beside is not None:
         finite = np.isfinite(burst.beside)
         pairs = [(k, k + 1) for k in range(0, len(burst.beside), 2)]
-        return Judge(np.where(finite, burst.beside, 0), finite & ~burst.bad_pixels, pairs, corrections)
+        return CorrectionScorer(
+            np.where(finite, burst.beside, 0), finite & ~burst.bad_pixels, pairs, corrections
+        )
     count = len(burst.frames)
     pairs = [(k, k + gap) for gap in GAPS for k in range(count - gap)]
     pairs = pairs[:: max(1, -(-len(pairs) // OWN_PAIRS))]
     frames = burst.frames - np.nan_to_num(level).astype(np.float32)[:, None, None]
-    return Judge(frames, burst.valid & ~burst.bad_pixels, pairs, corrections, independent=False)
+    return CorrectionScorer(frames, burst.valid & ~burst.bad_pixels, pairs, corrections, independent=False)
 
 
 def _replaced(result: Result, burst: Burst, gain: Array, offset: Array, message: str) -> Result:

@@ -18,8 +18,8 @@ from deepir.fields.shading import Shading
 from deepir.messages import Message
 from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.frame_gains import frame_gains
-from deepir.multiview.low_order_part import is_implausible, slow_part
-from deepir.multiview.low_order_pattern import slow_pattern
+from deepir.multiview.low_order_part import is_implausible, low_order_part
+from deepir.multiview.low_order_pattern import low_order_pattern
 from deepir.multiview.pattern import find_pattern, shrink_shading
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene
@@ -30,7 +30,7 @@ from deepir.schedule import Schedule, Stage, Step
 FEW = 4  # frames, below which pixels are hardly told from the scenes
 BLOCK = 8  # px, of which means are compared
 SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated ones
-#: Share of the slow part, from none and from all, within which its division is no guess.
+#: Share of the low-order part, from none and from all, within which its division is no guess.
 GUESS = 0.1
 CONTRAST_ROUNDS = 3  # of gains of the frames, and of the pattern that they share
 DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
@@ -60,17 +60,17 @@ class MultiviewNUC(Recipe):
         frames, usable = problem.data[:, 0], problem.precision[:, 0] > 0
         self.messages = _demand_different(frames, usable)
         gain, offset = (_parts(problem, slot) for slot in ("gain", "offset"))
-        edges, pattern, slow = find_pattern(frames, usable, gain, offset)
+        edges, pattern, low_order = find_pattern(frames, usable, gain, offset)
         for _ in range(CONTRAST_ROUNDS if problem.noise is None else 0):
             gains = frame_gains(frames, usable, pattern[1])
             if gains is None:
                 break
             problem.divide_frames(gains)
             frames = problem.data[:, 0]
-            edges, pattern, slow = find_pattern(frames, usable, gain, offset)
+            edges, pattern, low_order = find_pattern(frames, usable, gain, offset)
         misfit = edges.misfit(pattern)
         usable = usable & ~((misfit > DEFECTIVE) & isolated_pixels(misfit))
-        self.messages += _divide_slow_part(problem, slow, offset, usable)
+        self.messages += _divide_low_order_part(problem, low_order, offset, usable)
         if problem.noise is not None:
             problem.precision.mul_(usable[:, None])
         else:
@@ -144,10 +144,10 @@ def _parts(problem: Problem, slot: str) -> Sequence[GaussianMap]:
 
 
 @torch.no_grad()
-def _divide_slow_part(
-    problem: Problem, slow: Shading, offset: Sequence[GaussianMap], usable: Tensor
+def _divide_low_order_part(
+    problem: Problem, low_order: Shading, offset: Sequence[GaussianMap], usable: Tensor
 ) -> list[str]:
-    """Divide what is slow of all frames between the offset's shading and the scenes; a message where that is a guess.
+    """Divide the shared low-order part between the offset's shading and the scenes; a message where that is a guess.
 
     Where neighbouring frames show the same things displaced, these tell; else how much the scenes differ.
     """
@@ -155,14 +155,14 @@ def _divide_slow_part(
     if shading is None or shading.sigma_is_fixed:
         return []
     scenes = _corrected(problem)
-    rest = slow.values[0, 0]
-    moved = slow_pattern((scenes - rest).double().cpu().numpy(), usable.cpu().numpy())
+    rest = low_order.values[0, 0]
+    moved = low_order_pattern((scenes - rest).double().cpu().numpy(), usable.cpu().numpy())
     messages: list[str] = []
     if moved.related:
         rest = rest + torch.from_numpy(moved.offset).to(rest)
     else:
-        share = shrink_shading(slow, scenes - rest)
-        rest = slow.values[0, 0]
+        share = shrink_shading(low_order, scenes - rest)
+        rest = low_order.values[0, 0]
         if GUESS < share < 1 - GUESS:
             messages.append(
                 Message(
@@ -174,11 +174,11 @@ def _divide_slow_part(
             )
     found, known = (_offset(problem) + rest).double().cpu().numpy(), usable.any(0).cpu().numpy()
     if is_implausible(found, known):
-        rest = rest - torch.from_numpy(slow_part(found, known)).to(rest)
+        rest = rest - torch.from_numpy(low_order_part(found, known)).to(rest)
         messages = [
             Message(
                 "shading-implausible",
-                "the slow part of what all frames share is implausibly strong for a sensor's pattern, by its fine "
+                "the low-order part of what all frames share is implausibly strong for a sensor's pattern, by its fine "
                 "part: it is left to the scenes. Take frames of different scenes, and of a camera that turns",
             )
         ]

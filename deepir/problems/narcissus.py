@@ -70,7 +70,7 @@ class Narcissus(NUC):
     )
 
     def initialise(self, problem: Problem, seed: int) -> None:
-        """Noise and patterns as the raw frames show them; scene: registered average, less what is slow and stays."""
+        """Noise and patterns of the raw frames; scene: registered average, less the low-order part that stays still."""
         _demand_terms(problem)
         start_precision(problem)
         if len(problem.data) == 1:

@@ -10,7 +10,7 @@ import numpy as np
 from deepir.messages import Message
 from deepir.multiview.texture_flow import Displacement
 from deepir.recording.held_out import HeldOutFrames
-from deepir.recording.responses import refine_responses
+from deepir.recording.responses import refine_gain_offset
 
 Array = np.ndarray[Any, Any]
 
@@ -25,23 +25,27 @@ ONE_WAY = (
 def choose_offset(
     offsets: dict[str, Array], held_out: HeldOutFrames, correction: str
 ) -> tuple[tuple[str, Array], list[str]]:
-    """The offset with or without what is slow, new or former, named as in `CORRECTIONS`; and messages."""
+    """Choose by held-out likelihood: the fine offset, the whole offset, or the fine one with the former low-order part.
+
+    Returns:
+        The name as in `CORRECTIONS` and the offset (h, w); messages.
+    """
     if correction == "fine_offset":
         return (correction, offsets["fine"]), []
     whole = offsets.get("whole")
     if correction == "offset" and whole is not None:
         return (correction, whole), []
-    left = {name: _slow_nats(held_out, each) for name, each in offsets.items()}
+    nats = {name: _low_order_nats(held_out, each) for name, each in offsets.items()}
     better = [
-        name for name in offsets if left["fine"] - left[name] > (LEAST_NATS if name == "whole" else 0.0)
+        name for name in offsets if nats["fine"] - nats[name] > (LEAST_NATS if name == "whole" else 0.0)
     ]
     if better:
-        return ("offset", offsets[min(better, key=left.__getitem__)]), []
+        return ("offset", offsets[min(better, key=nats.__getitem__)]), []
     return ("fine_offset", offsets["fine"]), [
         Message(
-            "slow-part-not-separated",
-            "what is slow of the fixed pattern is not separated from the scenes', and was left as it is: it is weak, "
-            "or the camera moves too little",
+            "low-order-part-not-separated",
+            "the low-order part (shading) of the fixed pattern could not be separated from the scenes and was not "
+            "corrected: it is weak, or the camera moves too little",
         )
     ]
 
@@ -49,10 +53,10 @@ def choose_offset(
 def candidate_corrections(
     masked: Array, base: tuple[str, Array], found: Sequence[Displacement], level: float, *, with_gain: bool
 ) -> dict[str, tuple[Array, Array]]:
-    """Corrections (gain, offset), each of more than the one before."""
+    """Nested corrections (gain, offset), (h, w), by name: none, offset, registered offset, gain and offset."""
     name, offset = base
     one = np.ones_like(offset)
-    gain, registered = refine_responses(masked, found, one, offset, level, with_gain=with_gain)
+    gain, registered = refine_gain_offset(masked, found, one, offset, level, with_gain=with_gain)
     candidates = {
         "none": (one, np.zeros_like(one)),
         name: (one, offset),
@@ -62,7 +66,7 @@ def candidate_corrections(
 
 
 def choose_correction(nats: dict[str, float]) -> str:
-    """The simplest correction that no larger one beats clearly; the fine offset where frames do not tell."""
+    """The last correction that is likelier than the one kept before by `LEAST_NATS`; the fine offset without nats."""
     kept = "none" if nats else "fine_offset"
     for name, each in nats.items():
         if each < nats[kept] - LEAST_NATS:
@@ -71,7 +75,7 @@ def choose_correction(nats: dict[str, float]) -> str:
 
 
 def turns_one_way(axis: int) -> Message:
-    """That the shading along an axis is not separated, along which the scenes do not move."""
+    """The message that the shading across the motion of a camera that turns one way is not separated."""
     motion, where, remedy = ONE_WAY[axis]
     return Message(
         "camera-turns-one-way",
@@ -80,7 +84,7 @@ def turns_one_way(axis: int) -> Message:
     )
 
 
-def _slow_nats(held_out: HeldOutFrames, offset: Array) -> float:
-    """Of the changes of brightness along displacements, which the fine pattern has no part in; NaN: not judged."""
-    left = held_out.left(np.ones_like(offset), offset)
-    return np.nan if left is None else left.nats
+def _low_order_nats(held_out: HeldOutFrames, offset: Array) -> float:
+    """Negative log-likelihood of changes of brightness along displacements, free of fine pattern; NaN: unknown."""
+    residual = held_out.score(np.ones_like(offset), offset)
+    return np.nan if residual is None else residual.nats

@@ -56,7 +56,7 @@ class CorrectedRecording:
             ConfigError: There is no such correction.
         """
         neighbours = NeighbouringFrames()
-        keyframes = choose_keyframes(neighbours.of(read()))
+        keyframes = choose_keyframes(neighbours.collect(read()))
         return cls(read, estimate_segments(keyframes, correction), keyframes, neighbours)
 
     def __len__(self) -> int:
@@ -92,7 +92,7 @@ class CorrectedRecording:
         last = next(each for each in reversed(self.segments) if each.estimate)
         numbers = self.keyframes.numbers
         halves = half_offsets(
-            self.keyframes.some((numbers >= last.first) & (numbers <= last.last)), self.estimate
+            self.keyframes.subset((numbers >= last.first) & (numbers <= last.last)), self.estimate
         )
         return None if halves is None else fourier_ring_correlation(*halves)
 

@@ -1,8 +1,8 @@
 """Gain, offset and bad pixels of a camera from the keyframes of a recording.
 
-Fine offsets come from the gradients that all frames share, slow ones from what the brightness of a moving scene changes
-along its way, gains from registered frames. The result is compared with less of it on frames that were held out: what
-does not help them is left out.
+The fine offset comes from the gradients that all frames share, its low-order part from changes of brightness along the
+scene's displacements, the gain from registered frames. Corrections with fewer of these parts compete on held-out
+frames: a part that does not help there is left out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from deepir.errors import ConfigError, DataError, nearest
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.messages import Message
 from deepir.multiview.camera_at_rest import is_at_rest
-from deepir.multiview.low_order_part import slow_part
+from deepir.multiview.low_order_part import low_order_part
 from deepir.multiview.texture_flow import Displacement, motion_extent
 from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
 from deepir.recording.candidates import candidate_corrections, choose_correction, choose_offset, turns_one_way
@@ -100,7 +100,7 @@ def estimate_sensor(
     Args:
         keyframes: of a recording.
         correction: one of `CORRECTIONS`; "auto": the one that serves held-out frames best.
-        former: of the same sensor; held-out frames choose between the slow part of their offset and the new one.
+        former: of the same sensor; held-out frames choose between the low-order part of their offset and the new one.
         shrink: whether the parts of the offset are scaled by the shares of them that held-out frames hold.
 
     Raises:
@@ -128,7 +128,7 @@ def estimate_sensor(
         offsets["whole"] = separated.whole
     if former is not None and gains is None:
         rest = former.offset + (former.gain - 1) * level - separated.fine
-        offsets["former"] = separated.fine + slow_part(rest, ~bad)
+        offsets["former"] = separated.fine + low_order_part(rest, ~bad)
     held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, list(offsets.values()))
     masked = np.where(usable, frames, np.nan).astype(np.float32)
     base, messages = choose_offset(offsets, held_out, correction)

@@ -1,4 +1,4 @@
-"""Keyframes that were held out, and what corrections leave in them."""
+"""Held-out keyframes, and the residual pattern of corrections on them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.multiview.held_out_pattern import Judge, Left
+from deepir.multiview.held_out_pattern import CorrectionScorer, ResidualPattern
 from deepir.recording.keyframes import Keyframes, spread
 
 Array = np.ndarray[Any, Any]
@@ -16,7 +16,7 @@ MAX_PAIRS = 8
 
 
 class HeldOutFrames:
-    """Compares corrections `frame = level + offset + gain (scene - level)` on frames that none was estimated from.
+    """Scores corrections `frame = level + offset + gain (scene - level)` on frames that none was estimated from.
 
     Args:
         held: Keyframes.
@@ -31,19 +31,21 @@ class HeldOutFrames:
         self.level = level
         pairs = spread(held.pairs, MAX_PAIRS)
         frames = np.where(usable, held.frames, np.float32(level))
-        self._judge = (
-            Judge(frames, usable, pairs, [self._maps(*each) for each in corrections]) if pairs else None
+        self._scorer = (
+            CorrectionScorer(frames, usable, pairs, [self._maps(*each) for each in corrections])
+            if pairs
+            else None
         )
 
-    def left(self, gain: Array, offset: Array) -> Left | None:
-        """What a correction leaves; None where the frames do not tell."""
-        return None if self._judge is None else self._judge.left(*self._maps(gain, offset))
+    def score(self, gain: Array, offset: Array) -> ResidualPattern | None:
+        """Residual pattern of the corrected frames; None if no pair of frames has known displacements."""
+        return None if self._scorer is None else self._scorer.score(*self._maps(gain, offset))
 
     def nats(self, gain: Array, offset: Array) -> float:
-        """Minus the logarithm of the frames' likelihood, but for a constant; NaN where they do not tell."""
-        left = self.left(gain, offset)
-        return np.nan if left is None else left.nats + float(np.nan_to_num(left.detail_nats))
+        """Negative log-likelihood of the frames, up to a constant; NaN if no pair has known displacements."""
+        residual = self.score(gain, offset)
+        return np.nan if residual is None else residual.nats + float(np.nan_to_num(residual.detail_nats))
 
     def _maps(self, gain: Array, offset: Array) -> tuple[Array, Array]:
-        """The judge divides by the gain about zero, the estimate about the level."""
+        """Gain and offset of `frame = offset + gain scene`, from those about the level."""
         return gain, offset + self.level * (1 - gain)

@@ -57,12 +57,12 @@ class Keyframes:
     def split(self) -> tuple[Keyframes, Keyframes]:
         """The keyframes to estimate from, and those of some groups that are held out to judge the estimate."""
         held = self.groups % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
-        return self.some(~held), self.some(held)
+        return self.subset(~held), self.subset(held)
 
-    def some(self, chosen: Array) -> Keyframes:
-        """The keyframes with these numbers, or where this is True, (N,)."""
+    def subset(self, selection: Array) -> Keyframes:
+        """The keyframes at these indices, or where a mask (N,) is True."""
         parts = ("frames", "numbers", "groups", "spacings")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in parts})
+        return replace(self, **{name: getattr(self, name)[selection] for name in parts})
 
     def moving(self) -> Keyframes:
         """Those that show something else than the one before: without the frames in which the camera stands."""
@@ -72,7 +72,7 @@ class Keyframes:
         for k in range(1, len(small)):
             if np.abs(small[k] - small[kept[-1]]).mean() >= LEAST_CHANGE_OF_FRAME * typical:
                 kept.append(k)
-        return self.some(np.array(kept))
+        return self.subset(np.array(kept))
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -252,10 +252,14 @@ def coarse(frame: Array) -> Array:
 
 
 def motion_spacing(recent: Array) -> tuple[int, float]:
-    """Spacing, frames, over which the scene changes by half of what it does over all; and the latter, in its units.
+    """Spacing of keyframes, from the mean change of the scene over several spacings.
 
     Args:
         recent: averaged frames (N, h, w), in order. The fixed pattern cancels in their differences.
+
+    Returns:
+        The spacing, frames, from which the change is `CHANGE_WITHIN_SPACING` of the largest one, above noise; and that
+        largest change, frames' units.
     """
     changes = {
         gap: float(np.abs(recent[gap:] - recent[:-gap]).mean()) for gap in SPACINGS if gap < len(recent)

@@ -29,8 +29,8 @@ class NeighbouringFrames:
         self.numbers: list[int] = []
         self._every = 1
 
-    def of(self, recording: Iterable[Array]) -> Iterator[Array]:
-        """The frames (h, w) of a recording, as they come; runs without a repeated frame are kept of them."""
+    def collect(self, recording: Iterable[Array]) -> Iterator[Array]:
+        """Yield the frames (h, w) of a recording unchanged, and keep runs without a repeated frame."""
         recent: deque[Array] = deque(maxlen=LENGTH)
         met = 0
         for number, frame in enumerate(recording):

@@ -1,7 +1,7 @@
-"""The offset of a camera from frames of many scenes: its fine part from their gradients, its slow part from motion.
+"""The offset of a camera from frames of many scenes: the fine part from gradients, the low-order part from motion.
 
 The gradients that frames share are the pattern's and, where the scenes have something in common, the scenes': sky above
-and road below. What is slow of it is estimated again from what brightness changes along the displacements of the scene.
+and road below. Its low-order part is estimated again from changes of brightness along the scene's displacements.
 The displacements are sought on frames less the pattern, for what is left of it holds them at rest. So the estimate is
 made twice, the second time with the texture that registered frames have shown.
 """
@@ -17,11 +17,11 @@ from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
-from deepir.multiview.low_order_part import SLOW_SIGMA, slow_part
-from deepir.multiview.low_order_pattern import coarsening, slow_pattern
+from deepir.multiview.low_order_part import LOW_ORDER_SIGMA, low_order_part
+from deepir.multiview.low_order_pattern import coarsening, low_order_pattern
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, Displacement, displacements, motion_extent, sampled
 from deepir.recording.keyframes import spread
-from deepir.recording.responses import refine_responses
+from deepir.recording.responses import refine_gain_offset
 
 Array = np.ndarray[Any, Any]
 
@@ -51,10 +51,10 @@ class SeparatedOffset:
     """An additive pattern.
 
     Attributes:
-        fine: (h, w), without what is slow.
+        fine: (h, w), without the low-order part.
         whole: (h, w), with it; None where the scenes do not move.
         displacements: of the scenes, between frames averaged over blocks.
-        axis_at_rest: 0 or 1, along which the scenes do not move: `whole` is without what is slow along it alone.
+        axis_at_rest: 0 or 1, along which the scenes do not move: `whole` is without the low-order part along it alone.
     """
 
     fine: Array
@@ -84,32 +84,32 @@ def separate_offset(
     good = usable & known
     columns = _columns(consensus, known)
     cutoff = _cutoff(frames - consensus, good, consensus - columns, pairs)
-    fine = consensus - slow_part(consensus - columns, known, cutoff)
+    fine = consensus - low_order_part(consensus - columns, known, cutoff)
     masked, one = np.where(good, frames, np.nan).astype(np.float32), np.ones_like(consensus)
     offset = consensus
     found: tuple[Displacement, ...] = ()
     for some in (pairs[::FIRST_STRIDE], pairs):
         if found:
-            offset = refine_responses(masked, found, one, offset, level, with_gain=False)[1].astype(
+            offset = refine_gain_offset(masked, found, one, offset, level, with_gain=False)[1].astype(
                 np.float32
             )
-        slow = slow_pattern(
+        low_order = low_order_pattern(
             frames - offset,
             good,
             some,
             rounds=1,
-            removed=slow_part(offset - columns, known, cutoff),
+            removed=low_order_part(offset - columns, known, cutoff),
             change_sigma=CHANGE_SIGMA,
             quantile=RELATED_QUANTILE,
         )
-        found = slow.displacements
-        if not slow.related:
+        found = low_order.displacements
+        if not low_order.related:
             return SeparatedOffset(fine, None, found)
-        offset = (offset + slow.offset).astype(np.float32)
+        offset = (offset + low_order.offset).astype(np.float32)
     whole = offset - _scene_left((frames - offset).mean(0), known, found)
     if (axis := _axis_at_rest(found)) is not None:
         if axis == 1:  # columns too are the same in all frames: broad ones may be the scene's
-            fine = consensus - slow_part(consensus, known, cutoff)
+            fine = consensus - low_order_part(consensus, known, cutoff)
         whole = whole - (whole - fine).mean(1 - axis, keepdims=True)
     return SeparatedOffset(fine, whole, found, axis)
 
@@ -121,7 +121,9 @@ def fine_offset(consensus: Array, known: Array) -> Array:
         consensus: whose gradients frames share.
         known: (h, w) bool, pixels that respond to the scene.
     """
-    return np.asarray(consensus - slow_part(consensus - _columns(consensus, known), known, SLOW_SIGMA))
+    return np.asarray(
+        consensus - low_order_part(consensus - _columns(consensus, known), known, LOW_ORDER_SIGMA)
+    )
 
 
 def _columns(pattern: Array, known: Array) -> Array:
@@ -143,14 +145,15 @@ def _cutoff(rest: Array, good: Array, shared: Array, pairs: Sequence[tuple[int, 
         pairs: numbers of frames that may show the same things displaced.
     """
     factor, known = coarsening(rest.shape[1:]), np.asarray(good.any(0))
-    low, high = SLOW_SIGMA, TEXTURE_SIGMA * factor
+    low, high = LOW_ORDER_SIGMA, TEXTURE_SIGMA * factor
     some = spread(pairs, CUTOFF_PAIRS)
     numbers = sorted({k for pair in some for k in pair})
     coarse = block_means(rest[numbers], good[numbers], factor)
     placed = [(numbers.index(i), numbers.index(j)) for i, j in some]
-    slow = np.stack([slow_part(shared, known, cutoff) for cutoff in (low, high)])
+    low_order = np.stack([low_order_part(shared, known, cutoff) for cutoff in (low, high)])
     found = [
-        displacements(coarse + each, placed) for each in block_means(slow, np.stack([known, known]), factor)
+        displacements(coarse + each, placed)
+        for each in block_means(low_order, np.stack([known, known]), factor)
     ]
     ratios = []
     for one, other in zip(*found, strict=True):
@@ -161,29 +164,28 @@ def _cutoff(rest: Array, good: Array, shared: Array, pairs: Sequence[tuple[int, 
 
 
 def agreement(frames: Array, found: Displacement, where: Array) -> float:
-    """Robust deviation of the change of brightness along a displacement, less what is slow of it."""
+    """Robust deviation of the change of brightness along a displacement, less its low-order part."""
     change = frames[found.first] - sampled(frames[found.second], found.y, found.x)
     change = np.where(where, change - np.median(change[where]), 0.0)
     share = ndimage.gaussian_filter(where.astype(float), TEXTURE_SIGMA)
-    slow = ndimage.gaussian_filter(change, TEXTURE_SIGMA) / np.maximum(share, np.finfo(float).tiny)
-    return max(MAD_TO_SIGMA * float(np.median(np.abs(change - slow)[where])), np.finfo(float).tiny)
+    low_order = ndimage.gaussian_filter(change, TEXTURE_SIGMA) / np.maximum(share, np.finfo(float).tiny)
+    return max(MAD_TO_SIGMA * float(np.median(np.abs(change - low_order)[where])), np.finfo(float).tiny)
 
 
 def _scene_left(mean: Array, known: Array, found: Sequence[Displacement]) -> Array:
-    """Slow part of the scenes' mean (h, w) that remains in an offset: times the share of the frame that rests.
+    """Low-order part of the scenes' mean (h, w) that remains in an offset: times the share of the frame that rests.
 
     Where the scene never moves, as the sky of a drive, nothing separates it from the pattern.
     """
     sigma = TEXTURE_SIGMA * coarsening(mean.shape)
-    return np.asarray(_share_at_rest(found) * slow_part(mean, known, sigma), np.float32)
+    return np.asarray(_share_at_rest(found) * low_order_part(mean, known, sigma), np.float32)
 
 
 def _share_at_rest(found: Sequence[Displacement]) -> float:
     """Share of the frame where no displacement is known that is as long as `REST_MOTION`."""
-    rows, columns = np.indices(found[0].y.shape)
-    moved = np.zeros(rows.shape, bool)
+    moved = np.zeros(found[0].known.shape, bool)
     for each in found:
-        moved |= each.known & (np.hypot(each.y - rows, each.x - columns) >= REST_MOTION)
+        moved |= each.known & (np.hypot(*each.vectors) >= REST_MOTION)
     return float(1 - moved.mean())
 
 

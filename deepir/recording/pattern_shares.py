@@ -18,11 +18,9 @@ from deepir.recording.consensus import sampled_gradients
 Array = np.ndarray[Any, Any]
 
 PARTS = ("columns", "rows", "pixels", "blobs")
-LINE_SIGMA = 16.0  # px; Gaussian below which columns and rows are not lines, but slow
-BLOB_SIGMAS = (
-    2.0,
-    8.0,
-)  # px; Gaussians between which the pattern's blobs are: finer are pixels, broader is slow
+LINE_SIGMA = 16.0  # px; Gaussian below which columns and rows are not lines, but low-order
+#: Gaussians, px, between which the pattern's blobs are: finer are pixels, broader is the low-order part.
+BLOB_SIGMAS = (2.0, 8.0)
 REWEIGHTINGS = 8  # by Cauchy's likelihood: the scene's gradients have heavy tails
 MAX_GRADIENTS = 10_000  # of a frame along each axis that are looked at
 #: Share of the maps' pattern in a frame from which they fit, by one weighted fit, which underestimates patterns as weak
@@ -30,14 +28,14 @@ MAX_GRADIENTS = 10_000  # of a frame along each axis that are looked at
 #: 0.43 where not.
 MIN_SHARE_TO_FIT = 0.45
 SIGNIFICANCE = 2.0  # standard errors by which a share has to be too small
-CORRELATED_GRADIENTS = 4.0  # gradients that say the same: those of neighbours
+CORRELATED_GRADIENTS = 4.0  # gradients of neighbouring pixels that are correlated
 RIDGE = 1e-6  # weak prior on a slope: without it, a part that is zero everywhere makes the system singular
 
 
 def shrink_offset(offset: Array, known: Array, frames: Array) -> tuple[Array, dict[str, float]]:
     """Scale columns, rows, pixels and blobs of an offset by the shares of them that frames hold.
 
-    What is slow stays, as gradients do not tell it from the scenes'.
+    The low-order part stays: gradients do not separate it from the scenes.
 
     Args:
         offset: (h, w), frames' units.
@@ -58,18 +56,24 @@ def scale_parts(offset: Array, known: Array, by: dict[str, float]) -> Array:
     return np.asarray(offset - np.tensordot(less, _parts(offset, known), 1))
 
 
-def fits(frame: Array, corrected: Array, bad: Array) -> bool:
-    """Whether a frame (h, w) may have most of the pattern that was taken off it; `bad`: pixels that do not count."""
-    return _may_be_above(MIN_SHARE_TO_FIT, frame, corrected, bad, reweightings=1)
+def contains_pattern(frame: Array, corrected: Array, bad: Array) -> bool:
+    """Whether a frame (h, w) contains the pattern that its correction removes, as far as its gradients show.
+
+    Args:
+        frame: before the correction.
+        corrected: after it.
+        bad: (h, w) bool, pixels that do not count.
+    """
+    return _share_may_exceed(MIN_SHARE_TO_FIT, frame, corrected, bad, reweightings=1)
 
 
-def is_better(corrected: Array, other: Array, bad: Array) -> bool:
-    """Whether another correction of the same frame (h, w) may leave less pattern; `bad`: pixels that do not count."""
-    return _may_be_above(0.5, corrected, other, bad, reweightings=REWEIGHTINGS)
+def removes_more(corrected: Array, other: Array, bad: Array) -> bool:
+    """Whether a second correction of a frame removes more pattern than a first; arguments as in `contains_pattern`."""
+    return _share_may_exceed(0.5, corrected, other, bad, reweightings=REWEIGHTINGS)
 
 
-def _may_be_above(share: float, before: Array, after: Array, bad: Array, *, reweightings: int) -> bool:
-    """Whether the slope of a frame's gradients over what is taken off is, or may be by its standard error, larger."""
+def _share_may_exceed(share: float, before: Array, after: Array, bad: Array, *, reweightings: int) -> bool:
+    """Whether the share of the difference in the first frame exceeds `share`, within `SIGNIFICANCE` standard errors."""
     removed = before - after
     known = ~bad & np.isfinite(removed)
     (slope,), (error,) = shares(before[None], removed[None], known, reweightings=reweightings)

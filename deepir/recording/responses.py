@@ -21,13 +21,13 @@ Array = np.ndarray[Any, Any]
 GAIN_SIGMA = 0.03  # prior deviation of a pixel's gain from one
 OFFSET_SAMPLES = 2.0  # samples that the offset found before counts as
 ROUNDS = 2  # of correcting the frames that predict
-EDGE_ERROR = 1.0  # px, error of a displacement
+DISPLACEMENT_ERROR = 1.0  # px, standard deviation of a displacement's error
 LEAST_DISPLACEMENT = 2.0  # px
 FRAMES_OF_NOISE = 8  # frames that the noise is measured in
 NOISE_FACTOR = 1.5  # scale of a residual, in sigmas of a frame's noise: the prediction has noise too
 
 
-def refine_responses(
+def refine_gain_offset(
     frames: Array,
     displacements: Sequence[Displacement],
     gain: Array,
@@ -51,7 +51,7 @@ def refine_responses(
         noise = NOISE_FACTOR * noise_deviation(corrected)
         sums = np.zeros((5, *offset.shape))
         for each in displacements:
-            _add(corrected, each, noise, level, sums)
+            _accumulate(corrected, each, noise, level, sums)
         weight = np.maximum(sums[0], np.finfo(float).tiny)
         scene, rest = sums[1] / weight, sums[3] / weight
         spread, slope = sums[2] - sums[1] * scene, sums[4] - sums[1] * rest
@@ -83,21 +83,22 @@ def noise_deviation(frames: Array) -> float:
     return max(MAD_TO_SIGMA * float(np.nanmedian(np.abs(mixed))) / 2, float(np.finfo(np.float32).tiny))
 
 
-def _add(frames: Array, displacement: Displacement, noise: float, level: float, sums: Array) -> None:
+def _accumulate(frames: Array, displacement: Displacement, noise: float, level: float, sums: Array) -> None:
+    """Add the weights, scenes, squared scenes, residuals, and residuals times scenes of a pair to `sums` (5, h, w)."""
     here, there = frames[displacement.first], frames[displacement.second]
-    rows, columns = np.indices(displacement.known.shape)
+    down, across = displacement.vectors
     factor = min(here.shape) // min(displacement.known.shape)
     parallel_for(
         displaced_residuals,
         len(here),
         here,
         there,
-        displacement.y - rows,
-        displacement.x - columns,
+        down,
+        across,
         displacement.known,
         factor,
         noise,
-        EDGE_ERROR,
+        DISPLACEMENT_ERROR,
         LEAST_DISPLACEMENT,
         level,
         sums,

@@ -16,7 +16,7 @@ from deepir.kernels import memory, threads
 from deepir.recording.estimate import CameraAtRestError, SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.pattern_jumps import pattern_jumps
-from deepir.recording.pattern_shares import fits, is_better
+from deepir.recording.pattern_shares import contains_pattern, removes_more
 
 Array = np.ndarray[Any, Any]
 
@@ -88,7 +88,7 @@ def _estimate_segments(keyframes: Keyframes, correction: str, former: Correction
         return [_segment(keyframes, _estimate(keyframes, correction, former))]
     found, refused = [], []
     for part in parts:
-        some = keyframes.some(part)
+        some = keyframes.subset(part)
         try:
             found.append(_segment(some, _estimate(some, correction, former)))
         except DataError as error:
@@ -109,7 +109,7 @@ def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], fra
     some = spread(list(frames), FRAMES_TO_FIT)
     for each in neighbours:
         found = each.estimate
-        if found and all(fits(frame, each.correct(frame), found.bad_pixels) for frame in some):
+        if found and all(contains_pattern(frame, each.correct(frame), found.bad_pixels) for frame in some):
             return replace(segment, estimate=found, refused="")
     return segment
 
@@ -144,4 +144,4 @@ def _fitting(here: Segment, after: Segment, frame: Array) -> Segment:
     bad = np.zeros(frame.shape, bool)
     for each in (here, after):
         bad |= each.estimate.bad_pixels if each.estimate else False
-    return after if is_better(here.correct(frame), after.correct(frame), bad) else here
+    return after if removes_more(here.correct(frame), after.correct(frame), bad) else here

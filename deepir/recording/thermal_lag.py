@@ -1,4 +1,4 @@
-"""Thermal lag of the pixels, from what motion blurs of a scene that is seen at several speeds.
+"""Thermal lag of the pixels, from the motion blur of a scene that is seen at several speeds.
 
 A pixel of the time constant tau shows a scene that moves at the speed v through an exponential tail of the length
 tau v, which attenuates detail of the frequency w by 1 + (w tau v)^2 in energy. Differences of neighbouring pixels,
@@ -29,37 +29,37 @@ LEAST_ENERGY = 3.0  # of detail that counts, in variances of the noise
 STRIDE = 2  # px of the averaged frames, between places that are compared
 LEAST_PLACES = 30  # in a run of frames
 LEAST_RUNS = 4
-#: Places that say the same, for the energy of detail is averaged.
+#: Correlated places: the energy of detail is averaged.
 CORRELATED = 4 * np.pi * DETAIL_SIGMA**2 / STRIDE**2
 #: Limits of the cut-off, rad/px.
 CUTOFF_LIMITS = (0.3, np.pi)
 #: Time constants that are tried, in frames: 0.3 is 10 ms at 30 frames a second.
 TIME_CONSTANTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0])
-#: Share of a time constant that is found, for a window mixes what moves and what does not: 0.5 to 0.85 in simulated
+#: Ratio of the fitted to the true time constant, as a window mixes moving and resting detail: 0.5 to 0.85 in simulated
 #: recordings.
-FOUND_SHARE = 0.7
-#: Logarithm of the ratio of likelihoods with and without lag, and time constant in frames, from which there is one. In
-#: 70 simulated recordings with a lag of 0.3 frames it was 0 to 100 nats, without one at most 0.8 but for one of 1.4; a
-#: real drive seemed to have 0.07 frames.
-LEAST_NATS, LEAST_FRAMES = 1.0, 0.12
+ESTIMATOR_BIAS = 0.7
+#: Log-likelihood gain over no lag, nats, and time constant, frames, from which there is a lag. In 70 simulated
+#: recordings with a lag of 0.3 frames the gain was 0 to 100 nats, without one at most 0.8 but for one of 1.4; a real
+#: drive seemed to have 0.07 frames.
+MIN_NATS, MIN_TIME_CONSTANT = 1.0, 0.12
 
 
 @dataclass(frozen=True)
 class ThermalLag:
-    """What motion blurs.
+    """Estimated thermal time constant.
 
     Attributes:
-        frames: time constant, in the time from frame to frame.
-        nats: by which it makes the recording likelier.
+        time_constant: in the time from frame to frame.
+        nats: log-likelihood gain over no lag.
     """
 
-    frames: float
+    time_constant: float
     nats: float
 
     @property
     def is_seen(self) -> bool:
-        """Whether it is more than what pixels without lag may seem to have."""
-        return self.frames >= LEAST_FRAMES and self.nats > LEAST_NATS
+        """Whether it exceeds the estimates for pixels without lag."""
+        return self.time_constant >= MIN_TIME_CONSTANT and self.nats > MIN_NATS
 
 
 def thermal_lag(runs: Sequence[Array]) -> ThermalLag | None:
@@ -91,7 +91,7 @@ def thermal_lag(runs: Sequence[Array]) -> ThermalLag | None:
     cutoff = _cutoff(frames, noise)
     nats = np.array([sum(_nats(*each, cutoff * tau) for each in compared) for tau in TIME_CONSTANTS])
     best = int(nats.argmin())
-    return ThermalLag(float(TIME_CONSTANTS[best]) / FOUND_SHARE, float(nats[0] - nats[best]))
+    return ThermalLag(float(TIME_CONSTANTS[best]) / ESTIMATOR_BIAS, float(nats[0] - nats[best]))
 
 
 def _cutoff(frames: Array, noise: float) -> float:
@@ -138,13 +138,12 @@ def _compared(
 
 
 def _squared_speed(back: Displacement, factor: int) -> Array:
-    """Down and across, px a frame."""
-    rows, columns = np.indices(back.y.shape)
-    return np.stack([back.y - rows, back.x - columns]) ** 2 * factor**2
+    """Down and across, (2, h, w), px² a squared frame."""
+    return np.asarray(back.vectors**2 * factor**2)
 
 
 def _nats(change: Array, first: Array, second: Array, tail_length: float) -> float:
-    """Minus the logarithm of the likelihood of a run, by Cauchy's distribution."""
+    """Negative log-likelihood of a run, by Cauchy's distribution."""
 
     def ratio(squared: Array) -> Array:
         """Logarithm of the energy of detail across over that down, of an even spectrum up to the cut-off."""

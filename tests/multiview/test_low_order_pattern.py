@@ -1,12 +1,12 @@
-"""Displacements under a fixed pattern, the slow pattern that they show, and corrections that they judge."""
+"""Displacements under a fixed pattern, the low-order pattern that they show, and scores of corrections."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 from skimage import data
 
-from deepir.multiview.held_out_pattern import Judge
-from deepir.multiview.low_order_pattern import slow_pattern
+from deepir.multiview.held_out_pattern import CorrectionScorer
+from deepir.multiview.low_order_pattern import low_order_pattern
 from deepir.multiview.texture_flow import displacements
 
 SIZE = (120, 160)
@@ -45,25 +45,25 @@ def test_displacements_are_those_of_the_zoom_and_do_not_follow_a_shading(drive, 
     assert np.median(error[found.known]) < 0.2
 
 
-def test_a_moving_scene_shows_the_slow_pattern(drive, shading):
-    found = slow_pattern(drive + shading, np.ones(drive.shape, bool))
+def test_a_moving_scene_shows_the_low_order_pattern(drive, shading):
+    found = low_order_pattern(drive + shading, np.ones(drive.shape, bool))
     assert found.related
     assert np.corrcoef(found.offset.ravel(), shading.ravel())[0, 1] > 0.9
-    assert abs(slow_pattern(drive, np.ones(drive.shape, bool)).offset.std()) < 0.3 * shading.std()
+    assert abs(low_order_pattern(drive, np.ones(drive.shape, bool)).offset.std()) < 0.3 * shading.std()
 
 
 def test_scenes_that_have_nothing_in_common_show_none(shading):
     pictures = [data.camera(), data.coins(), data.moon(), data.brick(), data.grass(), data.gravel()]
     frames = np.stack([each[: SIZE[0], : SIZE[1]].astype(float) for each in pictures]) + shading
-    found = slow_pattern(frames, np.ones(frames.shape, bool))
+    found = low_order_pattern(frames, np.ones(frames.shape, bool))
     assert not found.related
     assert not found.offset.any()
 
 
 def judged(frames, correction, *others):
     pairs = [(k, k + 2) for k in range(6)]
-    judge = Judge(frames, np.ones(frames.shape, bool), pairs, [correction])
-    return [judge.left(*each) for each in (correction, *others)]
+    scorer = CorrectionScorer(frames, np.ones(frames.shape, bool), pairs, [correction])
+    return [scorer.score(*each) for each in (correction, *others)]
 
 
 def test_the_true_correction_is_likelier_than_none_and_than_one_with_a_false_slope(drive, shading):

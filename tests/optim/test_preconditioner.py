@@ -66,7 +66,7 @@ def test_the_inverse_is_symmetric_and_positive(problem):
 
 def test_it_saves_iterations(problem, monkeypatch):
     stage = Stage("sensor", (Step(("scene",)), Step(("offset",), "eliminate")), iterations=8, tolerance=0.0)
-    # A slow error, as the registered average of shaded frames has it.
+    # A low-order error, as the registered average of shaded frames has it.
     with torch.no_grad():
         y, x = (torch.linspace(-1, 1, side) for side in problem.fields["scene"].shape[-2:])
         problem.fields["scene"].values += 10 * (y[:, None] ** 2 - x**2)

@@ -64,7 +64,7 @@ def test_a_false_slope_is_taken_out(drive, beside):
 
 
 @pytest.mark.parametrize("beside", [True, False])
-def test_a_slow_part_without_evidence_and_registration_is_left_to_the_scenes(beside):
+def test_a_low_order_part_without_evidence_and_registration_is_left_to_the_scenes(beside):
     """The camera drives; the estimate has taken a slope of the scenes for the sensor's."""
     settings = RecordingSettings(n_frames=48, frame_rate=16, shape=(64, 80), shutter_every=60.0)
     film = simulate_recording(settings, seed=1)
@@ -78,7 +78,7 @@ def test_a_slow_part_without_evidence_and_registration_is_left_to_the_scenes(bes
     found = neutral(frames - offset, 8, (64, 80), film.truth.bad_pixels)
     found.offset = offset.astype(np.float32)
     kept = safeguarded(found, data, registered=False)
-    assert "without its slow part" in kept.messages[0]
+    assert "without its low-order part" in kept.messages[0]
     assert residual_pattern(film.frames - kept.offset, film) < residual_pattern(film.frames, film)
     assert np.allclose(kept.scene, frames - kept.offset, atol=1)
 

@@ -253,7 +253,7 @@ def test_a_drive_is_not_made_worse():
     corrected = (drive.frames - result.offset) / result.gain
     assert residual_pattern(corrected, drive) < residual_pattern(drive.frames, drive)
     assert np.median(np.abs(corrected[::12] - result.scene)) < 10 * drive.truth.noise
-    assert "without its slow part" in result.messages[0]
+    assert "without its low-order part" in result.messages[0]
 
 
 def test_a_camera_at_rest_is_refused():

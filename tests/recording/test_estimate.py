@@ -50,7 +50,7 @@ def test_most_of_the_pattern_is_taken_off(walk, corrected):
     assert left < 0.1 * raw
 
 
-def test_the_slow_part_is_the_sensors_and_not_the_scenes(walk, corrected):
+def test_the_low_order_part_is_the_sensors_and_not_the_scenes(walk, corrected):
     smooth = ndimage.gaussian_filter(corrected.estimate.offset - walk.fine, 6)
     assert alike(smooth, walk.slow, ~walk.bad) > 0.95
     assert 0.8 < smooth.std() / walk.slow.std() < 1.2

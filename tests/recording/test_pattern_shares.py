@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.recording.pattern_shares import PARTS, fits, is_better, shares, shrink_offset
+from deepir.recording.pattern_shares import PARTS, contains_pattern, removes_more, shares, shrink_offset
 
 
 def detail(scene):
@@ -38,16 +38,16 @@ def test_rows_that_no_other_frame_has_are_taken_out(walk):
 def test_a_correction_that_does_not_fit_is_known_from_one_frame(walk):
     frame, other = walk.frames[70].astype(float), np.random.default_rng(2).permutation(walk.fine)
 
-    assert fits(frame, frame - walk.fine, walk.bad)
-    assert not fits(frame, frame - other, walk.bad)
-    assert is_better(frame - other, frame - walk.fine, walk.bad)
-    assert not is_better(frame - walk.fine, frame - 0.7 * walk.fine, walk.bad)
+    assert contains_pattern(frame, frame - walk.fine, walk.bad)
+    assert not contains_pattern(frame, frame - other, walk.bad)
+    assert removes_more(frame - other, frame - walk.fine, walk.bad)
+    assert not removes_more(frame - walk.fine, frame - 0.7 * walk.fine, walk.bad)
 
 
 def test_a_pattern_that_one_frame_does_not_tell_is_kept(walk):
     frame, faint = walk.frames[70].astype(float), 1e-3 * np.random.default_rng(2).permutation(walk.fine)
 
-    assert fits(frame, frame - faint, walk.bad)
+    assert contains_pattern(frame, frame - faint, walk.bad)
 
 
 def test_a_pattern_of_zero_has_no_share(walk):

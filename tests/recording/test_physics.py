@@ -7,9 +7,9 @@ from skimage import data
 
 from deepir.multiview.texture_flow import displacements
 from deepir.recording.estimate import SensorEstimate
+from deepir.recording.findings import findings_lines
 from deepir.recording.neighbours import LENGTH, MAX_RUNS, OFFSETS, NeighbouringFrames
 from deepir.recording.parallax import PARALLAX_RATIO, parallax_ratio
-from deepir.recording.physics import physics_lines
 from deepir.recording.thermal_lag import ThermalLag, thermal_lag
 
 SIZE = (96, 128)
@@ -39,7 +39,7 @@ def shaken(tau, count=48):
 
 def runs_of(frames):
     neighbours = NeighbouringFrames()
-    assert sum(1 for _ in neighbours.of(frames)) == len(frames)
+    assert sum(1 for _ in neighbours.collect(frames)) == len(frames)
     return [np.stack(run) for run in neighbours.runs]
 
 
@@ -47,7 +47,7 @@ def runs_of(frames):
 def test_a_thermal_lag_is_seen_and_measured(tau):
     found = thermal_lag(runs_of(shaken(tau)))
     assert found.is_seen
-    assert 0.5 * tau < found.frames < 2 * tau
+    assert 0.5 * tau < found.time_constant < 2 * tau
 
 
 def test_pixels_without_lag_have_none():
@@ -87,7 +87,7 @@ def test_a_scene_at_rest_has_no_parallax_to_judge():
 def test_few_runs_are_kept_spread_over_a_long_recording():
     frames = np.arange(4000)[:, None, None] * np.ones((1, 2, 2))
     neighbours = NeighbouringFrames()
-    for _ in neighbours.of(iter(frames)):
+    for _ in neighbours.collect(iter(frames)):
         pass
     assert MAX_RUNS / 2 < len(neighbours.runs) <= MAX_RUNS
     assert np.ptp(np.diff(neighbours.numbers)) == 0
@@ -100,7 +100,7 @@ def test_a_repeated_frame_ends_a_run():
     frames = np.arange(2 * LENGTH - 2)[:, None, None] * np.ones((1, 2, 2))
     frames[LENGTH - 2] = frames[LENGTH - 3]
     neighbours = NeighbouringFrames()
-    assert len(list(neighbours.of(frames))) == len(frames)
+    assert len(list(neighbours.collect(frames))) == len(frames)
     assert neighbours.numbers == [LENGTH - 2]
 
 
@@ -115,5 +115,5 @@ def test_a_repeated_frame_ends_a_run():
 def test_the_report_says_what_was_seen_in_words(ratio, lag, said):
     none = np.zeros(SIZE)
     estimate = SensorEstimate(none + 1, none, none > 0, 0.0, None, "offset", {}, parallax=ratio)
-    for line, start in zip(physics_lines(estimate, lag, None), [*said, "halves: not"], strict=True):
+    for line, start in zip(findings_lines(estimate, lag, None), [*said, "repeatability: not"], strict=True):
         assert line.startswith(start)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -85,9 +85,9 @@ def _correct(
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording
+    from deepir.recording.findings import findings_lines
     from deepir.recording.keyframes import choose_keyframes
     from deepir.recording.neighbours import NeighbouringFrames
-    from deepir.recording.physics import physics_lines
     from deepir.recording.segments import estimate_segments
     from deepir.report.correction import write_correction
 
@@ -98,7 +98,7 @@ def _correct(
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
     neighbours = NeighbouringFrames()
-    keyframes = choose_keyframes(neighbours.of(track(read(), "reading")))
+    keyframes = choose_keyframes(neighbours.collect(track(read(), "reading")))
     segments = estimate_segments(keyframes, correction)
     corrected = CorrectedRecording(read, segments, keyframes, neighbours)
     with atomic_files(maps, picture) as (own_maps, own_picture):
@@ -111,12 +111,12 @@ def _correct(
                 halves = beside.submit(lambda: corrected.agreement)
                 count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
                 drawn.result()
-                physics = list(physics_lines(corrected.estimate, lag.result(), halves.result()))
+                findings = list(findings_lines(corrected.estimate, lag.result(), halves.result()))
         except Interrupted:
             if not maps.exists():
                 own_maps.replace(maps)  # all that the rest needs
             raise
-    for line in physics:
+    for line in findings:
         echo(line)
     speed = count / (time.perf_counter() - begun)
     echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
@@ -128,26 +128,29 @@ def _describe(corrected: CorrectedRecording, segments: Sequence[Segment]) -> Non
         echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
         for each in segments:
             echo(f"  {each.description}")
-    echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
+    for line in _summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)):
+        echo(line)
     found = [each for part in segments if part.estimate for each in part.estimate.messages]
     for line in labelled(dict.fromkeys(found)):
         notify(line)
 
 
-def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:
-    """What is corrected, and by how much it serves held-out frames."""
-    line = f"correction: {estimate.kept.replace('_', ' ')}, from {keyframes} of {length} frames"
+def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> Iterator[str]:
+    """Lines: what is corrected, how much likelier it makes held-out frames, and which parts these confirm."""
+    yield (
+        f"correction: {estimate.kept.replace('_', ' ')}, from {keyframes} of {length} frames; "
+        f"{int(estimate.bad_pixels.sum())} bad pixels"
+    )
     least = estimate.nats.get(estimate.kept)
     gains = [
-        f"{name.replace('_', ' ')} by {nats - least:.0f}"
+        f"{nats - least:.0f} over {name.replace('_', ' ')}"
         for name, nats in estimate.nats.items()
         if least is not None and name != estimate.kept
     ]
     if gains:
-        line += f"; on held-out frames it is likelier (nats) than {', '.join(gains)}"
+        yield f"log-likelihood gain on held-out frames, nats: {', '.join(gains)}"
     if estimate.shares:
-        held = ", ".join(f"{100 * share:.0f} % of its {name}" for name, share in estimate.shares.items())
-        line += f"; other frames have {held}"
+        held = ", ".join(f"{100 * share:.0f} % of the {name}" for name, share in estimate.shares.items())
+        yield f"confirmed by other frames: {held}"
     if estimate.strength is not None:
-        line += "; the pattern has a strength of its own in each frame, as of an automatic gain control"
-    return f"{line}; {int(estimate.bad_pixels.sum())} bad pixels"
+        yield "the pattern is scaled in each frame, as by an automatic gain control"

@@ -1,4 +1,4 @@
-"""What a recording shows of scene and camera, in words, with the figure that each rests upon."""
+"""Lines on parallax, thermal lag and repeatability, each with the figure that it rests on."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from deepir.recording.parallax import PARALLAX_RATIO
 from deepir.recording.thermal_lag import ThermalLag
 
 
-def physics_lines(
+def findings_lines(
     estimate: SensorEstimate, lag: ThermalLag | None, halves: RingCorrelation | None
 ) -> Iterator[str]:
-    """Lines on parallax, thermal lag, and how well two halves of the recording agree.
+    """Lines on parallax, thermal lag and repeatability of the offset.
 
     Args:
         estimate: of the sensor.
-        lag: of the pixels; None where it was not judged.
-        halves: agreement of the offsets of two halves; None where they have too few frames.
+        lag: of the pixels; None if it was not estimated.
+        halves: Fourier ring correlation of the offsets of two halves; None if they have too few frames.
     """
     ratio = estimate.parallax
     if np.isnan(ratio):
@@ -38,15 +38,15 @@ def physics_lines(
         yield "thermal lag: not judged, too little of the scene is seen at several speeds"
     elif lag.is_seen:
         yield (
-            f"thermal lag: about {lag.frames:.1g} of the time between two frames, likelier than none by {lag.nats:.0f} "
-            "nats. Motion blurs by it; it is not corrected, as that would raise the noise"
+            f"thermal lag: about {lag.time_constant:.1g} of the time between two frames, log-likelihood gain over none "
+            f"{lag.nats:.0f} nats. It blurs motion; it is not corrected, as that would raise the noise"
         )
     else:
-        yield f"thermal lag: none is seen ({lag.frames:.1g} of the time between two frames, {lag.nats:.1f} nats)"
+        yield f"thermal lag: none is seen ({lag.time_constant:.1g} of the time between two frames, {lag.nats:.1f} nats)"
     if halves is None:
-        yield "halves: not compared, they have too few frames"
+        yield "repeatability: not judged, too few frames for two halves"
     else:
         yield (
-            f"halves: the fine offsets of odd and even groups of frames agree down to {halves.resolution:.1f} px "
-            f"(Fourier ring correlation above {THRESHOLD:.2f}); 2 px is all"
+            "repeatability: the fine offsets of odd and even groups of frames agree down to a period of "
+            f"{halves.resolution:.1f} px (Fourier ring correlation above {THRESHOLD:.2f}; 2 px is the Nyquist limit)"
         )
