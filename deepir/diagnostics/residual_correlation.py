@@ -40,7 +40,7 @@ def residual_correlation_message(problem: Problem) -> list[str]:
                 "thermal-lag",
                 "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move "
                 "the camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run "
-                "deblur_lag data.fps=...` takes the tail away",
+                "deblur_lag data.fps=...` removes the lag",
             )
         ]
     if (correlation := residual_correlation(residual, problem.precision)) < MIN_RESIDUAL_CORRELATION:
@@ -49,10 +49,9 @@ def residual_correlation_message(problem: Problem) -> list[str]:
     return [
         Message(
             "correlated-residuals",
-            f"the frames hold what is neither scene nor pattern: what is left of them is alike by {correlation:.2f} "
-            f"{near} and {far} px apart, and noise is not. Things are at many depths (then `deepir run flow` "
-            "follows them), clouds, leaves, shadows or the shading change, or the camera moves within a frame: the "
-            "scene is less sure than its deviation says",
+            f"the residuals are not noise: their correlation at {near} and {far} px is {correlation:.2f}. Possible "
+            "causes: parallax (use `deepir run flow`), moving clouds, leaves or shadows, changing shading, or motion "
+            "within a frame. The scene's errors exceed its standard deviation",
         )
     ]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deepir.analysis.fourier_ring_correlation import THRESHOLD, RingCorrelation
+from deepir.analysis.fourier_ring_correlation import RingCorrelation
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.parallax import PARALLAX_RATIO
 from deepir.recording.thermal_lag import ThermalLag
@@ -47,6 +47,6 @@ def findings_lines(
         yield "repeatability: not judged, too few frames for two halves"
     else:
         yield (
-            "repeatability: the fine offsets of odd and even groups of frames agree down to a period of "
-            f"{halves.resolution:.1f} px (Fourier ring correlation above {THRESHOLD:.2f}; 2 px is the Nyquist limit)"
+            "repeatability: offsets of odd and even groups of frames agree down to a period of "
+            f"{halves.resolution:.1f} px (the limit is 2 px)"
         )

@@ -70,13 +70,14 @@ def test_the_tutorial_runs_and_prints_what_it_shows(capfd, working_folder):
 
 @pytest.mark.slow
 def test_the_first_recording_is_corrected_as_shown(capfd, working_folder):
-    printed = ""
-    for _, text in shown(FIRST_RECORDING):
+    printed: set[str] = set()
+    for kind, text in shown(FIRST_RECORDING):
+        if kind == "text":
+            assert {without_figures(line) for line in text.splitlines()} <= printed
+            continue
         for line in commands(text):
             if line.startswith("deepir ") and "--page" not in line:
-                printed += command(line.replace("n_frames=240", "n_frames=120 shape=[96,128]"), capfd)
-    assert "120 frame(s) of 80 x 96 px (height x width), stored as uint16" in printed
-    assert "walk_corrected.tif: 120 frame(s)" in printed
+                printed |= {without_figures(each) for each in command(line, capfd).splitlines()}
     written = {path.name for path in working_folder.iterdir()}
     assert written >= {"walk_corrected.tif", "walk_corrected_maps.npz", "walk_corrected.png", "again.tif"}
 

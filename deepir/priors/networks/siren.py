@@ -26,7 +26,7 @@ class Sine(nn.Module):
 
 @register("field", "siren")
 class Siren(Coordinates):
-    """Layers of sines of the coordinates (Sitzmann et al. 2020, "Implicit neural representations with periodic ...").
+    """MLP of the coordinates with sine activations (Sitzmann et al. 2020, "Implicit neural representations ...").
 
     Args:
         shape, neutral: See `Network`.

@@ -41,7 +41,7 @@ class Gabor(nn.Module):
 
 @register("field", "wire")
 class Wire(Coordinates):
-    """Layers of complex Gabor wavelets of the coordinates (Saragadam et al. 2023, "WIRE").
+    """MLP of the coordinates with complex Gabor activations (Saragadam et al. 2023, "WIRE").
 
     Args:
         shape, neutral: See `Network`.
