@@ -36,7 +36,7 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     offset = problem.sensor_unknowns().get("offset")
     signal = (prediction - values[offset] if offset else prediction.clone()) + problem.reference
     signal.clamp_(min=0)
-    noise = problem.noise or measured(problem, prediction, signal)
+    noise = problem.noise or estimate_noise(problem, prediction, signal)
     if noise is None:
         return
     usable, misfit = problem.precision > 0, problem.beside(values, problem.data - prediction)
@@ -53,8 +53,8 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         torch.div(usable[k], doubt, out=problem.precision[k])
 
 
-def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> NoiseModel | None:
-    """The noise by the residuals in bins of the signal; None if there are too few.
+def estimate_noise(problem: Problem, prediction: Tensor, signal: Tensor) -> NoiseModel | None:
+    """Noise model fitted to the residuals in bins of the signal; None if there are too few.
 
     Residuals of fitted samples are too small, by the freedom that the fit has, and those of held-out samples too
     large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
@@ -113,12 +113,12 @@ def start_precision(problem: Problem) -> None:
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = subsample(problem.data, usable)
-    robust_std = float(masked_values(data, counts).std())
+    data_sigma = float(masked_values(data, counts).std())
     rounded = ROUNDING_SIGMA * quantisation_step(
         problem.data, usable
     )  # in a plain scene differences may be all zero
     # Noiseless data: a solve still wants finite weights.
-    sigma = max(sigma, rounded, 1e-4 * robust_std)
+    sigma = max(sigma, rounded, 1e-4 * data_sigma)
     problem.precision.copy_(usable / sigma**2)
 
 

@@ -27,11 +27,15 @@ UPDATE_ROUNDS = 2  # of the fixed-point iteration of the standard deviations
 
 @torch.no_grad()
 def start_parts(problem: Problem, rest: Tensor) -> None:
-    """First strengths of gain and offset, split evenly, from the pattern: of the `rest` of the frames, see `left`.
+    """Set initial standard deviations of gain and offset parts, and drop outlying pixels.
 
-    Pixels that are no part of it are left out. Gains are by the rms of the data: a dark frame with bright spots shows
-    next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean,
-    unless the data are measured from their middle.
+    The fixed pattern is the temporal mean of `rest`; gain and offset take half of its variance each. That of the gain
+    is divided by the rms of the data: a dark frame with bright spots shows next to nothing of the gain in most places.
+    Its bound is by the mean of the data, unless a reference level is subtracted from them.
+
+    Args:
+        problem: The precision of pixels that are outliers of the pattern becomes zero.
+        rest: Residual that contains the fixed pattern, (N, 1, h, w).
     """
     pattern = temporal_mean(rest, problem.precision.sign())  # as a float: torch is slow at the bool
     usable = problem.precision > 0
