@@ -158,8 +158,8 @@ def mask_dead_pixels(problem: Problem, rest: Tensor, noise: float, calm: Tensor)
     usable = problem.precision > 0
     calm = calm | static_pixels(problem.data, usable, noise)
     gone = dead_pixels(calm, temporal_mean(rest, problem.precision.sign()), usable.any(0, keepdim=True))
-    if problem.ends is not None:  # a scene beyond the range is as calm
-        calm = calm & (problem.ends == 0).all(0, keepdim=True)
+    if problem.saturation is not None:  # a scene beyond the range is as calm
+        calm = calm & (problem.saturation == 0).all(0, keepdim=True)
     gone |= overlay_mask(calm, problem.data - rest, usable, noise)
     problem.precision.mul_(~gone)
 

@@ -39,13 +39,18 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     noise = problem.noise or estimate_noise(problem, prediction, signal)
     if noise is None:
         return
-    usable, misfit = problem.precision > 0, problem.beside(values, problem.data - prediction)
+    usable, misfit = (
+        problem.precision > 0,
+        problem.residual_after_scene_step(values, problem.data - prediction),
+    )
     # A frame at a time: what is needed on the way stays in the cache.
     for k, signal_k in enumerate(signal):
         signal_k.mul_(noise.per_unit).add_(noise.read).clamp_(min=noise.floor)  # from here on, the variance
         misfit[k].square_().mul_(usable[k]).div_(signal_k)
     if settled:
-        bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
+        bounds = (
+            usable if problem.saturation is None else usable | (problem.saturation != 0)
+        )  # which misfit nothing
         usable &= ~defective_pixels(misfit, bounds)
     for k, variance_k in enumerate(signal):
         doubt = neighbourhood_doubt(misfit[k : k + 1], usable[k : k + 1])[0]

@@ -16,5 +16,5 @@ class Outliers(Effect):
 
     def reject(self, start: Start) -> None:
         # Gains of frames are found by least squares, not by outliers: weights come before them only in pictures.
-        if start.turn > 0 or start.problem.stretched:
+        if start.turn > 0 or start.problem.agc:
             down_weight_outliers(start.problem, start.residual)

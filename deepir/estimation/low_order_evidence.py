@@ -132,15 +132,15 @@ class LowOrderEvidence:
             best.append(self._best(each, torch.cartesian_prod(*some)))
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
         shaded = nats.get((1, 0), math.inf) + self.min_log_bayes_factor < nats.get((0, 0), math.inf)
-        stretched = self.low_order.problem.stretched and not self.low_order.problem.even
+        gains_vary = self.low_order.problem.agc and not self.low_order.problem.gains_are_equal
         rare = (
             [MIN_LOG_BAYES_FACTOR_AGC, MIN_LOG_BAYES_FACTOR]
-            if stretched
+            if gains_vary
             else [self.min_log_bayes_factor, MIN_LOG_BAYES_FACTOR_DRIFT if shaded else MIN_LOG_BAYES_FACTOR]
         )
         asked = torch.tensor(list(nats.values())) + used @ torch.tensor(rare, dtype=torch.long)
         found = best[int(asked.argmin())][1].tolist()
-        if drift and not stretched and not found[1]:
+        if drift and not gains_vary and not found[1]:
             drifting = best[int(asked.where(used[:, 1] > 0, math.inf).argmin())][1].tolist()
             # A slope of the sensor, and one of the scene the other way, are there to explain the levels alone.
             if (

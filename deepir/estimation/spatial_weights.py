@@ -59,7 +59,7 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
         * weight_from_gradients((gradient * information).sqrt_(), exponent, noise_factor)
         * (information / typical).sqrt_()
     )
-    problem.plain.fill_(exponent)
+    problem.smoothness_exponent.fill_(exponent)
     for penalty in adaptive:
         if penalty.adapts:
             penalty.weight_map.copy_(weight_map[0, 0])

@@ -58,7 +58,7 @@ def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
         residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=True)
     for turn in range(1, TURNS + 2):
         # What saturates moves with the scene, and is no pattern.
-        if turn > 1 and (strong or (fixed and problem.ends is None)):
+        if turn > 1 and (strong or (fixed and problem.saturation is None)):
             residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=strong)
         elif turn > 1:
             start_scene(problem)
