@@ -131,7 +131,7 @@ def _frame_gains(problem: Problem, expected: Tensor) -> tuple[Tensor, float]:
 @torch.no_grad()
 def correct_gain_drift(problem: Problem) -> None:
     """Divide the frames by the estimated gains."""
-    problem.divide_frames(GainOffsetEvidence(problem, contrasts=True).contrasts())
+    problem.divide_frames(GainOffsetEvidence(problem, frame_gains=True).frame_gains())
 
 
 def _parts(problem: Problem, expected: Tensor) -> tuple[Tensor, Tensor]:

@@ -41,7 +41,7 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
 
     Args:
         problem: Its scene is the one under a weak prior; the weights of its penalties are changed.
-        cost: Loss of the scene by the unknown pattern, dB: its noise exceeds that of the samples by this.
+        cost: Pattern cost, dB: the noise of the scene exceeds that of the samples by this.
     """
     if problem.fields["scene"].shape[0] > 1:
         return
