@@ -88,7 +88,9 @@ class GainOffsetEvidence:
         normal = z.new_zeros(())
         jump = has_line_noise(problem)
         count = self.shape.numel() if jump else PIXELS_IN_CACHE  # few are in the cache
-        for *block, block_precision, pixel_columns in zip(*(each.split(count, -1) for each in maps), strict=True):
+        for *block, block_precision, pixel_columns in zip(
+            *(each.split(count, -1) for each in maps), strict=True
+        ):
             normal = normal + normal_matrix(self._columns(*block, jump=jump), block_precision, pixel_columns)
         self.count = len(flux)
         free = 2 * (len(frame.whitened) + 1) + (3 + frame_gains) * (self.count - 1)

@@ -91,5 +91,7 @@ class NUC(Recipe):
     def finish(self, problem: Problem) -> None:
         """Also the weights of places: weaker where the scene has texture, stronger where it is smooth."""
         super().finish(problem)
-        adapt_weight_map(problem, 0.0 if self.sensor_follows else pattern_cost_db(problem, self.sensor_weight))
+        adapt_weight_map(
+            problem, 0.0 if self.sensor_follows else pattern_cost_db(problem, self.sensor_weight)
+        )
         store_reference_misfit(problem)
