@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d
 
 from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import DEAD_DEVIATION
-from deepir.effects.effect import Effect, Start
+from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.io.inspection.saturated_samples import Array
 from deepir.messages import Message
@@ -89,9 +89,9 @@ def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]
 class Saturation(Effect):
     """Samples at an end of the range: bounds of the scene, unless the pixel is stuck there."""
 
-    def reject(self, start: Start) -> None:
-        if start.turn == 0:
-            mask_stuck_pixels(start.problem)
+    def reject(self, estimate: InitialEstimate) -> None:
+        if estimate.step == 0:
+            mask_stuck_pixels(estimate.problem)
 
     def initialise(self, problem: Problem) -> None:
         if problem.saturation is not None:  # a pixel rejected for its other samples is no bound either

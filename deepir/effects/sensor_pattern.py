@@ -10,7 +10,7 @@ from torch import Tensor
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.effects.bad_pixels import pattern_outliers
-from deepir.effects.effect import Effect, Start
+from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.line_levels import line_noise_fields
 from deepir.estimation.residuals import temporal_mean
 from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
@@ -138,9 +138,9 @@ def _all_parts(problem: Problem, slot: str) -> list[GaussianMap]:
 class SensorPattern(Effect):
     """The standard deviations of the parts of gain and offset, by marginal likelihood."""
 
-    def reject(self, start: Start) -> None:
-        if start.turn == 1:
-            start_parts(start.problem, start.residual)
+    def reject(self, estimate: InitialEstimate) -> None:
+        if estimate.step == 1:
+            start_parts(estimate.problem, estimate.residual)
 
     def update(self, problem: Problem, *, settled: bool) -> bool:
         keep_gauge(problem)
