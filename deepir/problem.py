@@ -58,14 +58,14 @@ class Problem(nn.Module):
     contrast: Tensor
     #: The level that the data are measured from, (), float64; so is the scene.
     reference: Tensor
-    even: Tensor  # whether all frames were found to share one gain, (), bool
+    gains_are_equal: Tensor  # whether all frames of an AGC were found to share one gain, (), bool
     #: 1 or -1 where a sample is saturated, and the data a bound, (N, C, h, w), int8; None: nowhere.
-    ends: Tensor | None
+    saturation: Tensor | None
     moving: Tensor  # samples that show a moving object, (N, 1, h, w), bool
     #: log2 of the extra penalty weight that a smooth scene allows; 0 until it is estimated.
-    plain: Tensor
-    #: Sum of squared residuals, in variances of the noise, after the sensor's last round; inf until it is known.
-    rough: Tensor
+    smoothness_exponent: Tensor
+    #: Sum of squared residuals under a weak prior, in variances of the noise, (); inf until it is known.
+    reference_misfit: Tensor
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class Problem(nn.Module):
     ) -> None:
         super().__init__()
         self.operator, self.fidelity = operator, fidelity or Gaussian()
-        self.noise, self.stretched = noise, agc
+        self.noise, self.agc = noise, agc
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
         self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]
@@ -95,13 +95,13 @@ class Problem(nn.Module):
         self.register_buffer("data", data)
         self.register_buffer("precision", precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
-        self.register_buffer("ends", saturation)
+        self.register_buffer("saturation", saturation)
         self.register_buffer("moving", torch.zeros_like(data[:, :1], dtype=torch.bool))
         self.register_buffer("contrast", data.new_ones(len(data), 1, 1, 1))
         self.register_buffer("reference", torch.tensor(0.0, dtype=torch.float64))
-        self.register_buffer("even", torch.tensor(False))
-        self.register_buffer("plain", torch.tensor(0.0))
-        self.register_buffer("rough", torch.tensor(torch.inf, dtype=torch.float64))
+        self.register_buffer("gains_are_equal", torch.tensor(False))
+        self.register_buffer("smoothness_exponent", torch.tensor(0.0))
+        self.register_buffer("reference_misfit", torch.tensor(torch.inf, dtype=torch.float64))
 
     def slot(self, kind: type[Operator], slot: str) -> str:
         """The name of a slot of the first stage of a kind; "" if there is none."""
@@ -228,7 +228,7 @@ class Problem(nn.Module):
     def alive(self) -> Tensor:
         """Pixels (h, w), bool, with a sample that counts, or a bound."""
         some = self.precision > 0
-        return (some if self.ends is None else some | (self.ends != 0)).any(0).any(0)
+        return (some if self.saturation is None else some | (self.saturation != 0)).any(0).any(0)
 
     def free(self) -> list[str]:
         """Unknowns with parameters that are not fixed."""
@@ -260,16 +260,18 @@ class Problem(nn.Module):
         average = RegisteredAverage(self, values, weights)
         return average(self.data - average.at_zero), average.weight
 
-    def beside(self, values: Values, residual: Tensor, average: RegisteredAverage | None = None) -> Tensor:
-        """Residual of the data, (N, C, h, w), after one averaging step of the scene.
+    def residual_after_scene_step(
+        self, values: Values, residual: Tensor, average: RegisteredAverage | None = None
+    ) -> Tensor:
+        """Residual of the data after one averaging step of the scene, (N, C, h, w).
 
-        What all frames show is no outlier: a peak that the scene does not reach yet leaves as large a residual as a
-        moving object, but the same in each frame.
+        The scene may still be too low at a peak. That leaves as large a residual as a moving object, but the same in
+        each frame, and the step removes it.
 
         Args:
             values: Of the unknowns.
             residual: Of the data, (N, C, h, w), whose registered average is added to the scene.
-            average: Spares its computation where it is known.
+            average: Registered average to reuse; computed if None.
         """
         step = (average or RegisteredAverage(self, values))(residual)
         return self.data - self.predict(values | {"scene": values["scene"] + step})

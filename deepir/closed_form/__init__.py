@@ -1,1 +1,1 @@
-"""Gain and offset in closed form, given what falls on the detector."""
+"""Gain and offset in closed form, given the flux on the detector."""

@@ -27,21 +27,22 @@ def conjugate_gradient(
         max_iterations: Most iterations.
 
     Returns:
-        The last iterate, (n,).
+        The last iterate, (n,); not finite if `rhs` is not.
 
     Source: Hestenes and Stiefel 1952, "Methods of conjugate gradients for solving linear systems".
     """
-    x, residual = start.clone(), rhs - multiply(start)
+    residual = rhs - multiply(start)
+    x = start + 0 * residual  # NaN and infinity stay visible
     preconditioned = precondition(residual)
     direction = preconditioned
     rho, goal = residual @ preconditioned, tolerance**2 * (rhs @ precondition(rhs))
     for _ in range(max_iterations):
-        if rho <= goal:
+        if not rho > goal:
             break
         conjugate = multiply(direction)
         alpha = rho / (direction @ conjugate)
         x += alpha * direction
-        residual -= alpha * conjugate
+        residual = residual - alpha * conjugate  # `precondition` may have returned it
         preconditioned = precondition(residual)
         previous_rho, rho = rho, residual @ preconditioned
         beta = rho / previous_rho

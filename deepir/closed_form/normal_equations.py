@@ -11,6 +11,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
+
 #: Relative residual at which conjugate gradients stop.
 TOLERANCE = 1e-12
 #: Most iterations of conjugate gradients.
@@ -23,15 +25,22 @@ FLOAT32_TOLERANCE = 1e-9
 
 
 class PixelEquations:
-    """`maps` (5, h, w), float64: the system (aa, ab, bb), then the right-hand side; `column_sums` and `row_sums`.
+    """Reduced normal equations of gain and offset at each pixel, pixel parts eliminated.
 
-    `log_det`: half the logarithm of the determinants of `I + A V`, a scalar.
+    Attributes:
+        maps: (5, h, w), float64: system (aa, ab, bb) and right-hand side (gain, offset).
+        column_sums: Sums of the maps over each column, (5, w).
+        row_sums: Sums of the maps over each row, (5, h).
+        log_det: Sum over the pixels of half the log-determinant of `I + A V`, a scalar.
 
     Args:
-        flux: what falls on the detector, (N, h, w); `data` and `precision` likewise.
-        level: (N,), float64; with `neutral` times the flux it is taken from the data.
-        sigma: the pixel parts' prior standard deviations (gain, offset), float64; zero where there is none.
-        lines: those of the stronger of columns and rows.
+        flux: Flux on the detector, (N, h, w).
+        data: Frames, same shape.
+        precision: Inverse variance of each sample, same shape.
+        level: Level of each frame and neutral offset, (N,), float64; subtracted from the data.
+        neutral: Neutral gain; its product with the flux is subtracted from the data.
+        sigma: Prior standard deviations of the pixel parts (gain, offset), (2,), float64; zero without such a part.
+        lines: Prior standard deviations of the stronger of columns and rows (gain, offset), (2,).
     """
 
     maps: Tensor
@@ -84,7 +93,6 @@ class PixelEquations:
         In coordinates in which the system without the rows is the unit matrix. Of such coordinates (c, t), the columns'
         values are `root' (c - to_columns' t)`, with a root (2, 2, w) for each column, and what the terms amount to in
         the rows is `to_rows' t`, (2 h). `weights`, (3, h), make values of the rows of that.
-        (Hestenes and Stiefel 1952.)
         """
         width = root.shape[-1]
 
@@ -96,18 +104,15 @@ class PixelEquations:
             down = (root * self._multiply(rows[..., None]).sum(1)).sum(1).flatten()
             return torch.cat((down, to_rows @ rows.flatten() - to_columns @ down))
 
-        r = rhs - by_rows(torch.zeros_like(rhs), self.row_sums[3:])
-        x, p, rr = 0 * r, r.clone(), torch.dot(r, r)  # what is not a number stays so
-        goal = TOLERANCE**2 * rr
-        for _ in range(MAX_ITERATIONS):
-            if not rr > goal:
-                break
-            q = p - by_rows(p)
-            step = rr / torch.dot(p, q)
-            x, r = x + step * p, r - step * q
-            rr, before = torch.dot(r, r), rr
-            p = r + (rr / before) * p
-        return x
+        zero = torch.zeros_like(rhs)
+        return conjugate_gradient(
+            lambda x: x - by_rows(x),
+            rhs - by_rows(zero, self.row_sums[3:]),
+            zero,
+            precondition=lambda r: r,
+            tolerance=TOLERANCE,
+            max_iterations=MAX_ITERATIONS,
+        )
 
     def back_substitute(
         self,

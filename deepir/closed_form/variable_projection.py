@@ -66,7 +66,7 @@ class Elimination:
         return pixels.information().flatten(1), pixels.sigma[:, None] * white
 
     def log_det_gradient(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Half the log-determinant of the pixels' systems and its gradient; see `weighted_least_squares`."""
+        """Half the log-determinant of the pixels' systems and its gradient; see `sensor_least_squares`."""
         pixels = self.solved[PIXEL]
         assert isinstance(pixels, PixelEquations)
         return pixels.log_det, pixels.sigma.square(), pixels.maps

@@ -44,99 +44,104 @@ def sensor_least_squares(
 
 
 class _WeightedLeastSquares(torch.autograd.Function):
-    """Its gradient is `w r`: half the passes over the frames that autograd makes."""
+    """Weighted least squares; the forward pass computes the gradient, which halves the passes over the frames."""
 
     @staticmethod
     def forward(ctx: Any, *frames: Tensor) -> Tensor:
-        compute = weighted_on_cpu if is_compiled(frames[0]) else weighted
-        slope, nats = compute(*frames)
-        ctx.save_for_backward(slope)
-        return nats
+        compute = gradient_and_loss_cpu if is_compiled(frames[0]) else gradient_and_loss
+        gradient, loss = compute(*frames)
+        ctx.save_for_backward(gradient)
+        return loss
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, None, None]:
-        (slope,) = ctx.saved_tensors
-        return _times(gradient, slope), None, None
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return _times(upstream, gradient), None, None
 
 
 class _SensorLeastSquares(torch.autograd.Function):
-    """Its gradients in flux and level are at hand."""
+    """Least squares of the sensor model; the forward pass computes the gradients in flux and level."""
 
     @staticmethod
     def forward(ctx: Any, *given: Tensor) -> Tensor:
-        *terms, nats, variances, system = given
-        compute = weighted_sensor_on_cpu if is_compiled(terms[0]) else weighted_sensor
+        *terms, log_det, variances, system = given
+        compute = sensor_gradients_and_loss_cpu if is_compiled(terms[0]) else sensor_gradients_and_loss
         level = terms[-1]
         if level.numel() > len(level):  # of lines
             terms[1], terms[-1] = terms[1] - level, torch.zeros_like(level[..., :1, :1])
-        slope, drift, half = compute(*terms, variances, system)
-        drift = drift[:, None, :, None].to(level)
+        gradient, level_gradient, loss = compute(*terms, variances, system)
+        level_gradient = level_gradient[:, None, :, None].to(level)
         if level.shape[-1] > 1:  # of columns: the sums of rows do not tell
             flux, data, precision, gain, offset, _ = terms
-            drift = weighted(torch.addcmul(offset, gain, flux), data, precision)[0]
-        ctx.save_for_backward(slope, drift.sum_to_size(level.shape))
-        return half + nats
+            level_gradient = gradient_and_loss(torch.addcmul(offset, gain, flux), data, precision)[0]
+        ctx.save_for_backward(gradient, level_gradient.sum_to_size(level.shape))
+        return loss + log_det
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        slope, drift = (_times(gradient, each) for each in ctx.saved_tensors)
-        return slope, None, None, None, None, drift, None, None, None
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
+        gradient, level_gradient = (_times(upstream, each) for each in ctx.saved_tensors)
+        return gradient, None, None, None, None, level_gradient, None, None, None
 
 
-def _times(gradient: Tensor, slope: Tensor) -> Tensor:
-    """Their product; mostly the gradient is one, which spares a pass over the frames."""
-    return slope if gradient == 1 else gradient.to(slope) * slope
+def _times(upstream: Tensor, gradient: Tensor) -> Tensor:
+    """Product with the upstream gradient, a scalar; if that is one, as mostly, a pass over the frames is saved."""
+    return gradient if upstream == 1 else upstream.to(gradient) * gradient
 
 
-def weighted(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
-    """`w r` and `½ Σ w r²`."""
+def gradient_and_loss(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
+    """Gradient `w r` in the prediction, and loss `½ Σ w r²`, a float64 scalar."""
     residual = prediction - data
-    slope = precision * residual
-    return slope, residual.mul_(slope).sum(dtype=torch.float64) / 2
+    gradient = precision * residual
+    return gradient, residual.mul_(gradient).sum(dtype=torch.float64) / 2
 
 
-def weighted_on_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
-    """The same in one pass."""
+def gradient_and_loss_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
+    """`gradient_and_loss` in one pass over the frames, by a compiled loop."""
     from deepir.kernels.compile import parallel_for
     from deepir.kernels.weighted_least_squares import weighted_residuals
 
     prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
-    slope = torch.empty_like(prediction)
-    nats = torch.empty(prediction.shape[:-1], dtype=torch.float64).flatten()
-    rows = (each.flatten(0, -2) for each in (prediction, data, precision, slope))
-    parallel_for(weighted_residuals, len(nats), *rows, nats)
-    return slope, nats.sum()
+    gradient = torch.empty_like(prediction)
+    loss = torch.empty(prediction.shape[:-1], dtype=torch.float64).flatten()
+    rows = (each.flatten(0, -2) for each in (prediction, data, precision, gradient))
+    parallel_for(weighted_residuals, len(loss), *rows, loss)
+    return gradient, loss.sum()
 
 
-def weighted_sensor(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Slope in the flux, slope in the level of each frame's rows (N, h), and `½ Σ w r²`."""
+def sensor_gradients_and_loss(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Gradient in the flux, gradient in the level of each frame's rows (N, h), and loss `½ Σ w r²`.
+
+    Args:
+        given: Flux, data and precision (N, 1, h, w); gain and offset (1, 1, h, w); level (N, 1, 1, 1); prior variances
+            (2,) and reduced system (2 or more, h, w) of the eliminated pixel parts, see `sensor_least_squares`.
+    """
     flux, data, precision, gain, offset, level, (u, v), system = given
-    slope, half = weighted(torch.addcmul(offset, gain, flux) + level, data, precision)
+    gradient, loss = gradient_and_loss(torch.addcmul(offset, gain, flux) + level, data, precision)
     free = ((u - u * u * system[0]) * flux - u * v * system[1]).to(flux)
-    return gain * slope + precision * free, slope.sum((1, 3), dtype=torch.float64), half
+    return gain * gradient + precision * free, gradient.sum((1, 3), dtype=torch.float64), loss
 
 
-def weighted_sensor_on_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The same in one pass."""
+def sensor_gradients_and_loss_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """`sensor_gradients_and_loss` in one pass over the frames, by a compiled loop."""
     from deepir.kernels.compile import parallel_for
     from deepir.kernels.weighted_least_squares import sensor_weighted_residuals
 
     flux, data, precision, gain, offset, level, variances, system = given
     frames = [each.contiguous().flatten(1, -2) for each in (flux, data, precision)]
     maps = (each.expand(1, *flux.shape[1:]).contiguous().flatten(0, -2) for each in (gain, offset))
-    slope = torch.empty_like(frames[0])
-    half, drift = frames[0].new_empty(2, *slope.shape[:2], dtype=torch.float64)
+    gradient = torch.empty_like(frames[0])
+    loss, level_gradient = frames[0].new_empty(2, *gradient.shape[:2], dtype=torch.float64)
     parallel_for(
         sensor_weighted_residuals,
-        slope.shape[1],
+        gradient.shape[1],
         *frames,
         *maps,
         level.flatten(),
         *variances.tolist(),
         system,
-        slope,
-        half,
-        drift,
+        gradient,
+        loss,
+        level_gradient,
     )
-    return slope.reshape(flux.shape), drift, half.sum()
+    return gradient.reshape(flux.shape), level_gradient, loss.sum()

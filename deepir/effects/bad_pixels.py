@@ -16,7 +16,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
 from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
-from deepir.effects.effect import Effect, Start
+from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import temporal_mean
 from deepir.problem import Problem
 from deepir.registry import register
@@ -122,10 +122,15 @@ def line_median(image: Tensor, known: Tensor, axis: int) -> Tensor:
 
 
 @torch.no_grad()
-def defective_pixels(misfit: Tensor, usable: Tensor) -> Tensor:
-    """Pixels (1, 1, h, w), bool, that misfit in the mean of all frames, alone among their neighbours.
+def misfitting_pixels(misfit: Tensor, usable: Tensor) -> Tensor:
+    """Detect pixels whose mean misfit over the frames is large, also relative to their neighbours.
 
-    `misfit` is squared, in units of the noise, (N, 1, h, w).
+    Args:
+        misfit: Squared residuals, noise variances, (N, 1, h, w).
+        usable: Samples that count, same shape.
+
+    Returns:
+        (1, 1, h, w), bool.
     """
     count = usable.sum(0, keepdim=True)
     mean = misfit.clamp(max=MAX_MISFIT).sum(0, keepdim=True) / count.clamp(min=1)
@@ -158,8 +163,8 @@ def mask_dead_pixels(problem: Problem, rest: Tensor, noise: float, calm: Tensor)
     usable = problem.precision > 0
     calm = calm | static_pixels(problem.data, usable, noise)
     gone = dead_pixels(calm, temporal_mean(rest, problem.precision.sign()), usable.any(0, keepdim=True))
-    if problem.ends is not None:  # a scene beyond the range is as calm
-        calm = calm & (problem.ends == 0).all(0, keepdim=True)
+    if problem.saturation is not None:  # a scene beyond the range is as calm
+        calm = calm & (problem.saturation == 0).all(0, keepdim=True)
     gone |= overlay_mask(calm, problem.data - rest, usable, noise)
     problem.precision.mul_(~gone)
 
@@ -169,5 +174,5 @@ def mask_dead_pixels(problem: Problem, rest: Tensor, noise: float, calm: Tensor)
 class BadPixels(Effect):
     """Dead pixels, and overlays that a camera draws over its frames."""
 
-    def reject(self, start: Start) -> None:
-        mask_dead_pixels(start.problem, start.residual, start.noise, start.static)
+    def reject(self, estimate: InitialEstimate) -> None:
+        mask_dead_pixels(estimate.problem, estimate.residual, estimate.noise, estimate.static)

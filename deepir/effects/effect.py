@@ -12,21 +12,22 @@ from deepir.schedule import Schedule
 
 
 @dataclass
-class Start:
-    """The initial estimate as far as it has come; see `deepir.problems.initial_estimate`.
+class InitialEstimate:
+    """State of the initial estimate at one of its steps; see `deepir.problems.initial_estimate`.
 
     Args:
         problem: Its scene is the registered average of the frames.
         noise: Standard deviation of a sample's noise, in the data's units.
-        static: Pixels whose samples do not even vary by that, (1, 1, h, w), bool.
-        turn: 0: the frames as they are; 1: of equal level and gain; 2 and more: without the fixed pattern.
-        residual: The frames less their prediction, (N, 1, h, w), fixed pattern included.
+        static: Pixels whose samples vary by less than that, (1, 1, h, w), bool.
+        step: 0: registered average of the raw frames; 1: of frames of equal level and gain; 2 and more: without the
+            fixed pattern.
+        residual: Frames less their prediction, (N, 1, h, w), fixed pattern included.
     """
 
     problem: Problem
     noise: float
     static: Tensor
-    turn: int
+    step: int
     residual: Tensor
 
 
@@ -57,7 +58,7 @@ class Effect:
         """Bring the frames to one level and gain; True if they changed, and the scene is to be started anew."""
         return False
 
-    def reject(self, start: Start) -> None:
+    def reject(self, estimate: InitialEstimate) -> None:
         """Mask or down-weight samples, and set first hyperparameters, by the residual of the initial estimate."""
 
     def initialise(self, problem: Problem) -> None:

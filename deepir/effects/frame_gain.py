@@ -32,7 +32,7 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
     Returns:
         Whether frames were divided. Once a round has found all gains equal, none is.
     """
-    if not problem.stretched or problem.even:
+    if not problem.agc or problem.gains_are_equal:
         return False
     expected = problem.predict(problem.values())
     if least:
@@ -45,7 +45,7 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
     whole = contrast * problem.contrast.flatten()
     if not least and (whole / whole.mean() - 1).abs().max() < EQUAL_CONTRAST:
         contrast = 1 / problem.contrast.flatten()
-        problem.even.fill_(True)
+        problem.gains_are_equal.fill_(True)
     problem.divide_frames(contrast)
     return True
 
@@ -53,7 +53,7 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
 def frame_gain_message(problem: Problem) -> list[str]:
     """A message if the gains of the frames differ."""
     apart = float((problem.contrast / problem.contrast.mean() - 1).abs().max())
-    if problem.stretched and apart >= REPORTED_AGC:
+    if problem.agc and apart >= REPORTED_AGC:
         return [
             Message(
                 "contrast-varies",
@@ -61,7 +61,7 @@ def frame_gain_message(problem: Problem) -> list[str]:
                 "out. Record with a fixed gain, 14 or 16 bits, to measure",
             )
         ]
-    if not problem.stretched and apart >= REPORTED_DRIFT:
+    if not problem.agc and apart >= REPORTED_DRIFT:
         return [
             Message(
                 "response-drift",

@@ -1,4 +1,4 @@
-"""Levels of whole frames: what the residuals say of them, and what is said of it."""
+"""Frame offsets: detection at the start, and the drift message."""
 
 from __future__ import annotations
 
@@ -33,10 +33,13 @@ def level_residuals(problem: Problem) -> Tensor:
 
 
 @torch.no_grad()
-def start_line_levels(problem: Problem) -> bool:
-    """Take levels that stand out of the frames' pattern over into what is known of a drift; whether there are any.
+def start_frame_levels(problem: Problem) -> bool:
+    """Add frame levels that exceed `START_LEVEL` residual standard deviations to the known drift.
 
-    In an average of frames whose levels are far apart, edges of the frames stand as edges of the scene.
+    Levels that differ much between frames leave the borders of the frames as edges in their registered average.
+
+    Returns:
+        Whether any do.
     """
     name = problem.sensor_unknowns().get("level", "")
     fields = problem.fields[name].modules() if name in problem.free() else ()
@@ -87,7 +90,7 @@ class FrameOffset(Effect):
     """The level of each frame, where it stands out of all that the average of the frames leaves."""
 
     def equalise(self, problem: Problem) -> bool:
-        return start_line_levels(problem)
+        return start_frame_levels(problem)
 
     def messages(self, problem: Problem, *, complete: bool) -> list[str]:
         return drift_message(problem) if complete else []

@@ -67,7 +67,7 @@ def even_exposures(problem: Problem) -> bool:
     The fixed pattern, which is not in the prediction yet, is added to it. An exposure acts on all of the signal: where
     level and contrast of the frames agree on it, they are divided about zero, which leaves no levels to be found.
     """
-    if len(problem.data) < 2 or problem.stretched:
+    if len(problem.data) < 2 or problem.agc:
         return False
     pattern = temporal_mean(fixed_pattern_residual(problem), problem.precision.sign())
     expected, zero = problem.predict(problem.values()) + pattern, -float(problem.reference)
@@ -94,7 +94,7 @@ def even_exposures(problem: Problem) -> bool:
 
 def has_exposures(problem: Problem) -> bool:
     """Whether frames were divided by exposures that differ."""
-    return not problem.stretched and bool((problem.contrast - 1).abs().max() > MIN_EXPOSURE)
+    return not problem.agc and bool((problem.contrast - 1).abs().max() > MIN_EXPOSURE)
 
 
 def _exposures(problem: Problem, expected: Tensor, zero: float) -> Tensor:
@@ -108,7 +108,7 @@ def _exposures(problem: Problem, expected: Tensor, zero: float) -> Tensor:
 @torch.no_grad()
 def detect_gain_drift(problem: Problem) -> bool:
     """Whether the gain drifts from frame to frame; valid where scene and pattern have converged."""
-    if problem.stretched:
+    if problem.agc:
         return False
     gains, deviation = _frame_gains(problem, problem.predict(problem.values()))
     return deviation > MIN_DEVIATION and bool((gains - 1).abs().max() > MIN_DRIFT)
@@ -131,7 +131,7 @@ def _frame_gains(problem: Problem, expected: Tensor) -> tuple[Tensor, float]:
 @torch.no_grad()
 def correct_gain_drift(problem: Problem) -> None:
     """Divide the frames by the estimated gains."""
-    problem.divide_frames(GainOffsetEvidence(problem, contrasts=True).contrasts())
+    problem.divide_frames(GainOffsetEvidence(problem, frame_gains=True).frame_gains())
 
 
 def _parts(problem: Problem, expected: Tensor) -> tuple[Tensor, Tensor]:

@@ -47,12 +47,12 @@ class MovingObjects:
     Args:
         samples: That show an object, (N, 1, h, w), bool.
         alone: Samples that are the only ones to see the scene behind an object, (N, 1, h, w), bool.
-        apart: Median difference between object and scene, robust standard deviations.
+        contrast: Median difference between object and scene, robust standard deviations.
     """
 
     samples: Tensor
     alone: Tensor
-    apart: float
+    contrast: float
 
 
 @torch.no_grad()
@@ -72,7 +72,7 @@ def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
     problem.moving.copy_(found.samples)
     _restore_weight(problem, found.alone)
     problem.precision.mul_(torch.where(problem.moving, OBJECT_WEIGHT, 1.0))
-    return found.apart
+    return found.contrast
 
 
 @torch.no_grad()
@@ -103,7 +103,7 @@ def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingOb
     if not regions or (not settled and len(regions) >= MAX_REGIONS):
         return None
     shown = _shown(seen + box_sum(values["scene"], WINDOW)[0] / WINDOW**2, known, seen > middle, regions)
-    passes, alone, apart = torch.zeros_like(seen), torch.zeros_like(seen), []
+    passes, alone, contrasts = torch.zeros_like(seen), torch.zeros_like(seen), []
     for box, region in regions:
         among, gaps = known[box] & region, gap[box[1:]][region]
         here = shown[box] & region
@@ -112,12 +112,12 @@ def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingOb
             continue
         passes[box] += here
         alone[box] += rest & (rest.sum(0) < here.sum(0))
-        apart.append(gaps)
-    if not apart:
+        contrasts.append(gaps)
+    if not contrasts:
         return None
     whole = _dilated(passes[:, None], 3)  # with its blurred edge
     samples, only = (_in_frames(problem, each, values) > 0.5 for each in (whole, alone[:, None]))
-    return MovingObjects(samples, only, float(torch.cat(apart).median()) / usual)
+    return MovingObjects(samples, only, float(torch.cat(contrasts).median()) / usual)
 
 
 def moving_message(problem: Problem) -> list[str]:
@@ -243,7 +243,7 @@ class MovingObjectsMask(Effect):
 
     def detect(self, problem: Problem) -> bool:
         found = detect_moving_objects(problem, settled=False)
-        if found is None or found.apart <= self.min_contrast:
+        if found is None or found.contrast <= self.min_contrast:
             return False
         problem.moving.copy_(found.samples)
         return True

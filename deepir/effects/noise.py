@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepir.arrays.noise_level import ROUNDING_SIGMA, quantisation_step, sample_noise
 from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, subsample
-from deepir.effects.bad_pixels import defective_pixels, neighbourhood_doubt
+from deepir.effects.bad_pixels import misfitting_pixels, neighbourhood_doubt
 from deepir.effects.effect import Effect
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import NoiseModel, Problem
@@ -36,25 +36,30 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     offset = problem.sensor_unknowns().get("offset")
     signal = (prediction - values[offset] if offset else prediction.clone()) + problem.reference
     signal.clamp_(min=0)
-    noise = problem.noise or measured(problem, prediction, signal)
+    noise = problem.noise or estimate_noise(problem, prediction, signal)
     if noise is None:
         return
-    usable, misfit = problem.precision > 0, problem.beside(values, problem.data - prediction)
+    usable, misfit = (
+        problem.precision > 0,
+        problem.residual_after_scene_step(values, problem.data - prediction),
+    )
     # A frame at a time: what is needed on the way stays in the cache.
     for k, signal_k in enumerate(signal):
         signal_k.mul_(noise.per_unit).add_(noise.read).clamp_(min=noise.floor)  # from here on, the variance
         misfit[k].square_().mul_(usable[k]).div_(signal_k)
     if settled:
-        bounds = usable if problem.ends is None else usable | (problem.ends != 0)  # which misfit nothing
-        usable &= ~defective_pixels(misfit, bounds)
+        bounds = (
+            usable if problem.saturation is None else usable | (problem.saturation != 0)
+        )  # which misfit nothing
+        usable &= ~misfitting_pixels(misfit, bounds)
     for k, variance_k in enumerate(signal):
         doubt = neighbourhood_doubt(misfit[k : k + 1], usable[k : k + 1])[0]
         doubt.add_(misfit[k], alpha=CAUCHY_SCALE**-2).add_(1).mul_(variance_k)
         torch.div(usable[k], doubt, out=problem.precision[k])
 
 
-def measured(problem: Problem, prediction: Tensor, signal: Tensor) -> NoiseModel | None:
-    """The noise by the residuals in bins of the signal; None if there are too few.
+def estimate_noise(problem: Problem, prediction: Tensor, signal: Tensor) -> NoiseModel | None:
+    """Noise model fitted to the residuals in bins of the signal; None if there are too few.
 
     Residuals of fitted samples are too small, by the freedom that the fit has, and those of held-out samples too
     large, by the same: for a linear fit of leverage h, `σ² (1 - h)` and `σ² / (1 - h)`. So their geometric mean is
@@ -113,12 +118,12 @@ def start_precision(problem: Problem) -> None:
     usable = problem.precision > 0
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = subsample(problem.data, usable)
-    robust_std = float(masked_values(data, counts).std())
+    data_sigma = float(masked_values(data, counts).std())
     rounded = ROUNDING_SIGMA * quantisation_step(
         problem.data, usable
     )  # in a plain scene differences may be all zero
     # Noiseless data: a solve still wants finite weights.
-    sigma = max(sigma, rounded, 1e-4 * robust_std)
+    sigma = max(sigma, rounded, 1e-4 * data_sigma)
     problem.precision.copy_(usable / sigma**2)
 
 

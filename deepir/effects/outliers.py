@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deepir.effects.effect import Effect, Start
+from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import down_weight_outliers
 from deepir.registry import register
 
@@ -14,7 +14,7 @@ from deepir.registry import register
 class Outliers(Effect):
     """Down-weights samples with large residuals in the initial estimate (Cauchy weights)."""
 
-    def reject(self, start: Start) -> None:
+    def reject(self, estimate: InitialEstimate) -> None:
         # Gains of frames are found by least squares, not by outliers: weights come before them only in pictures.
-        if start.turn > 0 or start.problem.stretched:
-            down_weight_outliers(start.problem, start.residual)
+        if estimate.step > 0 or estimate.problem.agc:
+            down_weight_outliers(estimate.problem, estimate.residual)

@@ -65,7 +65,7 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
     closed = problem.closed_form()
     if not isinstance(last, Sensor) or last.reference is not None or len(closed) < 2:
         return None
-    if problem.stretched or problem.ends is not None:  # pictures, and pixels whose range is cut off
+    if problem.agc or problem.saturation is not None:  # pictures, and pixels whose range is cut off
         return None
     values = problem.values()
     parts, information, means = next(problem.solved(values, closed).information_blocks())

@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d
 
 from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import DEAD_DEVIATION
-from deepir.effects.effect import Effect, Start
+from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.io.inspection.saturated_samples import Array
 from deepir.messages import Message
@@ -28,18 +28,18 @@ MIN_SATURATED_SHARE = 0.75  # of its neighbourhood, for a pixel within a saturat
 @torch.no_grad()
 def mask_stuck_pixels(problem: Problem) -> None:
     """Give up pixels that are cut off in all frames, though most of what others see there is not, and far from it."""
-    if problem.ends is None:
+    if problem.saturation is None:
         return
-    cut, usable, values = problem.ends != 0, problem.precision > 0, problem.values()
+    cut, usable, values = problem.saturation != 0, problem.precision > 0, problem.values()
     those, all_of_them = (problem.backproject(values, each)[1] for each in (cut & usable, usable))
     share = those / all_of_them.clamp(min=1e-6)
     nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
     lonely = problem.predict(values | {"scene": share}) - nothing < SATURATED_SHARE
     rest = fixed_pattern_residual(problem)
-    far = problem.ends * rest > DEAD_DEVIATION * robust_std(temporal_mean(rest, usable))
+    far = problem.saturation * rest > DEAD_DEVIATION * robust_std(temporal_mean(rest, usable))
     live = ~(cut & lonely & far).all(0)
     problem.precision.mul_(live)
-    problem.ends.mul_(live)
+    problem.saturation.mul_(live)
 
 
 @torch.no_grad()
@@ -49,12 +49,12 @@ def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
     A pixel that is cut off in all frames has an unknown offset: such pixels bound an area, but no single place.
     """
     where = torch.zeros_like(image, dtype=torch.int8)
-    if problem.ends is None:
+    if problem.saturation is None:
         return image, where
-    values, usable = problem.values(), (problem.precision > 0) & (problem.ends == 0)
+    values, usable = problem.values(), (problem.precision > 0) & (problem.saturation == 0)
     _, seen = problem.backproject(values, usable)
     for sign in (1, -1):
-        if (cut := problem.ends == sign).any():
+        if (cut := problem.saturation == sign).any():
             bound, share = problem.backproject(values, cut)
             most = share > seen.clamp(min=MIN_FRAMES_SEEN)
             known, frames_seen = problem.backproject(values, cut & usable.any(0))
@@ -71,11 +71,11 @@ def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
 
 def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]:
     """A line if samples of frames (N, h, w) are cut off: where the result, on its grid, is not a value but a bound."""
-    if problem.ends is None:
+    if problem.saturation is None:
         return []
     said = []
     for sign, name in ((1, "at least"), (-1, "at most")):
-        cut, bounds = (problem.ends[:, 0] == sign).cpu().numpy(), int((where == sign).sum())
+        cut, bounds = (problem.saturation[:, 0] == sign).cpu().numpy(), int((where == sign).sum())
         if bounds or cut.mean() > REPORTED_SHARE:
             said.append(
                 f"{cut.mean():.2%} of the samples are cut off at {np.median(frames[cut]):g}: the scene is {name} as "
@@ -89,10 +89,10 @@ def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]
 class Saturation(Effect):
     """Samples at an end of the range: bounds of the scene, unless the pixel is stuck there."""
 
-    def reject(self, start: Start) -> None:
-        if start.turn == 0:
-            mask_stuck_pixels(start.problem)
+    def reject(self, estimate: InitialEstimate) -> None:
+        if estimate.step == 0:
+            mask_stuck_pixels(estimate.problem)
 
     def initialise(self, problem: Problem) -> None:
-        if problem.ends is not None:  # a pixel rejected for its other samples is no bound either
-            problem.ends.mul_((problem.precision > 0) | (problem.ends != 0).all(0))
+        if problem.saturation is not None:  # a pixel rejected for its other samples is no bound either
+            problem.saturation.mul_((problem.precision > 0) | (problem.saturation != 0).all(0))

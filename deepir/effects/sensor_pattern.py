@@ -10,7 +10,7 @@ from torch import Tensor
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.effects.bad_pixels import pattern_outliers
-from deepir.effects.effect import Effect, Start
+from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.line_levels import line_noise_fields
 from deepir.estimation.residuals import temporal_mean
 from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
@@ -27,11 +27,15 @@ UPDATE_ROUNDS = 2  # of the fixed-point iteration of the standard deviations
 
 @torch.no_grad()
 def start_parts(problem: Problem, rest: Tensor) -> None:
-    """First strengths of gain and offset, split evenly, from the pattern: of the `rest` of the frames, see `left`.
+    """Set initial standard deviations of gain and offset parts, and drop outlying pixels.
 
-    Pixels that are no part of it are left out. Gains are by the rms of the data: a dark frame with bright spots shows
-    next to nothing of them in most places, and rows of 10 % stay where there are none. Their bounds are by the mean,
-    unless the data are measured from their middle.
+    The fixed pattern is the temporal mean of `rest`; gain and offset take half of its variance each. That of the gain
+    is divided by the rms of the data: a dark frame with bright spots shows next to nothing of the gain in most places.
+    Its bound is by the mean of the data, unless a reference level is subtracted from them.
+
+    Args:
+        problem: The precision of pixels that are outliers of the pattern becomes zero.
+        rest: Residual that contains the fixed pattern, (N, 1, h, w).
     """
     pattern = temporal_mean(rest, problem.precision.sign())  # as a float: torch is slow at the bool
     usable = problem.precision > 0
@@ -134,9 +138,9 @@ def _all_parts(problem: Problem, slot: str) -> list[GaussianMap]:
 class SensorPattern(Effect):
     """The standard deviations of the parts of gain and offset, by marginal likelihood."""
 
-    def reject(self, start: Start) -> None:
-        if start.turn == 1:
-            start_parts(start.problem, start.residual)
+    def reject(self, estimate: InitialEstimate) -> None:
+        if estimate.step == 1:
+            start_parts(estimate.problem, estimate.residual)
 
     def update(self, problem: Problem, *, settled: bool) -> bool:
         keep_gauge(problem)

@@ -66,14 +66,14 @@ def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpan
     fields = [module for name in free for module in problem.fields[name].modules()]
     return (
         [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed],
-        strays(problem),
+        stray_flux_fields(problem),
         [field for field in fields if isinstance(field, Drift) and not field.sigma_is_fixed],
     )
 
 
 def low_order_doubt(problem: Problem) -> Tensor:
     """Variances by which the low-order parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
-    return LowOrderEvidence(problem, problem.closed_form(), strays(problem)).doubt
+    return LowOrderEvidence(problem, problem.closed_form(), stray_flux_fields(problem)).doubt
 
 
 def added_flux(problem: Problem) -> list[str]:
@@ -83,8 +83,8 @@ def added_flux(problem: Problem) -> list[str]:
     return [unknown for slot, unknown in problem.slots.items() if slot.rpartition(".")[0] in added]
 
 
-def strays(problem: Problem) -> list[BasisExpansion]:
-    """Those of them that are free maps of few terms."""
+def stray_flux_fields(problem: Problem) -> list[BasisExpansion]:
+    """Free basis expansions that model stray flux."""
     free = problem.free()
     fields = [problem.fields[name] for name in added_flux(problem) if name in free]
     return [field for field in fields if isinstance(field, BasisExpansion)]

@@ -60,9 +60,9 @@ class Vignetting(Effect):
 
     def is_truncated(self, problem: Problem) -> bool:
         """Whether the offsets that are seen are a selection."""
-        if problem.ends is None:
+        if problem.saturation is None:
             return False
-        return float((problem.ends != 0).all(0).float().mean()) > self.max_truncated
+        return float((problem.saturation != 0).all(0).float().mean()) > self.max_truncated
 
     def is_present(self, problem: Problem) -> bool:
         """Whether the evidence is for a shaded gain."""

@@ -44,12 +44,12 @@ class GainOffsetEvidence:
 
     Args:
         problem: Its current values give the residuals.
-        contrasts: Whether frames have free gains.
+        frame_gains: Whether frames have free gains.
         doubt: Variances of further errors of the low-order parts of a frame, (terms + 1,); degrees up to
             `MAX_ERROR_DEGREE` count.
     """
 
-    def __init__(self, problem: Problem, *, contrasts: bool = False, doubt: Tensor | None = None) -> None:
+    def __init__(self, problem: Problem, *, frame_gains: bool = False, doubt: Tensor | None = None) -> None:
         values = dict(problem.values())
         flux = problem.flux(values)
         problem.eliminate(values, problem.closed_form(), flux=flux)
@@ -83,24 +83,26 @@ class GainOffsetEvidence:
         terms = frame.sample_basis(*some)
         moves = _motion_derivatives(flux[:, 0], step).double()
         moves /= moves.square().mean((0, 2), keepdim=True).sqrt().clamp(min=1e-30)
-        shown = (data - problem.middle()).double() / self.spread if contrasts else z[:0]
+        shown = (data - problem.middle()).double() / self.spread if frame_gains else z[:0]
         maps = terms, z, moves, shown, residual.double(), precision.double(), own
         normal = z.new_zeros(())
         jump = has_line_noise(problem)
         count = self.shape.numel() if jump else PIXELS_IN_CACHE  # few are in the cache
-        for *few, told, of_pixels in zip(*(each.split(count, -1) for each in maps), strict=True):
-            normal = normal + normal_matrix(self._columns(*few, jump=jump), told, of_pixels)
+        for *block, block_precision, pixel_columns in zip(
+            *(each.split(count, -1) for each in maps), strict=True
+        ):
+            normal = normal + normal_matrix(self._columns(*block, jump=jump), block_precision, pixel_columns)
         self.count = len(flux)
-        free = 2 * (len(frame.whitened) + 1) + (3 + contrasts) * (self.count - 1)
+        free = 2 * (len(frame.whitened) + 1) + (3 + frame_gains) * (self.count - 1)
         self.evidence = MarginalLikelihood(normal[:-1, :-1], normal[:-1, -1], free)
 
     def _columns(
         self, terms: Tensor, z: Tensor, moves: Tensor, shown: Tensor, residual: Tensor, *, jump: bool
     ) -> Iterator[Tensor]:
-        """For each frame what the unknowns make of some of its pixels, and what is to be explained, last.
+        """Yield the design matrix of each frame, (unknowns + 1, pixels), with the residual as last row.
 
-        These are θ, the level, ψ, its level, motions, and contrasts, which may be anything, φ, levels of the frames,
-        and γ.
+        Order of the unknowns: θ, level of the pattern, ψ, its level, motions, frame gains; these have a flat prior.
+        Then φ, frame levels, γ, errors of the low-order parts.
         """
         one = torch.ones_like(terms[:1])
         levels = self.low_order.level_columns()[:, 0]
@@ -145,8 +147,8 @@ class GainOffsetEvidence:
             )
         return min(found)
 
-    def contrasts(self) -> Tensor:
-        """What is likeliest of them where levels drift and the gain is even, of mean one, (N,)."""
+    def frame_gains(self) -> Tensor:
+        """Most likely frame gains (N,), mean one, with drifting levels and no gain shading."""
         _, strengths = self.best(shaded=False, drift=True)
         free, _ = self.evidence.posterior(self._prior(torch.tensor([strengths], dtype=torch.float64))[0])
         found = self.low_order.level_columns()[:, 0, 1:] @ free[1 - self.count :]

@@ -47,11 +47,11 @@ class LowOrderEvidence:
     Args:
         problem: Its current values give the residuals.
         eliminated: Unknowns of the sensor in closed form.
-        strays: Fields of stray flux; with these `smooth` stands for stray flux instead of shading.
+        stray_flux: Fields of stray flux; with these `smooth` stands for stray flux instead of shading.
     """
 
     def __init__(
-        self, problem: Problem, eliminated: Collection[str], strays: Sequence[BasisExpansion] = ()
+        self, problem: Problem, eliminated: Collection[str], stray_flux: Sequence[BasisExpansion] = ()
     ) -> None:
         values = problem.values()
         self.low_order = LowOrderModel(problem, tuple(values["scene"].shape))
@@ -59,16 +59,16 @@ class LowOrderEvidence:
         self.expected = expected_variances(variance, self.low_order.frame)
         #: Variances of the polynomials for a strength of one.
         self.shape = self.low_order.frame.relative_sigma.square()
-        if strays:
+        if stray_flux:
             self.shape = torch.stack(
-                [self.low_order.basis_columns(one)[0][1:].square().sum(1) for one in strays]
+                [self.low_order.basis_columns(one)[0][1:].square().sum(1) for one in stray_flux]
             ).sum(0)
         self.jumps = float(frame_level_offsets(problem).square().mean().sqrt())
         residual = _low_order_residual(problem, values, self.low_order.frame)
         (some,) = subsample(residual[:, None])
         middle = median(some)
         limit = CLIP_MADS * median((some - middle).abs())
-        self.count, self.strays = len(residual), strays
+        self.count, self.stray_flux = len(residual), stray_flux
         seen = self.low_order.frame_scores((residual - middle).clamp(-limit, limit))
         self.contrast = float(contrast(problem))
         known, chance = (
@@ -76,7 +76,7 @@ class LowOrderEvidence:
             self._line_variance(variance),
         )
         variances = [known + share * chance for share in LINE_VARIANCE_FRACTIONS]
-        wrong = () if strays else MODEL_ERROR_FRACTIONS  # stray flux, before it is known, is as much
+        wrong = () if stray_flux else MODEL_ERROR_FRACTIONS  # stray flux, before it is known, is as much
         variances += [known + chance + (share * self.contrast) ** 2 for share in wrong]
         rare = [0] * len(LINE_VARIANCE_FRACTIONS) + [MIN_LOG_BAYES_FACTOR_MODEL_ERROR] * len(wrong)
         each = [(*self._with_variance(seen, of), nats, of) for of, nats in zip(variances, rare, strict=True)]
@@ -93,7 +93,7 @@ class LowOrderEvidence:
         levels = model.level_columns()
         normal = model.normal_matrix(levels)
         rhs = model.right_hand_side(seen, levels)
-        for each in self.strays:  # the residual is without what is known of them
+        for each in self.stray_flux:  # the residual is without what is known of them
             terms = model.basis_columns(each)[0] @ each.coefficients.double()
             rhs += normal[:, free - 1 : free + len(self.expected)] @ terms
         evidence = MarginalLikelihood(normal, rhs, free)
@@ -132,15 +132,15 @@ class LowOrderEvidence:
             best.append(self._best(each, torch.cartesian_prod(*some)))
         nats = dict(zip(map(tuple, used.tolist()), (float(each) for each, _ in best), strict=True))
         shaded = nats.get((1, 0), math.inf) + self.min_log_bayes_factor < nats.get((0, 0), math.inf)
-        stretched = self.low_order.problem.stretched and not self.low_order.problem.even
+        gains_vary = self.low_order.problem.agc and not self.low_order.problem.gains_are_equal
         rare = (
             [MIN_LOG_BAYES_FACTOR_AGC, MIN_LOG_BAYES_FACTOR]
-            if stretched
+            if gains_vary
             else [self.min_log_bayes_factor, MIN_LOG_BAYES_FACTOR_DRIFT if shaded else MIN_LOG_BAYES_FACTOR]
         )
         asked = torch.tensor(list(nats.values())) + used @ torch.tensor(rare, dtype=torch.long)
         found = best[int(asked.argmin())][1].tolist()
-        if drift and not stretched and not found[1]:
+        if drift and not gains_vary and not found[1]:
             drifting = best[int(asked.where(used[:, 1] > 0, math.inf).argmin())][1].tolist()
             # A slope of the sensor, and one of the scene the other way, are there to explain the levels alone.
             if (

@@ -25,7 +25,7 @@ WEIGHT_REDUCTION = 2**-0.5
 @torch.no_grad()
 def store_reference_misfit(problem: Problem) -> None:
     """Store the squared residual of the present estimate, obtained with a weak prior, as the reference."""
-    problem.rough.copy_(_squared_residual(problem))
+    problem.reference_misfit.copy_(_squared_residual(problem))
 
 
 def is_oversmoothed(problem: Problem) -> bool:
@@ -33,7 +33,7 @@ def is_oversmoothed(problem: Problem) -> bool:
     flat = _flat_fraction(problem)
     if not flat > MIN_FLAT_FRACTION:
         return False
-    taken = float(_squared_residual(problem) - problem.rough) / int(problem.alive().sum())
+    taken = float(_squared_residual(problem) - problem.reference_misfit) / int(problem.alive().sum())
     return taken - flat > MAX_EXCESS_MISFIT
 
 

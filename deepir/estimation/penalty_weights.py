@@ -28,8 +28,8 @@ def weigh_scene(problem: Problem, factor: float = 1.0) -> None:
             noise /= first.noise_gain
         default = penalty.default_weight(noise)
         if isinstance(penalty, SpatiallyWeighted) and not penalty.adapts:  # by places, as the others do
-            default *= 2 ** float(problem.plain)
-        default *= 2 ** max(float(problem.plain) - penalty.smooth_scene_threshold, 0.0)
+            default *= 2 ** float(problem.smoothness_exponent)
+        default *= 2 ** max(float(problem.smoothness_exponent) - penalty.smooth_scene_threshold, 0.0)
         penalty.weight.fill_(factor * (default if penalty.user_weight is None else penalty.user_weight))
         with torch.no_grad():
             penalty.adapt(problem.shown("scene", scene, penalty), noise)

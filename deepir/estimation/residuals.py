@@ -27,7 +27,7 @@ def fixed_pattern_residual(problem: Problem, average: RegisteredAverage | None =
     values = problem.values()
     rest = problem.data - problem.predict(values)
     weight = problem.precision / problem.precision.amax()
-    return problem.beside(values, rest - temporal_mean(rest, weight), average)
+    return problem.residual_after_scene_step(values, rest - temporal_mean(rest, weight), average)
 
 
 def temporal_mean(rest: Tensor, weight: Tensor) -> Tensor:

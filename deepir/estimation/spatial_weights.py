@@ -41,7 +41,7 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
 
     Args:
         problem: Its scene is the one under a weak prior; the weights of its penalties are changed.
-        cost: Loss of the scene by the unknown pattern, dB: its noise exceeds that of the samples by this.
+        cost: Pattern cost, dB: the noise of the scene exceeds that of the samples by this.
     """
     if problem.fields["scene"].shape[0] > 1:
         return
@@ -59,7 +59,7 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
         * weight_from_gradients((gradient * information).sqrt_(), exponent, noise_factor)
         * (information / typical).sqrt_()
     )
-    problem.plain.fill_(exponent)
+    problem.smoothness_exponent.fill_(exponent)
     for penalty in adaptive:
         if penalty.adapts:
             penalty.weight_map.copy_(weight_map[0, 0])

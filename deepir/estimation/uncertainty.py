@@ -1,4 +1,4 @@
-"""Uncertainty of the estimates: standard deviations of maps, and the loss by the unknown pattern."""
+"""Uncertainty of the estimates: standard deviations of maps, and the pattern cost."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ Maps = dict[str, np.ndarray]
 
 
 @torch.no_grad()
-def nuc_penalty_db(problem: Problem, weak: float = 1.0) -> float:
-    """Loss of the scene by the unknown pattern, dB.
+def pattern_cost_db(problem: Problem, penalty_factor: float = 1.0) -> float:
+    """Pattern cost, dB: ratio of the scene's mean squared error with unknown to that with known gain and offset.
 
-    Ratio of the mean squared errors of the scene with unknown and with known pattern, by the model of
-    `deepir.optim.preconditioner`. For white noise and any pattern it is `10 log10 (n / (n - 1))` for n frames.
+    Both errors are those of the model of `deepir.optim.preconditioner`. For white noise and any pattern the cost is
+    `10 log10 (n / (n - 1))` for n frames.
 
     Args:
         problem: Its current values are the point of expansion.
-        weak: Factor on the scene's penalties while the pattern was estimated.
+        penalty_factor: Factor on the scene's penalties while the pattern was estimated.
 
     Returns:
-        The loss; NaN without a Fourier model.
+        The cost; NaN without a Fourier model.
     """
-    found = [variance_spectrum(problem, each, weak) for each in (problem.closed_form(), ())]
+    found = [variance_spectrum(problem, each, penalty_factor) for each in (problem.closed_form(), ())]
     if any(each is None for each in found):
         return math.nan
     response = spline_response(problem)
@@ -41,12 +41,12 @@ def nuc_penalty_db(problem: Problem, weak: float = 1.0) -> float:
 def uncertainty(problem: Problem, cost: float) -> Maps:
     """Standard deviations of the estimates, in their units.
 
-    Scene: noise of the samples, back-projected, times the loss by the pattern. Gain and offset: posterior given the
+    Scene: noise of the samples, back-projected, times the pattern cost. Gain and offset: posterior given the
     scene, hence slightly too small; left out without a closed form, or if each frame has a scene of its own.
 
     Args:
         problem: Its current values are the estimates.
-        cost: Of `nuc_penalty_db`, dB.
+        cost: Pattern cost, dB.
 
     Returns:
         `scene` (S, 1, H, W), `gain` and `offset` (h, w), float32.

@@ -51,7 +51,7 @@ def find_pattern(
         The edges; all that the frames were found to share, of gain and level, (2, h, w); and the low-order part of the
         level, which is in no part unless a shading's strength is given.
     """
-    isolated = isolated_pixels(frames, usable)
+    isolated = isolated_offsets(frames, usable)
     edges = Edges(frames - isolated, usable)
     unknowns = _Unknowns(edges, gain, offset)
     for i in range(ROUNDS):
@@ -95,7 +95,7 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
     return offset - offset[known].mean(), moved.related
 
 
-def isolated_pixels(frames: Tensor, usable: Tensor) -> Tensor:
+def isolated_offsets(frames: Tensor, usable: Tensor) -> Tensor:
     """Offsets (h, w) of single pixels far off all four neighbours in most frames; zero elsewhere.
 
     A Gaussian prior, whatever its spectrum, would take most of them away. What is given is the least of the four

@@ -15,17 +15,17 @@ BOUND_VIOLATION = 2.0
 @torch.no_grad()
 def deactivate_bounds(problem: Problem) -> None:
     """Give saturated samples zero weight, as estimates of hyperparameters need."""
-    if problem.ends is not None:
-        problem.precision.masked_fill_(problem.ends != 0, 0)
+    if problem.saturation is not None:
+        problem.precision.masked_fill_(problem.saturation != 0, 0)
 
 
 @torch.no_grad()
 def activate_bounds(problem: Problem) -> None:
     """Give weight to saturated samples whose prediction violates the bound by `BOUND_VIOLATION`, and to no others."""
-    if problem.ends is None:
+    if problem.saturation is None:
         return
     deactivate_bounds(problem)
     noise = median_sigma(problem.precision)
-    short = problem.ends * (problem.data - problem.predict(problem.values())) / noise
+    short = problem.saturation * (problem.data - problem.predict(problem.values())) / noise
     doubt = 1 + (short / CAUCHY_SCALE).square()
     problem.precision.add_((short > BOUND_VIOLATION) / (doubt * noise**2))

@@ -22,7 +22,7 @@ from deepir.optim.solve import Solution
 from deepir.problem import Problem
 from deepir.result import Array, Result, neutral, to_gauge
 
-REPORTED_PENALTY = 2.0  # dB that the unknown pattern costs the scene
+REPORTED_PATTERN_COST = 2.0  # dB that the unknown pattern costs the scene
 
 
 @torch.no_grad()
@@ -107,7 +107,7 @@ def mark_unseen(result: Result, unseen: Array) -> Result:
 
 def cost_message(cost: float, n_frames: int) -> list[str]:
     """A message if the unknown pattern costs a good part of what the frames show of the scene."""
-    if not cost > REPORTED_PENALTY:
+    if not cost > REPORTED_PATTERN_COST:
         return []
     return [
         Message(

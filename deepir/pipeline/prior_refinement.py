@@ -42,7 +42,7 @@ class PriorRefinement:
         self.penalties = {name: penalty.to(device) for name, penalty in penalties.items()}
         together = self.fit.with_sensor and isinstance(field, Pixels) and has_fourier_model(problem)
         #: Gain and offset, if these follow the scene; where samples are cut off it is not sure enough of itself.
-        self.follows = tuple(problem.closed_form()) if together and problem.ends is None else ()
+        self.follows = tuple(problem.closed_form()) if together and problem.saturation is None else ()
         self.tolerance = JOINT_TOLERANCE / len(problem.data) if self.follows else Stage.tolerance
 
     def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:

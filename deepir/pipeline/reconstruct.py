@@ -17,7 +17,7 @@ from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
 from deepir.effects.gain_drift import has_exposures
 from deepir.errors import ConfigError, DataError
-from deepir.estimation.uncertainty import nuc_penalty_db
+from deepir.estimation.uncertainty import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.optim.held_out import hold_out
 from deepir.optim.position import Checkpoint
@@ -80,7 +80,7 @@ def joint(
         messages += residual_correlation_message(problem)
     found = given & ~problem.alive()
     known = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
-    cost = nuc_penalty_db(problem, recipe.sensor_weight)
+    cost = pattern_cost_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
     unseen = unseen_scene(problem, geometry, kept)

@@ -44,7 +44,7 @@ def coarse_to_fine(problem: Problem, recipe: Recipe, seed: int) -> None:
         recipe: Its effects are those of the half, too.
         seed: Of the samples that are held out.
     """
-    large = min(problem.data.shape[-2:]) >= MIN_SIDE and problem.ends is None and not problem.stretched
+    large = min(problem.data.shape[-2:]) >= MIN_SIDE and problem.saturation is None and not problem.agc
     untouched = {name: tensor.clone() for name, tensor in problem.state_dict().items()} if large else {}
     recipe.start(problem)
     if not large or gauss_newton_motion_step(problem) <= MIN_STEP:

@@ -11,7 +11,7 @@ from deepir.arrays.fill import fill_nearest
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import static_pixels
-from deepir.effects.effect import Effect, Start
+from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem
@@ -37,10 +37,10 @@ def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
     noise = median_sigma(problem.precision)
     static = static_pixels(problem.data, problem.precision > 0, noise)
 
-    def reject(turn: int, residual: Tensor) -> None:
-        start = Start(problem, noise, static, turn, residual)
+    def reject(step: int, residual: Tensor) -> None:
+        estimate = InitialEstimate(problem, noise, static, step, residual)
         for effect in effects:
-            effect.reject(start)
+            effect.reject(estimate)
 
     start_scene(problem)
     reject(0, fixed_pattern_residual(problem))
@@ -56,14 +56,14 @@ def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
     pattern = torch.zeros_like(residual[:1])
     if strong:
         residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=True)
-    for turn in range(1, TURNS + 2):
+    for step in range(1, TURNS + 2):
         # What saturates moves with the scene, and is no pattern.
-        if turn > 1 and (strong or (fixed and problem.ends is None)):
+        if step > 1 and (strong or (fixed and problem.saturation is None)):
             residual = subtract_fixed_pattern(problem, residual, pattern, noise, strong=strong)
-        elif turn > 1:
+        elif step > 1:
             start_scene(problem)
             residual = fixed_pattern_residual(problem)
-        reject(turn, residual)
+        reject(step, residual)
     for effect in effects:
         effect.initialise(problem)
 

@@ -9,7 +9,7 @@ import torch
 
 from deepir.effects.noise import start_precision
 from deepir.effects.sensor_pattern import start_parts
-from deepir.effects.shading import estimate_low_order, strays
+from deepir.effects.shading import estimate_low_order, stray_flux_fields
 from deepir.errors import ConfigError
 from deepir.estimation.penalty_weights import weigh_scene
 from deepir.estimation.residuals import down_weight_outliers, fixed_pattern_residual
@@ -162,7 +162,7 @@ def _demand_terms(problem: Problem) -> None:
 @torch.no_grad()
 def _start_alone(problem: Problem) -> None:
     """Stray flux as the one frame has it."""
-    for field in strays(problem):
+    for field in stray_flux_fields(problem):
         frame, usable = problem.data[0, 0], problem.precision[0, 0] > 0
         field.preconditioning_scale.copy_(frame[usable].std() / frame.numel() ** 0.5)
         if not field.sigma_is_fixed:

@@ -9,7 +9,7 @@ import torch
 from deepir.effects.sensor_pattern import pattern_to_noise
 from deepir.estimation.oversmoothing import store_reference_misfit
 from deepir.estimation.spatial_weights import adapt_weight_map
-from deepir.estimation.uncertainty import nuc_penalty_db
+from deepir.estimation.uncertainty import pattern_cost_db
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
@@ -91,5 +91,7 @@ class NUC(Recipe):
     def finish(self, problem: Problem) -> None:
         """Also the weights of places: weaker where the scene has texture, stronger where it is smooth."""
         super().finish(problem)
-        adapt_weight_map(problem, 0.0 if self.sensor_follows else nuc_penalty_db(problem, self.sensor_weight))
+        adapt_weight_map(
+            problem, 0.0 if self.sensor_follows else pattern_cost_db(problem, self.sensor_weight)
+        )
         store_reference_misfit(problem)

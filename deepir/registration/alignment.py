@@ -129,7 +129,7 @@ def aitken_relaxation(relaxation: Tensor, step: Tensor, previous_step: Tensor) -
         previous_step: `(N, P)`, the one before; zero in the first round.
 
     Returns:
-        The new factors `(P,)`, between `MIN_RELAXATION` and `MAX_RELAXATION`.
+        The new factors `(P,)`, between the bounds of `RELAXATION`.
     """
     ratio = (step * previous_step).sum(0) / previous_step.square().sum(0).clamp_min(1e-12)
     denominator = (1 - ratio).clamp_min(RELAXATION.min_denominator)

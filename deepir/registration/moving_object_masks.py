@@ -34,7 +34,7 @@ MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight at which a sample shows the bac
 INPAINTING_PASSES = 3  # alternations of scene and pattern
 
 
-def detect_moving_objects(preprocessed: Tensor) -> Tensor:
+def moving_object_mask(preprocessed: Tensor) -> Tensor:
     """Find samples of moving objects: thick regions of large deviation from the temporal median.
 
     Args:

@@ -33,7 +33,7 @@ from deepir.registration.motion_search import (
     refine,
     search_level,
 )
-from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
+from deepir.registration.moving_object_masks import inpaint_background, inpaint_mean, moving_object_mask
 from deepir.registration.robust_score import (
     MIN_CLEAR_GAIN,
     log_likelihood_ratio,
@@ -82,7 +82,7 @@ def register_beside_moving_objects(
     frames, preprocessed = torch.where(weight > 0, estimate.frames.float(), 0.0), estimate.preprocessed
     mask = torch.zeros(preprocessed.shape, dtype=torch.bool)
     if len(frames) > 2:
-        mask = detect_moving_objects(preprocessed)
+        mask = moving_object_mask(preprocessed)
     if missing is not None:
         mask = mask | missing
     if len(frames) > 2 and mask.any():

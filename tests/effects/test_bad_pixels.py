@@ -6,7 +6,7 @@ import torch
 import deepir
 from deepir.effects.bad_pixels import (
     dead_pixels,
-    defective_pixels,
+    misfitting_pixels,
     neighbourhood_doubt,
     overlay_mask,
     pattern_outliers,
@@ -113,7 +113,7 @@ def test_a_pixel_that_misfits_in_all_frames_is_given_up_one_that_does_so_once_is
     misfit = torch.ones(4, 1, 40, 50)
     misfit[:, 0, 3, 4] = 60.0
     misfit[1, 0, 8, 9] = 40.0
-    found = defective_pixels(misfit, torch.ones_like(misfit) > 0)
+    found = misfitting_pixels(misfit, torch.ones_like(misfit) > 0)
     assert found.nonzero()[:, 2:].tolist() == [[3, 4]]
 
 
@@ -121,7 +121,7 @@ def test_a_region_that_misfits_is_no_defect_but_is_doubted():
     misfit = torch.ones(4, 1, 40, 50)
     misfit[2, 0, 10:20, 10:20] = 9.0
     usable = torch.ones_like(misfit) > 0
-    assert not defective_pixels(misfit, usable).any()
+    assert not misfitting_pixels(misfit, usable).any()
     doubt = neighbourhood_doubt(misfit, usable)
     assert (doubt[2, 0, 12:18, 12:18] > 5).all()
     assert not doubt[0].any()

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
-from deepir.effects.noise import HUBER_CONSISTENCY, HUBER_K, huber_scale, measured
+from deepir.effects.noise import HUBER_CONSISTENCY, HUBER_K, estimate_noise, huber_scale
 
 
 def gaussian(count, sigma=1.0, seed=0):
@@ -48,7 +48,7 @@ def test_photon_noise_belongs_to_the_light_whatever_the_offset(small_nuc, offset
     noise = (0.04 + light / 20).sqrt() * torch.randn(light.shape, generator=generator, dtype=light.dtype)
     problem.data.copy_(light + shift + noise)
     problem.held_out[..., ::7] = True
-    found = measured(problem, light + shift, light)
+    found = estimate_noise(problem, light + shift, light)
     read, photon = found.read, found.per_unit
     seen = read + photon * light.numpy()
     assert np.median(seen / (0.04 + light.numpy() / 20)) == pytest.approx(1, rel=0.05)

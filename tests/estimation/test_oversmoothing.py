@@ -27,7 +27,7 @@ def smoothed(faint, penalty=FoE, **options):
     scene = problem.fields["scene"]
     problem.represent("scene", scene, {"prior": penalty(tuple(scene.shape), **options)})
     weigh_scene(problem)
-    problem.rough.fill_(0.0)
+    problem.reference_misfit.fill_(0.0)
     with torch.no_grad():
         scene.init_from(torch.ones_like(scene()))
     return problem
@@ -48,7 +48,7 @@ def test_a_penalty_that_cannot_tell_or_is_given_its_weight_keeps_it(penalty, opt
 
 def test_before_the_misfit_is_known_nothing_is_let_go():
     problem = smoothed(0.7)
-    problem.rough.fill_(torch.inf)
+    problem.reference_misfit.fill_(torch.inf)
     assert not is_oversmoothed(problem)
 
 
@@ -63,7 +63,7 @@ def test_what_is_let_go_of_has_less_weight():
 def test_misfit_is_in_variances_of_the_noise():
     problem = smoothed(0.0)
     store_reference_misfit(problem)
-    assert float(problem.rough) == pytest.approx(48 * 64, rel=0.1)
+    assert float(problem.reference_misfit) == pytest.approx(48 * 64, rel=0.1)
 
 
 @pytest.mark.parametrize(("texture", "looser"), [(0.06, True), (0.02, False)])

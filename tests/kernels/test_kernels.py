@@ -84,10 +84,10 @@ def test_the_weighted_residuals_and_their_sum(size, dtype, one):
         100 + torch.randn(3, 1, *size),
     )
     data, precision = data.to(dtype), torch.rand(3, 1, *size, dtype=dtype)
-    weighted, nats = weighted_least_squares.weighted_on_cpu(prediction, data, precision)
-    residuals, wanted = weighted_least_squares.weighted(prediction, data, precision)
-    assert torch.equal(weighted, residuals)
-    assert float(nats) == pytest.approx(float(wanted), rel=1e-5 if dtype == torch.float32 else 1e-12)
+    gradient, loss = weighted_least_squares.gradient_and_loss_cpu(prediction, data, precision)
+    residuals, wanted = weighted_least_squares.gradient_and_loss(prediction, data, precision)
+    assert torch.equal(gradient, residuals)
+    assert float(loss) == pytest.approx(float(wanted), rel=1e-5 if dtype == torch.float32 else 1e-12)
 
 
 @settings(deadline=None)
@@ -127,8 +127,8 @@ def test_what_the_pixels_own_parts_add_to_the_slope(size, u, v):
     level, system = torch.randn(3, 1, 1, 1, dtype=torch.float64), torch.rand(5, *size, dtype=torch.float64)
     given = (*frames, *maps, level, torch.tensor([u, v], dtype=torch.float64), system)
     found, wanted = (
-        weighted_least_squares.weighted_sensor_on_cpu(*given),
-        weighted_least_squares.weighted_sensor(*given),
+        weighted_least_squares.sensor_gradients_and_loss_cpu(*given),
+        weighted_least_squares.sensor_gradients_and_loss(*given),
     )
     assert all(torch.allclose(*pair) for pair in zip(found, wanted, strict=True))
 

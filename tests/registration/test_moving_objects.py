@@ -10,7 +10,7 @@ from registered import apart, camera_of_tones, simulated
 from deepir.operators.motion_models import identity
 from deepir.registration import moving_objects, register
 from deepir.registration.motion_search import estimate_motion
-from deepir.registration.moving_object_masks import detect_moving_objects, inpaint_background, inpaint_mean
+from deepir.registration.moving_object_masks import inpaint_background, inpaint_mean, moving_object_mask
 from deepir.registration.preprocess import preprocess
 from deepir.simulate import simulate
 from deepir.simulate.scenes.pictures import load_picture as scene
@@ -27,7 +27,7 @@ def flat_of(sim):
 @pytest.mark.parametrize("camera", [{}, COUNTS], ids=["tones", "counts"])
 def test_an_object_before_a_sky_is_detected_in_each_frame(camera):
     sim = simulate(sky(2, (430, 500)), camera_of_tones(n_frames=10, **WALKER, **camera), seed=6)
-    stands = detect_moving_objects(flat_of(sim)[0]).numpy()
+    stands = moving_object_mask(flat_of(sim)[0]).numpy()
     assert stands[sim.truth.moving].mean() > 0.9
     assert stands[~sim.truth.moving].mean() < 0.15
 
@@ -35,7 +35,7 @@ def test_an_object_before_a_sky_is_detected_in_each_frame(camera):
 def test_a_frame_of_another_place_is_no_moving_object():
     frames = simulated("camera")[0].clone()
     frames[3] = simulated("gravel")[0][2]
-    assert not detect_moving_objects(preprocess(frames, None)[0])[3].any()
+    assert not moving_object_mask(preprocess(frames, None)[0])[3].any()
 
 
 def test_an_object_is_inpainted_by_the_background():
@@ -84,7 +84,7 @@ def test_bright_things_in_a_dark_scene_are_no_moving_objects_if_one_motion_expla
     frames = torch.from_numpy(sim.frames)
     flat, weight = flat_of(sim)
     one = estimate_motion(frames, flat, weight, "rigid")
-    assert detect_moving_objects(flat).any()
+    assert moving_object_mask(flat).any()
     with monkeypatch.context() as patch:
         patch.setattr(moving_objects, "coarse_search", None)
         assert moving_objects.register_beside_moving_objects(one, weight, "rigid") is one
