@@ -18,7 +18,7 @@ class Camera:
 
     #: What the driver did about the camera's own correction, or what the user has to do, in one line.
     correction: ClassVar[str] = ""
-    #: What tells it from all other cameras, such as a serial number; empty if nothing does, and its maps are not kept.
+    #: What identifies the camera, such as a serial number; empty if nothing does, and its maps are not kept.
     identity: str = ""
 
     def read(self) -> Array | None:

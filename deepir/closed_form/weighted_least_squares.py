@@ -71,7 +71,7 @@ class _SensorLeastSquares(torch.autograd.Function):
             terms[1], terms[-1] = terms[1] - level, torch.zeros_like(level[..., :1, :1])
         gradient, level_gradient, loss = compute(*terms, variances, system)
         level_gradient = level_gradient[:, None, :, None].to(level)
-        if level.shape[-1] > 1:  # of columns: the sums of rows do not tell
+        if level.shape[-1] > 1:  # of columns: the sums of rows do not give it
             flux, data, precision, gain, offset, _ = terms
             level_gradient = gradient_and_loss(torch.addcmul(offset, gain, flux), data, precision)[0]
         ctx.save_for_backward(gradient, level_gradient.sum_to_size(level.shape))

@@ -74,8 +74,10 @@ def frame_gain_message(problem: Problem) -> list[str]:
 def contrast_slopes(frames: Tensor, expected: Tensor, weight: Tensor, degree: int) -> tuple[Tensor, Tensor]:
     """Least-squares slopes of frames (N, h, w) on their prediction, low-order parts aside; and their information."""
     y, x = (torch.linspace(-1, 1, side).to(frames).double() for side in frames.shape[1:])
-    slow = torch.stack([(y**i)[:, None] * x**j for i in range(degree + 1) for j in range(degree + 1 - i)])
-    design = torch.cat((expected[:, None].double(), slow.expand(len(frames), -1, -1, -1)), 1).flatten(2)
+    low_order = torch.stack(
+        [(y**i)[:, None] * x**j for i in range(degree + 1) for j in range(degree + 1 - i)]
+    )
+    design = torch.cat((expected[:, None].double(), low_order.expand(len(frames), -1, -1, -1)), 1).flatten(2)
     weighted = design * weight.double().flatten(1)[:, None]
     normal = weighted @ design.mT
     normal.diagonal(dim1=1, dim2=2).mul_(1 + 1e-9)

@@ -100,7 +100,7 @@ def _means(residual: Tensor, precision: Tensor, field: LineNoise) -> tuple[Tenso
 
 
 def _variance(values: Tensor, known: Tensor, across: int) -> float:
-    """Of lines that lie side by side, without what is slow across them, or far out."""
+    """Variance of values of neighbouring lines, without low-order changes across them and outliers."""
     count = known.shape[across] - 1
     both = known.narrow(across, 1, count) & known.narrow(across, 0, count)
     return (MAD_TO_SIGMA * median(masked_values(values.diff(dim=across), both).abs())) ** 2 / 2

@@ -118,7 +118,7 @@ def update_parts(problem: Problem) -> None:
 
 
 def high_order(values: Tensor) -> Tensor:
-    """Lines' values (2, K) less what is slow along them: that may as well be the scene's, and is no measure of them."""
+    """Lines' values (2, K) less their low-order part, which may as well be the scene's."""
     count = values.shape[1]
     along = torch.linspace(-1, 1, count, dtype=values.dtype, device=values.device)
     basis = torch.linalg.qr(torch.linalg.vander(along, N=min(LOW_ORDER_DEGREE, count // 8) + 1)).Q

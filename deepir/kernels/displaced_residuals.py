@@ -24,7 +24,7 @@ def displaced_residuals(
         factor: side of a block, px.
         noise: scale of the residuals, in the frames' units.
         displacement_error: error of the displacement, px.
-        least: px; displacements below it tell nothing, as the pattern's detail does not leave its place.
+        least: px; displacements below it are skipped, as the pattern's detail does not leave its place.
         level: subtracted from the scene.
         sums: (5, h, w), float64, of weight, scene, scene squared, residual, scene times residual; added to.
     """

@@ -16,7 +16,7 @@ class KeptMaps:
     """The maps that are kept for a camera.
 
     Args:
-        identity: What tells it from all others.
+        identity: What identifies it.
     """
 
     def __init__(self, identity: str) -> None:

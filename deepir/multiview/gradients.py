@@ -32,7 +32,7 @@ class Edges:
     """Sums over frames (N, h, w) at their edges along x and along y; `usable`, of the same shape, says which count.
 
     A pattern is (2, h, w): of the gain, and of the frames' mean `level`, `offset + level * gain`. The data say the
-    latter well even where they do not tell gain from offset.
+    latter well even where they do not separate gain and offset.
     """
 
     def __init__(self, frames: Tensor, usable: Tensor) -> None:

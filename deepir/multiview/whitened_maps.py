@@ -1,4 +1,4 @@
-"""Parts of gain and offset in coordinates in which data that hardly tell them apart are no trouble."""
+"""Parts of gain and offset in whitened coordinates: well conditioned where data hardly separate them."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class Warp(Operator):
         )
 
     def _corners_within(self, motion: Tensor, reach: Tensor) -> bool:
-        """Whether all points are in the canvas: straight lines stay straight, so that the frames' corners tell."""
+        """Whether all points are in the canvas: straight lines stay straight, so that the frames' corners decide."""
         x, y = ((side - 1) / 2 for side in reversed(self.size))
         corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64).to(motion)
         moved = self.canvas_from_frame.to(motion) @ _without_nan(motion) @ corners

@@ -123,7 +123,7 @@ def hold_sensor(problem: Problem) -> list[str]:
     return [
         Message(
             "sensor-left-neutral",
-            f"{few} tell the sensor's pattern from the scene: {' and '.join(closed)} are left neutral. "
+            f"{few} separate the sensor's pattern from the scene: {' and '.join(closed)} are left neutral. "
             "Correct the frames first, or give a burst that moves by 3 to 10 px",
         )
     ]
@@ -132,7 +132,7 @@ def hold_sensor(problem: Problem) -> list[str]:
 def start_psf(problem: Problem) -> list[str]:
     """Find each free point-spread function from the spectrum of the frames; one of any shape as the likeliest kind.
 
-    Of frames without a scene, or sharp ones, the spectrum tells no width: the least is taken then, with a message.
+    Of frames without a scene, or sharp ones, the spectrum gives no width: the least is taken then, with a message.
     """
     frames, usable = problem.data, problem.precision > 0
     messages: list[str] = []
@@ -147,7 +147,7 @@ def start_psf(problem: Problem) -> list[str]:
                 messages.append(
                     Message(
                         "blur-width-unknown",
-                        f"the frames' spectrum does not tell how wide the blur is: next to none is taken out. Give its "
+                        f"the frames' spectrum does not show how wide the blur is: next to none is taken out. Give its "
                         f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius",
                     )
                 )

@@ -149,7 +149,7 @@ def _divide_low_order_part(
 ) -> list[str]:
     """Divide the shared low-order part between the offset's shading and the scenes; a message where that is a guess.
 
-    Where neighbouring frames show the same things displaced, these tell; else how much the scenes differ.
+    Neighbouring frames that show the same things displaced decide, else how much the scenes differ.
     """
     shading = next((part for part in offset if isinstance(part, Shading)), None)
     if shading is None or shading.sigma_is_fixed:

@@ -49,7 +49,7 @@ class Narcissus(NUC):
     """Scene, stray flux, gain, offset and motion from a jittered burst: the scene moves, the stray flux stays.
 
     Stray flux first, with a gain that is taken for even: one that follows at once would explain strong stray flux as a
-    sensor that sees no scene. Then as in `nuc`. From one frame, only its smoothness tells stray flux from the scene.
+    sensor that sees no scene. Then as in `nuc`. From one frame, only smoothness separates stray flux from the scene.
     """
 
     judged = False

@@ -35,7 +35,7 @@ class CorrectedRecording:
         read: Reads the recorded frames from the start.
         segments: The parts of the recording with one fixed pattern each; most have one.
         keyframes: That the sensor was estimated from.
-        neighbours: Runs of frames that tell of thermal lag.
+        neighbours: Runs of frames that thermal lag is estimated from.
     """
 
     read: Callable[[], Iterator[Array]]

@@ -65,7 +65,7 @@ class CameraAtRestError(DataError):
 
 @dataclass(frozen=True)
 class SensorEstimate:
-    """What a recording tells of its sensor: `frame = level + offset + gain (scene - level)`.
+    """Estimate of the sensor of a recording: `frame = level + offset + gain (scene - level)`.
 
     Attributes:
         gain: (h, w), around one.

@@ -257,7 +257,7 @@ class _Lines(logging.Formatter):
 
 
 class _LogFile(logging.FileHandler):
-    """The log, which ends where the disk is full; the results' own error tells of that."""
+    """The log, which ends where the disk is full; the results' own error reports that."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's own name
         """Drop the line."""

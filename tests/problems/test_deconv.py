@@ -73,7 +73,7 @@ def test_a_width_that_is_found_is_as_good_as_the_true_one(sim, known):
     at = np.arange(17) - 8
     assert np.sqrt((found.extra["psf"] * at**2).sum()) == pytest.approx(1.5, rel=0.1)
     assert psnr(found.scene, sim) > psnr(known.scene, sim) - 0.5
-    assert found.messages[0].startswith("one frame does not tell the sensor's pattern from the scene")
+    assert found.messages[0].startswith("one frame does not separate the sensor's pattern from the scene")
     assert np.array_equal(found.gain, np.ones((80, 96)))
 
 

@@ -11,7 +11,7 @@ from deepir.messages import Message
 Array = np.ndarray[Any, np.dtype[Any]]
 
 MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
-MIN_SEAM_ROWS = 16  # rows of either part, where only their seam tells
+MIN_SEAM_ROWS = 16  # rows of either part, where only their seam shows it
 MIN_FRAMES = 3  # frames whose common fixed pattern is left out
 BLOCK_SIDE = 4  # px, of blocks within those that a codec leaves as they were
 MAX_EQUAL_BLOCKS = (

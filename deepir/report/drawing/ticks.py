@@ -30,7 +30,7 @@ def log_ticks(low: float, high: float) -> list[float]:
 
 
 def labels(ticks: list[float]) -> list[str]:
-    """The numbers as text, with as many decimals as tell them apart."""
+    """The numbers as text, with as many decimals as make them different."""
     if not ticks:
         return []
     steps = [b - a for a, b in itertools.pairwise(ticks)] or [abs(ticks[0]) or 1.0]
