@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from deepir.calibration import CorrectionMaps
-from deepir.live.estimation import ENDED, Beside, Estimator
+from deepir.live.estimation import ENDED, Estimator, ProcessEstimator
 from deepir.live.keyframes import LiveKeyframes
 from deepir.recording.pattern_shares import fits, is_better
 from deepir.recording.segments import Segment
@@ -86,7 +86,7 @@ class Corrector:
 
     def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
         self._start = maps
-        self._estimator = estimator or Beside()
+        self._estimator = estimator or ProcessEstimator()
         self.reset()
 
     def __enter__(self) -> Corrector:
