@@ -23,7 +23,10 @@ def analyze(
     flat: Annotated[bool, typer.Option("--flat", help="The frames are of a uniform source.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option(help="The picture; runs/NAME-analysis.png, or RUN/analysis.png.", show_default=False),
+        typer.Option(
+            help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png.",
+            show_default=False,
+        ),
     ] = None,
     overwrite: Overwrite = False,
 ) -> int:

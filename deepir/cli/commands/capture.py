@@ -21,11 +21,11 @@ def capture(
     settings: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="KEY=VALUE", help="Of the driver, for example device=/dev/video2", show_default=False
+            metavar="KEY=VALUE", help="Driver settings, for example device=/dev/video2", show_default=False
         ),
     ] = None,
-    camera: Annotated[str, typer.Option(help="The driver: v4l2, boson.")] = "v4l2",
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="How many.")] = 10,
+    camera: Annotated[str, typer.Option(help="Driver of the camera: v4l2, boson.")] = "v4l2",
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="Number of frames.")] = 10,
     every: Annotated[float, typer.Option(min=0, help="Seconds between frames, at least.")] = 0.4,
     overwrite: Overwrite = False,
     plugin: Plugins = None,

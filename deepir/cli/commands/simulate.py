@@ -32,9 +32,7 @@ def simulate(
             help="A file, a picture of scikit-image (camera), procedural:SEED or sky:SEED; finer than the detector.",
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Of motion, pattern, noise, and the scene that is drawn.")
-    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of motion, pattern, noise and drawn scene.")] = 0,
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate a burst with known truth: deepir simulate burst.npz n_frames=8 shape=[240,320] counts=true.

@@ -22,11 +22,14 @@ def train(
         str, typer.Argument(metavar="NAME", help="What to train: see `deepir list`.", show_default=False)
     ],
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE.safetensors", help="The weights; NAME.safetensors.")
+        Path | None,
+        typer.Option(metavar="FILE.safetensors", help="File of the weights; default: NAME.safetensors."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the first weights and of all that is drawn.")] = 0,
-    iterations: Annotated[int | None, typer.Option(min=0, help="As many as the training says.")] = None,
-    threads: Annotated[int, typer.Option(min=1, help="Threads; with others, other weights.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of initial weights and training samples.")] = 0,
+    iterations: Annotated[
+        int | None, typer.Option(min=0, help="Number of iterations; default: that of the training.")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Number of threads; the weights depend on it.")] = 1,
     overwrite: Overwrite = False,
     plugin: Plugins = None,
 ) -> None:
