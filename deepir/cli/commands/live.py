@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from deepir.io.output.recording import Array, Write
     from deepir.live.corrector import Corrector
     from deepir.live.page.session import Session
-    from deepir.live.playback import Moment
+    from deepir.live.playback import CorrectedFrame
 
 ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys, of a recording
 STATUS_EVERY = 1.0  # s between two lines of status
@@ -45,7 +45,8 @@ def live(
     ] = None,
     settings: ReadingSettings = None,
     camera: Annotated[
-        str | None, typer.Option(help="A camera instead: v4l2, boson.", show_default=False)
+        str | None,
+        typer.Option(help="Driver of a camera in place of a recording: v4l2, boson.", show_default=False),
     ] = None,
     output: Annotated[
         str | None,
@@ -72,13 +73,13 @@ def live(
     page: Annotated[
         bool, typer.Option("--page", help="Show the frames in the browser, with controls, until Ctrl-C.")
     ] = False,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0: any that is free.")] = 8265,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free port.")] = 8265,
     host: Annotated[
         str,
         typer.Option(help="Address of this machine for the page; 0.0.0.0: for others in the network too."),
     ] = "127.0.0.1",
     record_to: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="For recordings that are started on the page.")
+        Path, typer.Option(metavar="FOLDER", help="Folder of the recordings that are started on the page.")
     ] = Path(),
     overwrite: Overwrite = False,
     plugin: Plugins = None,
@@ -95,7 +96,7 @@ def live(
     from deepir.cli.signals import Interrupted, Interruptible
     from deepir.errors import DataError
     from deepir.live.corrector import Corrector
-    from deepir.live.estimation import Beside, Here
+    from deepir.live.estimation import ProcessEstimator, SynchronousEstimator
     from deepir.live.kept_maps import KeptMaps
     from deepir.live.virtual_camera import virtual_camera
 
@@ -105,10 +106,10 @@ def live(
     status, count, ended = 0, 0, "the recording has ended"
     session: Session | None = None
     kept: KeptMaps | None = None
-    viewers: list[Callable[[Moment], None]] = []
+    viewers: list[Callable[[CorrectedFrame], None]] = []
     with (
         held_outputs(*files, overwrite=overwrite, source=source),
-        Corrector(start, estimator=Here() if fast else Beside()) as corrector,
+        Corrector(start, estimator=SynchronousEstimator() if fast else ProcessEstimator()) as corrector,
         ExitStack() as shown,
     ):
         with Interruptible(), ExitStack() as stack:
@@ -128,8 +129,8 @@ def live(
                 display = _display(settings or ())
                 if virtual:
                     viewers.append(stack.enter_context(virtual_camera(rate, display.palette, display.tones)))
-                for moment in _play(frames, corrector, output, display, viewers, stack):
-                    count = moment.number
+                for frame in _play(frames, corrector, output, display, viewers, stack):
+                    count = frame.number
             except Interrupted as error:  # the usual end of a camera: what was recorded is kept
                 status, ended = 0 if camera else error.status, ""
             except DataError as error:
@@ -185,25 +186,25 @@ def _play(
     corrector: Corrector,
     output: str | None,
     display: Output,
-    viewers: Sequence[Callable[[Moment], None]],
+    viewers: Sequence[Callable[[CorrectedFrame], None]],
     stack: ExitStack,
-) -> Iterator[Moment]:
+) -> Iterator[CorrectedFrame]:
     """Correct, write and show frame after frame, and say every second how it goes."""
     from deepir.live.playback import play
 
     write: Write | None = None
     said = time.monotonic()
-    for moment in play(frames, corrector):
+    for frame in play(frames, corrector):
         if write is None:
-            write = _writer(output, moment.raw, display, stack)
-        write(moment.corrected)
+            write = _writer(output, frame.raw, display, stack)
+        write(frame.corrected)
         for show in viewers:
-            show(moment)
+            show(frame)
         if (now := time.monotonic()) - said > STATUS_EVERY:
             said = now
-            dropped = f", {moment.dropped} dropped" if moment.dropped else ""
-            notify(f"{moment.status}; {moment.rate:.0f} frames/s, {1000 * moment.delay:.1f} ms{dropped}")
-        yield moment
+            dropped = f", {frame.dropped} dropped" if frame.dropped else ""
+            notify(f"{frame.status}; {frame.rate:.0f} frames/s, {1000 * frame.delay:.1f} ms{dropped}")
+        yield frame
 
 
 def _display(settings: Sequence[str]) -> Output:
