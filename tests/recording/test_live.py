@@ -182,7 +182,7 @@ def test_frames_do_not_wait_for_an_estimate(walk):
             assert np.array_equal(corrector(frame), frame)
 
 
-def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_replaced(walk):
+def test_an_estimate_comes_from_a_separate_process_and_one_that_is_killed_is_replaced(walk):
     with Corrector(estimator=ProcessEstimator()) as corrector:
         corrector._estimator._process.kill()
         corrector._estimator._process.wait()

@@ -11,7 +11,7 @@ from deepir.cli.arguments import Overwrite, Settings, recording_config
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
-    from deepir.analysis import Statistics, Verdict
+    from deepir.analysis import BurstAssessment, PatternStatistics
     from deepir.result import Array
 
 
@@ -35,7 +35,7 @@ def analyze(
     A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
     file's format.
     """
-    from deepir.analysis.verdict import report_lines
+    from deepir.analysis.burst_assessment import report_lines
     from deepir.cli.signals import Interrupted, report_aborted
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
@@ -47,32 +47,32 @@ def analyze(
     if output is not None and output.exists() and not overwrite:
         raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
     in_run = (path / "result.npz").is_file()
-    verdict: Verdict | None = None
+    assessment: BurstAssessment | None = None
     scene_deviation: Array | None = None
     if flat:
         statistics = _of_flat(path, settings or [])
     elif in_run:
         if settings:
             raise ConfigError(f"{what}: a finished run takes no settings")
-        statistics, verdict, scene_deviation = _of_run(path)
+        statistics, assessment, scene_deviation = _of_run(path)
     else:
         try:
-            statistics, verdict, scene_deviation = _of_burst(path, settings or [])
+            statistics, assessment, scene_deviation = _of_burst(path, settings or [])
         except Interrupted as error:
             return report_aborted(error)
-    for line in report_lines(statistics, verdict, scene_deviation):
+    for line in report_lines(statistics, assessment, scene_deviation):
         echo(line)
     picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
     try:
         picture.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
-    write_analysis(picture, statistics, verdict, scene_deviation)
+    write_analysis(picture, statistics, assessment, scene_deviation)
     echo(f"picture: {picture}")
     return 0
 
 
-def _of_flat(path: Path, settings: list[str]) -> Statistics:
+def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:
     from deepir.analysis import flat_statistics
     from deepir.burst import load
 
@@ -80,7 +80,9 @@ def _of_flat(path: Path, settings: list[str]) -> Statistics:
     return flat_statistics(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
 
 
-def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | None, Array | None]:
+def _of_burst(
+    path: Path, settings: list[str]
+) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
     import deepir
     from deepir.cli.signals import Interruptible
     from deepir.messages import labelled, shown
@@ -97,7 +99,7 @@ def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | No
     ), scene_deviation
 
 
-def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
+def _of_run(path: Path) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
     import numpy as np
 
     from deepir.errors import DataError
@@ -118,11 +120,11 @@ def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
 
 def _judged(
     gain: Array, offset: Array, scene: Array, motion: Array, bad: Array
-) -> tuple[Statistics, Verdict | None]:
-    """Statistics of the pattern of a result at the mean flux, and its verdict."""
+) -> tuple[PatternStatistics, BurstAssessment | None]:
+    """Statistics of the pattern of a result at the mean flux, and the assessment of its burst."""
     import numpy as np
 
-    from deepir.analysis import assess, map_statistics
+    from deepir.analysis import assess_burst, map_statistics
 
     pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
     statistics = map_statistics(pattern, ~bad)
@@ -131,4 +133,4 @@ def _judged(
     seen = motion[np.isfinite(motion).all((1, 2))]
     if len(seen) < 2 or scene.ndim > 2:  # no motion across the pattern
         return statistics, None
-    return statistics, assess(statistics, coarser @ seen @ np.linalg.inv(coarser), round(finer))
+    return statistics, assess_burst(statistics, coarser @ seen @ np.linalg.inv(coarser), round(finer))
