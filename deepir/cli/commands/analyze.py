@@ -46,23 +46,13 @@ def analyze(
         raise ConfigError(f"--output {output}: a picture's name ends in .png")
     if output is not None and output.exists() and not overwrite:
         raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
-    in_run = (path / "result.npz").is_file()
-    assessment: BurstAssessment | None = None
-    scene_deviation: Array | None = None
-    if flat:
-        statistics = _of_flat(path, settings or [])
-    elif in_run:
-        if settings:
-            raise ConfigError(f"{what}: a finished run takes no settings")
-        statistics, assessment, scene_deviation = _of_run(path)
-    else:
-        try:
-            statistics, assessment, scene_deviation = _of_burst(path, settings or [])
-        except Interrupted as error:
-            return report_aborted(error)
+    try:
+        statistics, assessment, scene_deviation = _analysis(path, settings or [], flat=flat)
+    except Interrupted as error:
+        return report_aborted(error)
     for line in report_lines(statistics, assessment, scene_deviation):
         echo(line)
-    picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
+    picture = output or _default_picture(path)
     try:
         picture.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -70,6 +60,29 @@ def analyze(
     write_analysis(picture, statistics, assessment, scene_deviation)
     echo(f"picture: {picture}")
     return 0
+
+
+def _is_run(path: Path) -> bool:
+    return (path / "result.npz").is_file()
+
+
+def _default_picture(path: Path) -> Path:
+    return path / "analysis.png" if _is_run(path) else Path("runs") / f"{path.stem}-analysis.png"
+
+
+def _analysis(
+    path: Path, settings: list[str], *, flat: bool
+) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
+    """Statistics of the pattern; assessment of the burst and deviation of the scene, where they are known."""
+    from deepir.errors import ConfigError
+
+    if flat:
+        return _of_flat(path, settings), None, None
+    if not _is_run(path):
+        return _of_burst(path, settings)
+    if settings:
+        raise ConfigError(f"{path}: a finished run takes no settings")
+    return _of_run(path)
 
 
 def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:

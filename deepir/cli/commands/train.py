@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
-from deepir.cli.outputs import held_outputs
+from deepir.cli.outputs import check_output_name, held_outputs
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -39,14 +39,12 @@ def train(
 
     import deepir
     from deepir import weights
-    from deepir.errors import DataError
     from deepir.registry import lookup
     from deepir.training import training
 
     kind = lookup("training", name, "train")
     path = out or Path(f"{name}.safetensors")
-    if path.suffix != ".safetensors" or not path.parent.is_dir():
-        raise DataError(f"{path}: give the name of a .safetensors file in a folder that exists")
+    check_output_name(path, ".safetensors")
     torch.set_num_threads(threads)
     about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
     about |= {"deepir": deepir.__version__, "torch": torch.__version__}
