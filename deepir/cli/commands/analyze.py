@@ -53,10 +53,7 @@ def analyze(
     for line in report_lines(statistics, assessment, scene_deviation):
         echo(line)
     picture = output or _default_picture(path)
-    try:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
+    _make_folder(picture.parent)
     write_analysis(picture, statistics, assessment, scene_deviation)
     echo(f"picture: {picture}")
     return 0
@@ -68,6 +65,15 @@ def _is_run(path: Path) -> bool:
 
 def _default_picture(path: Path) -> Path:
     return path / "analysis.png" if _is_run(path) else Path("runs") / f"{path.stem}-analysis.png"
+
+
+def _make_folder(folder: Path) -> None:
+    from deepir.errors import DataError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 def _analysis(
