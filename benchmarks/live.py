@@ -21,7 +21,7 @@ from rivals import OVER_TIME
 from written import write
 
 from deepir.live.corrector import Corrector
-from deepir.live.estimation import Here
+from deepir.live.estimation import SynchronousEstimator
 from deepir.live.playback import play
 from deepir.live.sources import Paced
 from deepir.simulate.recording import RecordingSettings
@@ -179,7 +179,7 @@ def drive() -> Iterator[str]:
         yield f"Not run: {DATA} is not there; `DEEPIR_DATA` names the folder of the data."
         return
     raw, calibrated = frames
-    with Corrector(estimator=Here()) as corrector:
+    with Corrector(estimator=SynchronousEstimator()) as corrector:
         found = [alike(corrector(frame), truth) for frame, truth in zip(raw, calibrated, strict=True)]
     yield "`deepir live --fast`: median likeness with the calibrated frames, a hundred at a time.\n"
     yield f"| {' | '.join(f'{k} to {k + 99}' for k in range(0, len(found), 100))} |\n|{'---|' * (len(found) // 100)}"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
 from deepir.io.inspection.describe import FULL_SCALE_COUNTS
@@ -57,7 +58,7 @@ class CorrectionMaps:
         """
         self.check(frames)
         scale, shift = self._factors
-        scene: Array = np.ma.filled(frames.astype(np.float32), np.nan)
+        scene = as_float32(frames)
         scene *= scale
         scene += shift
         bad, sources, weights = self._neighbours
@@ -80,7 +81,7 @@ class CorrectionMaps:
 
     def roughness_ratio(self, frame: Array) -> float:
         """Median difference between neighbouring pixels of a frame (h, w), after correction over before."""
-        known = np.ma.filled(frame.astype(np.float32), np.nan)
+        known = as_float32(frame)
         before, after = (np.abs(np.diff(each, axis=1)) for each in (known, self.correct(frame)))
         valid = np.isfinite(before) & np.isfinite(after)
         rough = np.median(before[valid]) if valid.any() else 0.0

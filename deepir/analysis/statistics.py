@@ -25,7 +25,7 @@ MIN_REPORTED_SHARE = 0.05  # share of the pattern's variance from which a compon
 
 
 @dataclass(frozen=True)
-class Statistics:
+class PatternStatistics:
     """Statistics of a fixed pattern.
 
     Attributes:
@@ -48,27 +48,29 @@ class Statistics:
     temporal: Array | None = None
     stable_frames: float | None = None
 
-    def at(self, shifts: Array) -> Array:
+    def autocorrelation_at(self, shifts: Array) -> Array:
         """Autocorrelation at shifts (..., 2), x and y in px, by the nearest lag."""
         farthest = len(self.correlation) // 2
         x, y = np.moveaxis(np.rint(shifts).astype(int).clip(-farthest, farthest), -1, 0)
         return np.asarray(self.correlation[farthest + y, farthest + x])
 
 
-def map_statistics(pattern: Array, good: Array | None = None, twin: Array | None = None) -> Statistics:
+def map_statistics(
+    pattern: Array, good: Array | None = None, repeat: Array | None = None
+) -> PatternStatistics:
     """Statistics of a pattern that was seen once.
 
     Args:
         pattern: (h, w), in the data's units.
         good: (h, w) bool, usable pixels; None: all.
-        twin: (h, w), the same pattern with independent noise; products with it are free of noise.
+        repeat: (h, w), the same pattern with independent noise; products with it are free of noise.
     """
     good = np.ones(pattern.shape, bool) if good is None else good
-    twin = pattern if twin is None else twin
-    rough, other = (np.where(good, each - quadratic_fit(each, good), 0.0) for each in (pattern, twin))
+    repeat = pattern if repeat is None else repeat
+    rough, other = (np.where(good, each - quadratic_fit(each, good), 0.0) for each in (pattern, repeat))
     level = pattern[good].mean()
     total, without_shading = (
-        (a * b)[good].mean() for a, b in ((pattern - level, twin - twin[good].mean()), (rough, other))
+        (a * b)[good].mean() for a, b in ((pattern - level, repeat - repeat[good].mean()), (rough, other))
     )
     correlation = autocorrelation(rough, other, good)
     middle = len(correlation) // 2
@@ -79,7 +81,7 @@ def map_statistics(pattern: Array, good: Array | None = None, twin: Array | None
         correlation_length((along_y - columns) / (1 - columns)),
     )
     shading = max(0.0, 1 - without_shading / total) if total > 0 else 0.0
-    return Statistics(
+    return PatternStatistics(
         np.where(good, pattern - level, 0),
         correlation,
         lengths,
@@ -89,7 +91,7 @@ def map_statistics(pattern: Array, good: Array | None = None, twin: Array | None
     )
 
 
-def flat_statistics(frames: Array, good: Array | None = None) -> Statistics:
+def flat_statistics(frames: Array, good: Array | None = None) -> PatternStatistics:
     """Statistics of successive frames of a uniform source.
 
     Args:

@@ -12,12 +12,12 @@ Array = np.ndarray[Any, Any]
 MAX_LAG = 50
 
 
-def autocorrelation(pattern: Array, twin: Array, good: Array) -> Array:
+def autocorrelation(pattern: Array, second: Array, good: Array) -> Array:
     """Normalised correlation of two maps as a function of the lag, by fast Fourier transforms.
 
     Args:
         pattern: (h, w), zero where not good.
-        twin: The second map, same shape; `pattern` itself for an autocorrelation.
+        second: The second map, same shape; `pattern` itself for an autocorrelation.
         good: Pixels that count, (h, w), bool.
 
     Returns:
@@ -25,7 +25,7 @@ def autocorrelation(pattern: Array, twin: Array, good: Array) -> Array:
     """
     max_lag = min(MAX_LAG, min(pattern.shape) // 4)
     size = [fft.next_fast_len(side + max_lag) for side in pattern.shape]
-    one, other, mask = (fft.rfft2(each, size) for each in (pattern, twin, good.astype(float)))
+    one, other, mask = (fft.rfft2(each, size) for each in (pattern, second, good.astype(float)))
     products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (mask, mask)))
     lags = np.arange(-max_lag, max_lag + 1)
     found = (products / pairs.clip(min=1))[np.ix_(lags, lags)]

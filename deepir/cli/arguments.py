@@ -36,6 +36,7 @@ DATA_SETTINGS = (
     "data.radiometry",
     "data.crop",
 )  # of how a file is read
+RECORDING_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # of how it is read and displayed
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 
 

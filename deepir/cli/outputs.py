@@ -7,6 +7,27 @@ from contextlib import contextmanager
 from pathlib import Path
 
 
+def check_output_name(path: Path, suffix: str) -> None:
+    """Check the name of an output file: its suffix, such as ".npz", and its folder.
+
+    Raises:
+        DataError: It has another suffix, or its folder is missing.
+    """
+    from deepir.errors import DataError
+
+    if path.suffix != suffix or not path.parent.is_dir():
+        raise DataError(f"{path}: give a file name that ends in {suffix}, in a folder that exists")
+
+
+def config_stem(name: str) -> str:
+    """Name of a configuration without folder and suffix, for the default output folder.
+
+    Args:
+        name: A shipped configuration, or a .yaml file.
+    """
+    return Path(name).stem if Path(name).is_file() else name
+
+
 @contextmanager
 def held_outputs(*paths: Path, overwrite: bool, source: str | Path | None = None) -> Iterator[None]:
     """A context in which no other process writes these files.

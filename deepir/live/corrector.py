@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
-from deepir.live.estimation import ENDED, Beside, Estimator
+from deepir.live.estimation import ENDED, Estimator, ProcessEstimator
 from deepir.live.keyframes import LiveKeyframes
 from deepir.recording.pattern_shares import contains_pattern, removes_more
 from deepir.recording.segments import Segment
@@ -86,7 +87,7 @@ class Corrector:
 
     def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
         self._start = maps
-        self._estimator = estimator or Beside()
+        self._estimator = estimator or ProcessEstimator()
         self.reset()
 
     def __enter__(self) -> Corrector:
@@ -128,7 +129,7 @@ class Corrector:
             self._check(frame, corrected)
         self._frames += 1
         self._faded += 1
-        return _values(frame) if corrected is None or not self._fits else corrected
+        return as_float32(frame) if corrected is None or not self._fits else corrected
 
     @property
     def maps(self) -> CorrectionMaps | None:
@@ -179,7 +180,7 @@ class Corrector:
 
     def _check(self, frame: Array, corrected: Array) -> None:
         """Check whether the maps fit a frame; where they no longer do, the pattern is another: learn it anew."""
-        self._checks.append(contains_pattern(_values(frame), corrected, self._bad_pixels))
+        self._checks.append(contains_pattern(as_float32(frame), corrected, self._bad_pixels))
         if not self._fits and not self._relearns and not self.hold:
             self._relearns = self._is_first = True
             self._keyframes.forget(self._keyframes.length - CHECK_INTERVAL)  # two checks have failed since
@@ -195,7 +196,7 @@ class Corrector:
             self._due = self._keyframes.taken + MIN_QUICK_KEYFRAMES
             return
         self._keyframes.forget(found.first)  # another pattern
-        if not self._serves(found, _values(frame)):
+        if not self._serves(found, as_float32(frame)):
             self._rejected += 1
             self._due = max(self._due, self._keyframes.taken + MIN_QUICK_KEYFRAMES)
             return
@@ -222,8 +223,3 @@ class Corrector:
             former = self._former.correct(frame)
             corrected = former + np.float32(self._faded / FADE_LENGTH) * (corrected - former)
         return corrected
-
-
-def _values(frame: Array) -> Array:
-    """A frame as float32; NaN where a sample is masked."""
-    return np.asarray(np.ma.filled(frame.astype(np.float32), np.nan))

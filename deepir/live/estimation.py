@@ -71,8 +71,8 @@ def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps 
         return Segment(first, last, None, str(error))
 
 
-class Here:
-    """Estimates at once, in this process: frames wait."""
+class SynchronousEstimator:
+    """Estimates in the calling process; frames wait."""
 
     def __init__(self) -> None:
         self._found: Segment | None = None
@@ -98,8 +98,8 @@ class Here:
         """Nothing is under way."""
 
 
-class Beside:
-    """Estimates in a process of its own."""
+class ProcessEstimator:
+    """Estimates in a separate process."""
 
     def __init__(self) -> None:
         self._process = self._start()

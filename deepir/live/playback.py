@@ -20,8 +20,8 @@ RATE_OVER = 30  # frames, over which the rate is measured
 
 
 @dataclass(frozen=True)
-class Moment:
-    """A frame, and how far the corrector is with it.
+class CorrectedFrame:
+    """A corrected frame, and the state of its corrector.
 
     Attributes:
         number: Of the frame, from 1.
@@ -42,7 +42,7 @@ class Moment:
     dropped: int
 
 
-def play(frames: Iterable[Array], corrector: Corrector) -> Iterator[Moment]:
+def play(frames: Iterable[Array], corrector: Corrector) -> Iterator[CorrectedFrame]:
     """Correct frames as they come.
 
     Args:
@@ -58,4 +58,4 @@ def play(frames: Iterable[Array], corrector: Corrector) -> Iterator[Moment]:
             times.append(now)
             rate = (len(times) - 1) / (now - times[0]) if len(times) > 1 else 0.0
             dropped = frames.dropped if isinstance(frames, Paced) else 0
-            yield Moment(number, frame, corrected, corrector.status, rate, now - begun, dropped)
+            yield CorrectedFrame(number, frame, corrected, corrector.status, rate, now - begun, dropped)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io.output.recording import Write, output_type, tiff
 
@@ -104,7 +105,7 @@ class Recorder:
             if not writers:
                 writers = self._open(stem, output_type(frames[0].dtype, rounded=True), stack)
             for write, frame in zip(writers, frames, strict=True):
-                write(np.ma.filled(frame.astype(np.float32), np.nan))
+                write(as_float32(frame))
             self.frames += 1
         return False
 

@@ -13,7 +13,7 @@ from deepir.io.extras import import_optional
 from deepir.io.output.tone_mapping import TONE_MAPPINGS, apply_palette
 
 if TYPE_CHECKING:
-    from deepir.live.playback import Moment
+    from deepir.live.playback import CorrectedFrame
 
 NO_DEVICE = (
     "no virtual camera: {}. On Linux load its driver: sudo modprobe v4l2loopback; on Windows and macOS install "
@@ -22,8 +22,8 @@ NO_DEVICE = (
 
 
 @contextmanager
-def virtual_camera(rate: float, palette: str, tones: str) -> Iterator[Callable[[Moment], None]]:
-    """What takes moments and shows their corrected frames; the camera begins with the first.
+def virtual_camera(rate: float, palette: str, tones: str) -> Iterator[Callable[[CorrectedFrame], None]]:
+    """A context with a function that shows corrected frames as a camera; the camera begins with the first one.
 
     Args:
         rate: Frames a second that it announces.
@@ -36,9 +36,9 @@ def virtual_camera(rate: float, palette: str, tones: str) -> Iterator[Callable[[
     library = import_optional("pyvirtualcam", "virtual-camera", "--virtual-camera")
     camera: Any = None
 
-    def show(moment: Moment) -> None:
+    def show(frame: CorrectedFrame) -> None:
         nonlocal camera
-        shown = apply_palette(TONE_MAPPINGS[tones](moment.corrected), palette)
+        shown = apply_palette(TONE_MAPPINGS[tones](frame.corrected), palette)
         if shown.ndim == 2:
             shown = np.repeat(shown[..., None], 3, axis=2)
         height, width = (side - side % 2 for side in shown.shape[:2])  # drivers want even sides

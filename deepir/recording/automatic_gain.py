@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepir.arrays.samples import as_float32
 from deepir.multiview.frame_gains import frame_gains, pattern_gain
 
 Array = np.ndarray[Any, Any]
@@ -37,7 +38,7 @@ class PatternStrength:
 
     def __call__(self, frame: Array, usable: Array | None = None) -> float:
         """Strength in a frame (h, w)."""
-        data = np.asarray(np.ma.filled(middle(frame).astype(np.float32), np.nan))
+        data = as_float32(middle(frame))
         good = np.isfinite(data) if usable is None else middle(usable)
         gain, _ = pattern_gain(*(torch.from_numpy(np.array(each)) for each in (data, good, self.pattern)))
         return float(gain) / self.reference

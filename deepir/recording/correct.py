@@ -44,19 +44,25 @@ class CorrectedRecording:
     neighbours: NeighbouringFrames
 
     @classmethod
-    def of(cls, read: Callable[[], Iterator[Array]], correction: str) -> CorrectedRecording:
+    def of(
+        cls,
+        read: Callable[[], Iterator[Array]],
+        correction: str,
+        track: Callable[[Iterator[Array]], Iterator[Array]] = iter,
+    ) -> CorrectedRecording:
         """Read a recording once, and estimate its sensor.
 
         Args:
             read: Reads the recorded frames (h, w) from the start.
             correction: One of `CORRECTIONS`, or "auto".
+            track: Passes frames on while they are read, and shows progress.
 
         Raises:
             DataError: It has few frames, or the camera stands still.
             ConfigError: There is no such correction.
         """
         neighbours = NeighbouringFrames()
-        keyframes = choose_keyframes(neighbours.collect(read()))
+        keyframes = choose_keyframes(neighbours.collect(track(read())))
         return cls(read, estimate_segments(keyframes, correction), keyframes, neighbours)
 
     def __len__(self) -> int:

@@ -14,6 +14,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
+
 Array = np.ndarray[Any, Any]
 T = TypeVar("T")
 Chosen = tuple[int, Array, int]  # number, frame (h, w), spacing
@@ -142,7 +144,7 @@ class ChosenFrames:
     def values(self) -> Iterator[Array]:
         """The frames, float32, one by one; NaN where a sample is masked."""
         for frame in self.frames:
-            yield np.ma.filled(frame.astype(np.float32), np.nan)
+            yield as_float32(frame)
 
     def keyframes(self, frames: Array) -> Keyframes:
         """Keyframes with these values (N, h, w), float32."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import memory, threads
@@ -43,9 +44,9 @@ class Segment:
         """Correct a frame (h, w), in the recording's units; float32."""
         found = self.estimate
         if found is None:
-            return np.ma.filled(frame.astype(np.float32), np.nan)
+            return as_float32(frame)
         if found.strength is not None:
-            values = np.ma.filled(frame.astype(np.float32), np.nan)
+            values = as_float32(frame)
             frame = values - np.float32(found.strength(values) - 1) * found.offset
         return self.maps.correct(frame)
 

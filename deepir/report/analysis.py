@@ -15,21 +15,24 @@ from deepir.report.drawing.figure import write_figure
 from deepir.report.drawing.scaled_map import draw_map
 
 if TYPE_CHECKING:
-    from deepir.analysis import Statistics, Verdict
+    from deepir.analysis import BurstAssessment, PatternStatistics
 
 PANEL = (520, 390)  # px, width and height
 FARTHEST_LAG = 25  # px, of the curves along x and y
 
 
 def write_analysis(
-    path: Path, statistics: Statistics, verdict: Verdict | None = None, scene_deviation: Array | None = None
+    path: Path,
+    statistics: PatternStatistics,
+    assessment: BurstAssessment | None = None,
+    scene_deviation: Array | None = None,
 ) -> None:
     """Write the picture.
 
     Args:
         path: A .png.
         statistics: Of the pattern.
-        verdict: Of the burst, if there is one.
+        assessment: Of the burst, if there is one.
         scene_deviation: (H, W), standard deviation of the scene, if it is known.
     """
     pattern = statistics.pattern
@@ -41,18 +44,18 @@ def write_analysis(
         last = Image.new("RGB", PANEL, "white")
     above = [
         draw_map(pattern, f"pattern, std {pattern.std():.3g}", SIGNED, PANEL, centre=0.0),
-        _around(statistics, verdict),
+        _around(statistics, assessment),
     ]
     write_figure(path, [above, [_along(statistics), last]])
 
 
-def _around(statistics: Statistics, verdict: Verdict | None) -> Image.Image:
+def _around(statistics: PatternStatistics, assessment: BurstAssessment | None) -> Image.Image:
     """The autocorrelation, with the displacements of the frames: pale at points off the centre."""
     middle = len(statistics.correlation) // 2
     edge = middle + 0.5
     view, title = min(edge, 3 * max(statistics.lengths) + 8), "autocorrelation, 0 dark to 1 bright"
-    if verdict is not None:
-        view = min(edge, max(view, float(np.abs(verdict.displacements).max()) + 2))
+    if assessment is not None:
+        view = min(edge, max(view, float(np.abs(assessment.displacements).max()) + 2))
         title += ", and where the frames look"
     axes = Axes(PANEL, title, (-view, view), (view, -view), "lag in x and y (px)", square=True)
     near = min(middle, int(view) + 1)
@@ -60,15 +63,15 @@ def _around(statistics: Statistics, verdict: Verdict | None) -> Image.Image:
     levels = np.round(255 * statistics.correlation[shown, shown].clip(0, 1)).astype(np.uint8)
     end = near + 0.5
     axes.image(colour_table("magma")[levels], (-end, end, end, -end))
-    if verdict is not None:
-        for k, place in enumerate(verdict.displacements):
-            centre = k == len(verdict.displacements) // 2
+    if assessment is not None:
+        for k, place in enumerate(assessment.displacements):
+            centre = k == len(assessment.displacements) // 2
             x, y = place.T
             axes.points(x, y, "deepskyblue" if centre else "steelblue", 3.5 if centre else 1.5)
     return axes.picture()
 
 
-def _along(statistics: Statistics) -> Image.Image:
+def _along(statistics: PatternStatistics) -> Image.Image:
     farthest = len(statistics.correlation) // 2
     lags, middle = np.arange(farthest + 1), statistics.correlation
     title = "autocorrelation along an axis; what stays are lines"

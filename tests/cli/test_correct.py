@@ -35,7 +35,7 @@ def segments(recording):
 @pytest.fixture
 def estimated(segments, monkeypatch):
     """The estimate is made once for all tests that ask for this."""
-    monkeypatch.setattr("deepir.recording.segments.estimate_segments", lambda *_: segments)
+    monkeypatch.setattr("deepir.recording.correct.estimate_segments", lambda *_: segments)
 
 
 def fixed_pattern(frames, scenes):

@@ -112,7 +112,7 @@ def test_a_film_is_written(deepir, folder, maps):
         ("apply maps.npz burst.npz prior=tv", "prior=tv: only settings of data.key, data.raw"),
         ("apply maps.npz burst.npz output.palette=iron", "'white-hot' or 'black-hot' or 'ironbow'"),
         ("calibrate maps.npz burst.npz", "maps.npz exists; replace it with --overwrite"),
-        ("calibrate a.tif burst.npz", "give the name of an .npz"),
+        ("calibrate a.tif burst.npz", "give a file name that ends in .npz"),
         ("calibrate a.npz burst.npz small.npy", "flat frames differ in size"),
         ("calibrate a.npz small.npy small.npy", "two temperatures are needed"),
         ("calibrate a.npz --burst burst.npz small.npy", "2 recordings given: one with --burst"),

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from deepir.live.corrector import Corrector
-from deepir.live.estimation import Here
+from deepir.live.estimation import SynchronousEstimator
 from deepir.live.page.server import serve
 from deepir.live.page.session import Session
 from deepir.live.playback import play
@@ -41,7 +41,7 @@ def frames(pattern):
     return (scenes + pattern + rng.normal(0, 3, scenes.shape)).round().astype(np.uint16)
 
 
-class Knowing(Here):
+class Knowing(SynchronousEstimator):
     """Takes no time to estimate: it knows the pattern."""
 
     def __init__(self, pattern):
@@ -62,12 +62,12 @@ class Live:
         self.corrector = Corrector(estimator=Knowing(pattern))
         self.recorder = Recorder(folder / "recordings")
         self.session = Session(self.corrector, self.recorder, title="drive.avi")
-        self.moments = play(itertools.cycle(frames), self.corrector)
+        self.corrected = play(itertools.cycle(frames), self.corrector)
 
     def show(self, count=1):
         """The next frames; the last of them."""
         for _ in range(count):
-            self.session.show(next(self.moments))
+            self.session.show(next(self.corrected))
         return self.session.newest
 
 
@@ -91,13 +91,13 @@ class Viewer:
     def __init__(self, socket):
         self.socket = socket
 
-    def send(self, **wish):
+    def send(self, **request):
         """Ask for a frame."""
-        self.socket.send(json.dumps({"palette": "white-hot", "tones": "percentile"} | wish))
+        self.socket.send(json.dumps({"palette": "white-hot", "tones": "percentile"} | request))
 
-    def ask(self, **wish):
+    def ask(self, **request):
         """Ask for a frame: its pictures, and how it goes."""
-        self.send(**wish)
+        self.send(**request)
         pictures = []
         while isinstance(part := self.socket.recv(10), bytes):
             pictures.append(np.asarray(Image.open(io.BytesIO(part))))

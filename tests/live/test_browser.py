@@ -57,9 +57,9 @@ def arrive(page, count=1):
 
 def show(page, live):
     """Show a frame, and wait until the page has it."""
-    moment = live.show()
-    until(page, lambda: page.evaluate(FRAME) == moment.number)
-    return moment
+    frame = live.show()
+    until(page, lambda: page.evaluate(FRAME) == frame.number)
+    return frame
 
 
 def colours(page, canvas="#corrected"):
@@ -132,14 +132,12 @@ def test_the_slider_parts_raw_from_corrected(page, live):
 
 
 def test_a_point_is_read_by_mouse_and_by_keys(page, live):
-    moment = show(page, live)
+    frame = show(page, live)
     box = page.locator("#pair").bounding_box()
     spot = {"x": box["width"] * 60.5 / 80, "y": box["height"] * 10.5 / 60}
 
     def reads(x, y):
-        words = (
-            f"x {x}, y {y} · corrected {moment.corrected[y, x]:.0f} counts · raw {moment.raw[y, x]} counts"
-        )
+        words = f"x {x}, y {y} · corrected {frame.corrected[y, x]:.0f} counts · raw {frame.raw[y, x]} counts"
         until(page, lambda: page.inner_text("#reading") == words)
 
     page.hover("#pair", position=spot)
@@ -155,11 +153,11 @@ def test_a_point_is_read_by_mouse_and_by_keys(page, live):
 
 
 def test_a_snapshot_holds_the_values(page, live):
-    moment = live.show()
+    frame = live.show()
     with page.expect_download() as download:
         page.click("#tif")
     assert download.value.suggested_filename == "frame-1.tif"
-    assert np.array_equal(tifffile.imread(download.value.path()), moment.corrected)
+    assert np.array_equal(tifffile.imread(download.value.path()), frame.corrected)
 
 
 def test_a_recording_is_started_and_stopped(page, running):

@@ -141,7 +141,7 @@ def test_each_viewer_has_a_palette_of_his_own(live, viewer):
 def test_a_viewer_who_does_not_read_stalls_nothing_and_fills_no_queue(live, viewer, made):
     rng = np.random.default_rng(0)
     large = rng.normal(8000, 100, (512, 640)).astype(np.float32)
-    live.moments = play(iter([large] * 50), live.corrector)
+    live.corrected = play(iter([large] * 50), live.corrector)
     live.show()
     stuck, looking = viewer(max_queue=1), viewer()
     for _ in range(300):
@@ -173,15 +173,15 @@ def test_hold_and_reset_are_carried_out_with_the_next_frame(live, viewer):
     looking = viewer()
     live.show(80)
     assert live.corrector.status.keyframes > 0
-    looking.ask(order="hold")
+    looking.ask(command="hold")
     taken = live.show().status.keyframes
     live.show(5)
     _, status = looking.ask()
     assert (status["state"], status["holding"], status["keyframes"]) == ("holding", True, taken)
-    looking.ask(order="learn")
+    looking.ask(command="learn")
     live.show()
     assert not live.corrector.hold
-    looking.ask(order="reset")
+    looking.ask(command="reset")
     live.show()
     assert live.corrector.status.frames == 0
 
@@ -189,9 +189,9 @@ def test_hold_and_reset_are_carried_out_with_the_next_frame(live, viewer):
 def test_a_recording_is_started_and_stopped(live, viewer, tmp_path):
     looking = viewer()
     live.show()
-    looking.ask(order="record")
+    looking.ask(command="record")
     shown = [live.show() for _ in range(5)][1:]
-    assert looking.ask(order="stop")[1]["recording"]
+    assert looking.ask(command="stop")[1]["recording"]
     live.show()
     live.recorder.close()
     assert looking.ask()[1]["recorder"].startswith("5 frame(s) are in")
@@ -203,20 +203,20 @@ def test_a_recording_is_started_and_stopped(live, viewer, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "wish",
+    "sent",
     [
         {"palette": "../../etc/passwd"},
-        {"order": "format"},
+        {"command": "format"},
         {"point": [2, 0]},
         {"point": [float("nan"), 0]},
         {"path": "x.tif"},
         {"tones": "x" * 9000},
     ],
 )
-def test_a_wish_that_is_none_closes_the_socket(live, viewer, wish):
+def test_a_malformed_request_closes_the_socket(live, viewer, sent):
     looking = viewer()
     with pytest.raises(ConnectionClosed, match=r"1008|1009"):
-        looking.ask(**wish)
+        looking.ask(**sent)
     live.show()
     assert viewer().ask()[1]["number"] == 1
 
@@ -230,24 +230,24 @@ def test_bytes_close_the_socket(viewer):
 
 def test_the_values_at_a_point_are_those_of_the_frames(live, viewer):
     live.session.radiometry = Linear(0.01, 200.0)
-    moment = live.show(75)
+    frame = live.show(75)
     _, status = viewer().ask(point=[0.999, 0.0])
     spot = status["spot"]
     assert (spot["x"], spot["y"], status["unit"]) == (79, 0, "counts")
-    assert spot["raw"] == moment.raw[0, 79]
-    assert spot["corrected"] == moment.corrected[0, 79]
+    assert spot["raw"] == frame.raw[0, 79]
+    assert spot["corrected"] == frame.corrected[0, 79]
     assert status["kelvin"] == pytest.approx([200 + 0.01 * limit for limit in status["limits"]])
-    assert spot["kelvin"] == pytest.approx(200 + 0.01 * float(moment.corrected[0, 79]))
+    assert spot["kelvin"] == pytest.approx(200 + 0.01 * float(frame.corrected[0, 79]))
 
 
 def test_snapshots_are_the_corrected_frame(live, address):
     assert get(address, "snapshot.tif")[0] == 404
-    moment = live.show(75)
+    frame = live.show(75)
     status, headers, content = get(address, "snapshot.tif")
     assert (status, headers["Content-Disposition"]) == (200, 'attachment; filename="frame-75.tif"')
-    assert np.array_equal(tifffile.imread(io.BytesIO(content)), moment.corrected)
+    assert np.array_equal(tifffile.imread(io.BytesIO(content)), frame.corrected)
     picture = get(address, "snapshot.png?palette=magma&tones=percentile")[2]
-    shown = apply_palette(percentile(moment.corrected), "magma")
+    shown = apply_palette(percentile(frame.corrected), "magma")
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(picture))), shown)
     assert get(address, "snapshot.png?palette=pink&tones=percentile")[0] == 404
     assert get(address, "palettes/pink.png")[0] == 404

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepir.live.corrector import Corrector
-from deepir.live.estimation import Here
+from deepir.live.estimation import SynchronousEstimator
 from deepir.live.playback import play
 from deepir.live.sources import Paced
 
@@ -18,7 +18,7 @@ def test_the_rate_is_that_of_the_frames_and_drops_are_counted(frames):
                 time.sleep(0.1)
             yield frame
 
-    *_, last = play(Paced(late(), 100.0), Corrector(estimator=Here()))
+    *_, last = play(Paced(late(), 100.0), Corrector(estimator=SynchronousEstimator()))
     assert last.dropped >= 5
     assert last.number + last.dropped == 20
     assert 5 < last.rate < 150
@@ -27,5 +27,5 @@ def test_the_rate_is_that_of_the_frames_and_drops_are_counted(frames):
 
 
 def test_a_single_frame_has_no_rate(frames):
-    (only,) = play(iter(frames[:1]), Corrector(estimator=Here()))
+    (only,) = play(iter(frames[:1]), Corrector(estimator=SynchronousEstimator()))
     assert (only.number, only.rate) == (1, pytest.approx(0))

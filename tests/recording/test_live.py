@@ -10,7 +10,7 @@ import pytest
 from deepir.calibration import CorrectionMaps
 from deepir.config.schema import Raw
 from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, MIN_QUICK_KEYFRAMES, Corrector
-from deepir.live.estimation import ENDED, Beside, Here
+from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.sources import Paced, camera_frames, stream_raw
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import WINDOW, ChosenFrames, in_groups
@@ -19,7 +19,7 @@ from deepir.recording.segments import Segment
 
 @pytest.fixture
 def corrector():
-    with Corrector(estimator=Here()) as made:
+    with Corrector(estimator=SynchronousEstimator()) as made:
         yield made
 
 
@@ -55,7 +55,7 @@ def test_nothing_is_learned_while_the_camera_stands_still(walk, corrector):
 
 def test_maps_of_an_earlier_day_are_taken_at_once(walk):
     maps = CorrectionMaps(walk.gain, walk.fine + walk.slow + 8000 * (1 - walk.gain), walk.bad)
-    with Corrector(maps, estimator=Here()) as corrector:
+    with Corrector(maps, estimator=SynchronousEstimator()) as corrector:
         assert np.array_equal(corrector(walk.frames[0]), maps.correct(walk.frames[0]))
         assert corrector.status.correcting
 
@@ -63,7 +63,9 @@ def test_maps_of_an_earlier_day_are_taken_at_once(walk):
 def test_frames_that_maps_do_not_fit_pass_as_they_are(walk):
     """As after a closure of the shutter, or with the maps of another camera."""
     wrong = 300 * np.random.default_rng(1).standard_normal(walk.gain.shape)
-    with Corrector(CorrectionMaps(np.ones_like(wrong), wrong, walk.bad), estimator=Here()) as corrector:
+    with Corrector(
+        CorrectionMaps(np.ones_like(wrong), wrong, walk.bad), estimator=SynchronousEstimator()
+    ) as corrector:
         assert np.array_equal(corrector(walk.frames[0]), walk.frames[0])
         assert not corrector.status.correcting
 
@@ -98,7 +100,7 @@ def test_new_maps_fade_in(walk):
         SensorEstimate(walk.gain, part * (walk.fine + walk.slow), walk.bad, 8000.0, None, "gain", {})
         for part in (1.0, 0.6)
     )
-    estimator, frame = Here(), walk.frames[0]
+    estimator, frame = SynchronousEstimator(), walk.frames[0]
     with Corrector(estimator=estimator) as corrector:
         shown = []
         for estimate in (fair, good):
@@ -115,11 +117,11 @@ def test_reset_forgets_what_was_learned(walk, corrector):
     for frame in walk.frames[: WINDOW + 10, :64, :80]:
         corrector(frame)
     corrector.reset()
-    assert corrector.status == Corrector(estimator=Here()).status
+    assert corrector.status == Corrector(estimator=SynchronousEstimator()).status
 
 
 def test_an_estimate_of_what_was_forgotten_is_not_taken(walk):
-    class Late(Here):
+    class Late(SynchronousEstimator):
         """Is done only after the reset."""
 
         done = False
@@ -155,7 +157,7 @@ def test_nothing_further_is_learned_while_it_holds(walk, corrector):
 
 def test_an_estimate_that_is_done_while_it_holds_is_taken_afterwards(walk):
     maps = CorrectionMaps(walk.gain, walk.fine + walk.slow + 8000 * (1 - walk.gain), walk.bad)
-    estimator = Here()
+    estimator = SynchronousEstimator()
     with Corrector(maps, estimator=estimator) as corrector:
         corrector.hold = True
         estimate = SensorEstimate(walk.gain, walk.fine + walk.slow, walk.bad, 8000.0, None, "gain", {})
@@ -167,7 +169,7 @@ def test_an_estimate_that_is_done_while_it_holds_is_taken_afterwards(walk):
         assert corrector.status.estimates == 1
 
 
-class Waiting(Here):
+class Waiting(SynchronousEstimator):
     """Gives its estimate late."""
 
     def poll(self):
@@ -180,8 +182,8 @@ def test_frames_do_not_wait_for_an_estimate(walk):
             assert np.array_equal(corrector(frame), frame)
 
 
-def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_replaced(walk):
-    with Corrector(estimator=Beside()) as corrector:
+def test_an_estimate_comes_from_a_separate_process_and_one_that_is_killed_is_replaced(walk):
+    with Corrector(estimator=ProcessEstimator()) as corrector:
         corrector._estimator._process.kill()
         corrector._estimator._process.wait()
         for frame in walk.frames:
@@ -197,7 +199,7 @@ def test_an_estimate_comes_from_a_process_beside_and_one_that_is_killed_is_repla
 
 def test_an_estimate_that_is_cancelled_does_not_come(walk):
     """And the next one does not wait for it, but for the process that takes the place of the former."""
-    estimator = Beside()
+    estimator = ProcessEstimator()
 
     def wait():
         until = time.monotonic() + 60

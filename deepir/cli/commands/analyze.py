@@ -11,7 +11,7 @@ from deepir.cli.arguments import Overwrite, Settings, recording_config
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
-    from deepir.analysis import Statistics, Verdict
+    from deepir.analysis import BurstAssessment, PatternStatistics
     from deepir.result import Array
 
 
@@ -23,7 +23,10 @@ def analyze(
     flat: Annotated[bool, typer.Option("--flat", help="The frames are of a uniform source.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option(help="The picture; runs/NAME-analysis.png, or RUN/analysis.png.", show_default=False),
+        typer.Option(
+            help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png.",
+            show_default=False,
+        ),
     ] = None,
     overwrite: Overwrite = False,
 ) -> int:
@@ -32,7 +35,7 @@ def analyze(
     A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
     file's format.
     """
-    from deepir.analysis.verdict import report_lines
+    from deepir.analysis.burst_assessment import report_lines
     from deepir.cli.signals import Interrupted, report_aborted
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
@@ -43,33 +46,52 @@ def analyze(
         raise ConfigError(f"--output {output}: a picture's name ends in .png")
     if output is not None and output.exists() and not overwrite:
         raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
-    in_run = (path / "result.npz").is_file()
-    verdict: Verdict | None = None
-    scene_deviation: Array | None = None
-    if flat:
-        statistics = _of_flat(path, settings or [])
-    elif in_run:
-        if settings:
-            raise ConfigError(f"{what}: a finished run takes no settings")
-        statistics, verdict, scene_deviation = _of_run(path)
-    else:
-        try:
-            statistics, verdict, scene_deviation = _of_burst(path, settings or [])
-        except Interrupted as error:
-            return report_aborted(error)
-    for line in report_lines(statistics, verdict, scene_deviation):
-        echo(line)
-    picture = output or (path / "analysis.png" if in_run else Path("runs") / f"{path.stem}-analysis.png")
     try:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
-    write_analysis(picture, statistics, verdict, scene_deviation)
+        statistics, assessment, scene_deviation = _analysis(path, settings or [], flat=flat)
+    except Interrupted as error:
+        return report_aborted(error)
+    for line in report_lines(statistics, assessment, scene_deviation):
+        echo(line)
+    picture = output or _default_picture(path)
+    _make_folder(picture.parent)
+    write_analysis(picture, statistics, assessment, scene_deviation)
     echo(f"picture: {picture}")
     return 0
 
 
-def _of_flat(path: Path, settings: list[str]) -> Statistics:
+def _is_run(path: Path) -> bool:
+    return (path / "result.npz").is_file()
+
+
+def _default_picture(path: Path) -> Path:
+    return path / "analysis.png" if _is_run(path) else Path("runs") / f"{path.stem}-analysis.png"
+
+
+def _make_folder(folder: Path) -> None:
+    from deepir.errors import DataError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
+def _analysis(
+    path: Path, settings: list[str], *, flat: bool
+) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
+    """Statistics of the pattern; assessment of the burst and deviation of the scene, where they are known."""
+    from deepir.errors import ConfigError
+
+    if flat:
+        return _of_flat(path, settings), None, None
+    if not _is_run(path):
+        return _of_burst(path, settings)
+    if settings:
+        raise ConfigError(f"{path}: a finished run takes no settings")
+    return _of_run(path)
+
+
+def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:
     from deepir.analysis import flat_statistics
     from deepir.burst import load
 
@@ -77,7 +99,9 @@ def _of_flat(path: Path, settings: list[str]) -> Statistics:
     return flat_statistics(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
 
 
-def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | None, Array | None]:
+def _of_burst(
+    path: Path, settings: list[str]
+) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
     import deepir
     from deepir.cli.signals import Interruptible
     from deepir.messages import labelled, shown
@@ -94,7 +118,7 @@ def _of_burst(path: Path, settings: list[str]) -> tuple[Statistics, Verdict | No
     ), scene_deviation
 
 
-def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
+def _of_run(path: Path) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
     import numpy as np
 
     from deepir.errors import DataError
@@ -115,11 +139,11 @@ def _of_run(path: Path) -> tuple[Statistics, Verdict | None, Array | None]:
 
 def _judged(
     gain: Array, offset: Array, scene: Array, motion: Array, bad: Array
-) -> tuple[Statistics, Verdict | None]:
-    """Statistics of the pattern of a result at the mean flux, and its verdict."""
+) -> tuple[PatternStatistics, BurstAssessment | None]:
+    """Statistics of the pattern of a result at the mean flux, and the assessment of its burst."""
     import numpy as np
 
-    from deepir.analysis import assess, map_statistics
+    from deepir.analysis import assess_burst, map_statistics
 
     pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
     statistics = map_statistics(pattern, ~bad)
@@ -128,4 +152,4 @@ def _judged(
     seen = motion[np.isfinite(motion).all((1, 2))]
     if len(seen) < 2 or scene.ndim > 2:  # no motion across the pattern
         return statistics, None
-    return statistics, assess(statistics, coarser @ seen @ np.linalg.inv(coarser), round(finer))
+    return statistics, assess_burst(statistics, coarser @ seen @ np.linalg.inv(coarser), round(finer))

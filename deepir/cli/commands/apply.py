@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import (
-    DATA_SETTINGS,
+    RECORDING_SETTINGS,
     Overwrite,
     ReadingSettings,
     recording_config,
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from deepir.config import Config
 
 MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
-ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys
 
 
 def apply(
@@ -50,7 +49,7 @@ def apply(
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
     from deepir.messages import shown
 
-    config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
+    config = recording_config(file, settings or (), RECORDING_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     try:
         with Interruptible(), held_outputs(target, overwrite=overwrite, source=config.data.path):

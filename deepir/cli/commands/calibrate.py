@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import DATA_SETTINGS, Overwrite, recording_config, split_arguments
-from deepir.cli.outputs import held_outputs
+from deepir.cli.outputs import check_output_name, held_outputs
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -40,8 +40,7 @@ def calibrate(
     from deepir.errors import DataError
 
     files, settings = split_arguments(what)
-    if out.suffix != ".npz" or not out.parent.is_dir():
-        raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
+    check_output_name(out, ".npz")
     if not files or (burst and len(files) > 1):
         raise DataError(f"{len(files)} recordings given: one with --burst, else one or more flat ones")
     with held_outputs(out, overwrite=overwrite):

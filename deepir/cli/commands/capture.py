@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
-from deepir.cli.outputs import held_outputs
+from deepir.cli.outputs import check_output_name, held_outputs
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
@@ -21,11 +21,11 @@ def capture(
     settings: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="KEY=VALUE", help="Of the driver, for example device=/dev/video2", show_default=False
+            metavar="KEY=VALUE", help="Driver settings, for example device=/dev/video2", show_default=False
         ),
     ] = None,
-    camera: Annotated[str, typer.Option(help="The driver: v4l2, boson.")] = "v4l2",
-    frames: Annotated[int, typer.Option(min=1, max=1000, help="How many.")] = 10,
+    camera: Annotated[str, typer.Option(help="Driver of the camera: v4l2, boson.")] = "v4l2",
+    frames: Annotated[int, typer.Option(min=1, max=1000, help="Number of frames.")] = 10,
     every: Annotated[float, typer.Option(min=0, help="Seconds between frames, at least.")] = 0.4,
     overwrite: Overwrite = False,
     plugin: Plugins = None,
@@ -34,11 +34,9 @@ def capture(
     load_plugins(plugin)
     from deepir.cameras.capture import FREEZE_TIME
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
-    from deepir.errors import DataError
     from deepir.io import write_npz
 
-    if out.suffix != ".npz" or not out.parent.is_dir():
-        raise DataError(f"{out}: give the name of an .npz file in a folder that exists")
+    check_output_name(out, ".npz")
     try:
         with Interruptible(), held_outputs(out, overwrite=overwrite):
             burst = _capture(camera, settings or (), frames, every)
@@ -60,17 +58,11 @@ def capture(
 def _capture(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
     from deepir.cameras.camera import Array
     from deepir.cameras.capture import advice, capture, motion_span
-    from deepir.config.components import make, options_schema
-    from deepir.config.overrides import parse_settings
-    from deepir.registry import lookup
-
-    options: dict[str, Any] = dict(parse_settings(settings, options_schema(lookup("camera", name, "camera"))))
+    from deepir.cli.camera import open_camera
 
     def on_frame(frames: Sequence[Array]) -> None:
         next_move = advice(motion_span(frames)) if len(frames) > 1 else "move the camera, in a small circle"
         notify(f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}")
 
-    with make("camera", name, options, "camera") as camera:
-        if camera.correction:
-            notify(camera.correction)
+    with open_camera(name, settings) as camera:
         return capture(camera, count, every, on_frame)

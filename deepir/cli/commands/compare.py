@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins, split_arguments
+from deepir.cli.outputs import config_stem
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def batch(
 
 def sweep_folder(config: str, kind: str) -> Path:
     """Default output folder: runs/NAME-KIND of the configuration's name."""
-    return Path("runs") / f"{Path(config).stem if Path(config).is_file() else config}-{kind}"
+    return Path("runs") / f"{config_stem(config)}-{kind}"
 
 
 def run_and_report(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from deepir.cli.arguments import (
-    DATA_SETTINGS,
+    RECORDING_SETTINGS,
     Overwrite,
     ReadingSettings,
     recording_config,
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from deepir.config import Config
     from deepir.recording.correct import CorrectedRecording
     from deepir.recording.estimate import SensorEstimate
-    from deepir.recording.segments import Segment
-
-ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys
 
 
 def correct(
@@ -56,7 +53,7 @@ def correct(
     """
     from deepir.cli.signals import Interrupted, Interruptible, report_aborted
 
-    config = recording_config(file, settings or (), ACCEPTED_SETTINGS)
+    config = recording_config(file, settings or (), RECORDING_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     maps, picture = (target.with_name(f"{target.stem}{end}") for end in ("_maps.npz", ".png"))
     outputs = (target, maps, picture)
@@ -86,9 +83,6 @@ def _correct(
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording
     from deepir.recording.findings import findings_lines
-    from deepir.recording.keyframes import choose_keyframes
-    from deepir.recording.neighbours import NeighbouringFrames
-    from deepir.recording.segments import estimate_segments
     from deepir.report.correction import write_correction
 
     data, shown = config.data, config.output
@@ -97,13 +91,10 @@ def _correct(
     dtype = output_type(next(read()).dtype, rounded=rounded)
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
-    neighbours = NeighbouringFrames()
-    keyframes = choose_keyframes(neighbours.collect(track(read(), "reading")))
-    segments = estimate_segments(keyframes, correction)
-    corrected = CorrectedRecording(read, segments, keyframes, neighbours)
+    corrected = CorrectedRecording.of(read, correction, lambda frames: track(frames, "reading"))
     with atomic_files(maps, picture) as (own_maps, own_picture):
         corrected.save_maps(own_maps)
-        _describe(corrected, segments)
+        _describe(corrected)
         try:
             with ThreadPoolExecutor(1) as beside, writer as write:
                 drawn = beside.submit(write_correction, own_picture, corrected)
@@ -122,8 +113,9 @@ def _correct(
     echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
 
 
-def _describe(corrected: CorrectedRecording, segments: Sequence[Segment]) -> None:
+def _describe(corrected: CorrectedRecording) -> None:
     """Print what is corrected, and warnings."""
+    segments = corrected.segments
     if len(segments) > 1:
         echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
         for each in segments:

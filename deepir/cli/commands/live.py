@@ -6,13 +6,14 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
 from deepir.cli.arguments import (
-    DATA_SETTINGS,
+    RECORDING_SETTINGS,
     Overwrite,
     Plugins,
     ReadingSettings,
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
     from deepir.config.schema import Output
     from deepir.io.output.recording import Array, Write
     from deepir.live.corrector import Corrector
+    from deepir.live.kept_maps import KeptMaps
     from deepir.live.page.session import Session
-    from deepir.live.playback import Moment
+    from deepir.live.playback import CorrectedFrame
 
-ACCEPTED_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # keys, of a recording
 STATUS_EVERY = 1.0  # s between two lines of status
 OF_THE_PAGE = ("port", "host", "record_to")  # options
 STANDARD = "-"  # in place of a file: standard input or output
@@ -45,7 +46,8 @@ def live(
     ] = None,
     settings: ReadingSettings = None,
     camera: Annotated[
-        str | None, typer.Option(help="A camera instead: v4l2, boson.", show_default=False)
+        str | None,
+        typer.Option(help="Driver of a camera in place of a recording: v4l2, boson.", show_default=False),
     ] = None,
     output: Annotated[
         str | None,
@@ -72,13 +74,13 @@ def live(
     page: Annotated[
         bool, typer.Option("--page", help="Show the frames in the browser, with controls, until Ctrl-C.")
     ] = False,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0: any that is free.")] = 8265,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free port.")] = 8265,
     host: Annotated[
         str,
         typer.Option(help="Address of this machine for the page; 0.0.0.0: for others in the network too."),
     ] = "127.0.0.1",
     record_to: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="For recordings that are started on the page.")
+        Path, typer.Option(metavar="FOLDER", help="Folder of the recordings that are started on the page.")
     ] = Path(),
     overwrite: Overwrite = False,
     plugin: Plugins = None,
@@ -90,60 +92,71 @@ def live(
     """
     load_plugins(plugin)
     from deepir.calibration import read_maps
-    from deepir.cli.live_camera import camera_frames, keep, open_camera
-    from deepir.cli.live_page import keep_page, open_page
-    from deepir.cli.signals import Interrupted, Interruptible
-    from deepir.errors import DataError
     from deepir.live.corrector import Corrector
-    from deepir.live.estimation import Beside, Here
-    from deepir.live.kept_maps import KeptMaps
-    from deepir.live.virtual_camera import virtual_camera
+    from deepir.live.estimation import ProcessEstimator, SynchronousEstimator
 
     _check(context, source, camera, page=page)
+    options = _Options(
+        source=source,
+        camera=camera,
+        settings=settings or (),
+        output=output,
+        rate=rate,
+        fast=fast,
+        virtual=virtual,
+        page=(host, port) if page else None,
+        record_to=record_to,
+        save_maps=save_maps,
+    )
     files = [Path(each) for each in (output, save_maps) if each and each != STANDARD]
     start = read_maps(maps) if maps else None
+    with (
+        held_outputs(*files, overwrite=overwrite, source=source),
+        Corrector(start, estimator=SynchronousEstimator() if fast else ProcessEstimator()) as corrector,
+    ):
+        return _run(options, corrector)
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Options of the command, by their names; `page` is host and port of the page, if there is one."""
+
+    source: str | None
+    camera: str | None
+    settings: Sequence[str]
+    output: str | None
+    rate: float
+    fast: bool
+    virtual: bool
+    page: tuple[str, int] | None
+    record_to: Path
+    save_maps: Path | None
+
+
+def _run(options: _Options, corrector: Corrector) -> int:
+    """Correct frames until they end, or Ctrl-C; the exit status."""
+    from deepir.cli.signals import Interrupted, Interruptible
+    from deepir.errors import DataError
+
     status, count, ended = 0, 0, "the recording has ended"
     session: Session | None = None
     kept: KeptMaps | None = None
-    viewers: list[Callable[[Moment], None]] = []
-    with (
-        held_outputs(*files, overwrite=overwrite, source=source),
-        Corrector(start, estimator=Here() if fast else Beside()) as corrector,
-        ExitStack() as shown,
-    ):
+    with ExitStack() as page:
         with Interruptible(), ExitStack() as stack:
             try:
-                if camera:
-                    opened = open_camera(camera, settings or (), stack)
-                    kept = KeptMaps(opened.identity) if opened.identity else None
-                    frames = camera_frames(opened, kept if start is None else None, corrector)
-                else:
-                    frames = _frames(str(source), settings or (), None if fast else rate)
-                if page:
-                    config = recording_config(source, settings or (), ACCEPTED_SETTINGS) if source else None
-                    session = shown.enter_context(
-                        open_page(corrector, source or str(camera), config, (host, port), record_to)
-                    )
-                    viewers.append(session.show)
-                display = _display(settings or ())
-                if virtual:
-                    viewers.append(stack.enter_context(virtual_camera(rate, display.palette, display.tones)))
-                for moment in _play(frames, corrector, output, display, viewers, stack):
-                    count = moment.number
+                frames, kept = _open_source(options, corrector, stack)
+                session = _open_page(options, corrector, page)
+                for frame in _play(frames, corrector, options, session, stack):
+                    count = frame.number
             except Interrupted as error:  # the usual end of a camera: what was recorded is kept
-                status, ended = 0 if camera else error.status, ""
+                status, ended = 0 if options.camera else error.status, ""
             except DataError as error:
                 if not count:
                     raise
                 notify(f"error: {error}; what was recorded until then is kept")
                 status, ended = 2, str(error)
         notify(f"{count} frame(s); {corrector.status}")
-        if save_maps and corrector.maps is not None:
-            corrector.maps.save(save_maps)
-        if kept:
-            keep(corrector, kept)
-        if session and ended:
-            keep_page(session, ended)
+        _finish(corrector, options.save_maps, kept, session, ended)
     return status
 
 
@@ -161,13 +174,29 @@ def _check(context: typer.Context, source: str | None, camera: str | None, *, pa
             raise ConfigError(f"--{option.replace('_', '-')} is an option of the page: add --page")
 
 
+def _open_source(
+    options: _Options, corrector: Corrector, stack: ExitStack
+) -> tuple[Iterable[Array], KeptMaps | None]:
+    """The frames of the camera or of the recording, and the maps that are kept for the camera."""
+    from deepir.cli.camera import open_camera
+    from deepir.cli.live_camera import camera_frames
+    from deepir.live.kept_maps import KeptMaps
+
+    if not options.camera:
+        rate = None if options.fast else options.rate
+        return _frames(str(options.source), options.settings, rate), None
+    camera = stack.enter_context(open_camera(options.camera, options.settings))
+    kept = KeptMaps(camera.identity) if camera.identity else None
+    return camera_frames(camera, kept if corrector.maps is None else None, corrector), kept
+
+
 def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterable[Array]:
     """The frames of standard input or of a recording; at a rate unless it is None."""
     from deepir.errors import ConfigError
     from deepir.io import cropped, stream_data
     from deepir.live.sources import Paced, stream_raw
 
-    config = recording_config(source, settings, ACCEPTED_SETTINGS)
+    config = recording_config(source, settings, RECORDING_SETTINGS)
     if source != STANDARD:
         frames = stream_data(config.data)
     elif config.data.raw is None:
@@ -180,36 +209,72 @@ def _frames(source: str, settings: Sequence[str], rate: float | None) -> Iterabl
     return Paced(frames, rate) if rate else frames
 
 
+def _open_page(options: _Options, corrector: Corrector, stack: ExitStack) -> Session | None:
+    """The session of the page; None if no page is wanted."""
+    if options.page is None:
+        return None
+    from deepir.cli.live_page import open_page
+
+    source, settings = options.source, options.settings
+    config = recording_config(source, settings, RECORDING_SETTINGS) if source else None
+    title = source or str(options.camera)
+    return stack.enter_context(open_page(corrector, title, config, options.page, options.record_to))
+
+
 def _play(
     frames: Iterable[Array],
     corrector: Corrector,
-    output: str | None,
-    display: Output,
-    viewers: Sequence[Callable[[Moment], None]],
+    options: _Options,
+    session: Session | None,
     stack: ExitStack,
-) -> Iterator[Moment]:
-    """Correct, write and show frame after frame, and say every second how it goes."""
+) -> Iterator[CorrectedFrame]:
+    """Correct, write and show frame after frame, and print the status every second."""
     from deepir.live.playback import play
+    from deepir.live.virtual_camera import virtual_camera
 
+    display = _display(options.settings)
+    viewers: list[Callable[[CorrectedFrame], None]] = [session.show] if session else []
+    if options.virtual:
+        viewers.append(stack.enter_context(virtual_camera(options.rate, display.palette, display.tones)))
     write: Write | None = None
     said = time.monotonic()
-    for moment in play(frames, corrector):
+    for frame in play(frames, corrector):
         if write is None:
-            write = _writer(output, moment.raw, display, stack)
-        write(moment.corrected)
+            write = _writer(options.output, frame.raw, display, stack)
+        write(frame.corrected)
         for show in viewers:
-            show(moment)
+            show(frame)
         if (now := time.monotonic()) - said > STATUS_EVERY:
             said = now
-            dropped = f", {moment.dropped} dropped" if moment.dropped else ""
-            notify(f"{moment.status}; {moment.rate:.0f} frames/s, {1000 * moment.delay:.1f} ms{dropped}")
-        yield moment
+            dropped = f", {frame.dropped} dropped" if frame.dropped else ""
+            notify(f"{frame.status}; {frame.rate:.0f} frames/s, {1000 * frame.delay:.1f} ms{dropped}")
+        yield frame
+
+
+def _finish(
+    corrector: Corrector,
+    save_maps: Path | None,
+    kept: KeptMaps | None,
+    session: Session | None,
+    ended: str,
+) -> None:
+    """Write the maps, keep those of a camera, and leave the page open unless it was interrupted."""
+    if save_maps and corrector.maps is not None:
+        corrector.maps.save(save_maps)
+    if kept:
+        from deepir.cli.live_camera import keep
+
+        keep(corrector, kept)
+    if session and ended:
+        from deepir.cli.live_page import keep_page
+
+        keep_page(session, ended)
 
 
 def _display(settings: Sequence[str]) -> Output:
     """Palette and tones; of a camera, the other settings are its driver's."""
     shown = [each for each in settings if each.startswith("output.")]
-    return recording_config(STANDARD, shown, ACCEPTED_SETTINGS).output
+    return recording_config(STANDARD, shown, RECORDING_SETTINGS).output
 
 
 def _writer(output: str | None, frame: Array, display: Output, stack: ExitStack) -> Write:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins
+from deepir.cli.outputs import config_stem
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def output_folder(config: Config, name: str) -> Path:
 
     if config.output.dir is not None:
         return expanded(config.output.dir)
-    return Path("runs") / (Path(name).stem if Path(name).is_file() else name)
+    return Path("runs") / config_stem(name)
 
 
 def run_and_store(config: Config, folder: Path, *, overwrite: bool, plugins: list[str]) -> int:

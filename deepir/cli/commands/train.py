@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import Overwrite, Plugins, load_plugins
-from deepir.cli.outputs import held_outputs
+from deepir.cli.outputs import check_output_name, held_outputs
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -22,11 +22,14 @@ def train(
         str, typer.Argument(metavar="NAME", help="What to train: see `deepir list`.", show_default=False)
     ],
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE.safetensors", help="The weights; NAME.safetensors.")
+        Path | None,
+        typer.Option(metavar="FILE.safetensors", help="File of the weights; default: NAME.safetensors."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the first weights and of all that is drawn.")] = 0,
-    iterations: Annotated[int | None, typer.Option(min=0, help="As many as the training says.")] = None,
-    threads: Annotated[int, typer.Option(min=1, help="Threads; with others, other weights.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of initial weights and training samples.")] = 0,
+    iterations: Annotated[
+        int | None, typer.Option(min=0, help="Number of iterations; default: that of the training.")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Number of threads; the weights depend on it.")] = 1,
     overwrite: Overwrite = False,
     plugin: Plugins = None,
 ) -> None:
@@ -36,14 +39,12 @@ def train(
 
     import deepir
     from deepir import weights
-    from deepir.errors import DataError
     from deepir.registry import lookup
     from deepir.training import training
 
     kind = lookup("training", name, "train")
     path = out or Path(f"{name}.safetensors")
-    if path.suffix != ".safetensors" or not path.parent.is_dir():
-        raise DataError(f"{path}: give the name of a .safetensors file in a folder that exists")
+    check_output_name(path, ".safetensors")
     torch.set_num_threads(threads)
     about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
     about |= {"deepir": deepir.__version__, "torch": torch.__version__}

@@ -20,8 +20,8 @@ from deepir.io.output.tone_mapping import TONE_MAPPINGS
 from deepir.io.radiometry import unit_metadata
 from deepir.live.page.pictures import png, swatch, tiff
 from deepir.live.page.session import Session
-from deepir.live.page.views import Wish, answer
-from deepir.live.playback import Moment
+from deepir.live.page.views import ViewerRequest, respond
+from deepir.live.playback import CorrectedFrame
 from deepir.report.page import WEB_FOLDER, json_for_html
 
 STATIC = Path(__file__).parent / "static"
@@ -55,7 +55,7 @@ def make_app(session: Session) -> Starlette:
 
 
 async def _watch(socket: WebSocket) -> None:
-    """Answer one wish of a viewer after the other: a slow one asks less often, and nothing waits in a queue.
+    """Respond to one request of a viewer after the other: a slow one asks less often, and nothing waits in a queue.
 
     Pictures are made here, in the one thread of the server: many viewers share it, and leave the other cores alone.
     """
@@ -63,11 +63,11 @@ async def _watch(socket: WebSocket) -> None:
     await socket.accept()
     try:
         while True:
-            wish = Wish.model_validate_json(await socket.receive_text())
-            if wish.order:
-                session.order(wish.order)
-            await _news(session, wish.seen)
-            pictures, status = answer(session, wish)
+            request = ViewerRequest.model_validate_json(await socket.receive_text())
+            if request.command:
+                session.submit(request.command)
+            await _wait_for_frame(session, request.seen)
+            pictures, status = respond(session, request)
             for picture in pictures:
                 await socket.send_bytes(picture)
             await socket.send_text(json.dumps(status, allow_nan=False))
@@ -77,7 +77,7 @@ async def _watch(socket: WebSocket) -> None:
         await socket.close(POLICY_VIOLATION)
 
 
-async def _news(session: Session, seen: int) -> None:
+async def _wait_for_frame(session: Session, seen: int) -> None:
     """Wait for a frame that a viewer has not seen, but not for long."""
     loop = asyncio.get_running_loop()
     until = loop.time() + STATUS_INTERVAL
@@ -110,17 +110,17 @@ def _palette(request: Request) -> Response:
 def _values(request: Request) -> Response:
     """The newest corrected frame as TIFF."""
     session: Session = request.app.state.session
-    moment = _newest(session)
-    metadata = unit_metadata(session.radiometry) | {"frame": moment.number}
-    return _download(tiff(moment.corrected, metadata), f"frame-{moment.number}.tif", "image/tiff")
+    newest = _newest(session)
+    metadata = unit_metadata(session.radiometry) | {"frame": newest.number}
+    return _download(tiff(newest.corrected, metadata), f"frame-{newest.number}.tif", "image/tiff")
 
 
 def _picture(request: Request) -> Response:
     """The newest corrected frame as PNG, in the palette and the tones of the query."""
-    moment = _newest(request.app.state.session)
+    newest = _newest(request.app.state.session)
     palette = _known(request.query_params.get("palette"), PALETTES)
     tones = _known(request.query_params.get("tones"), TONE_MAPPINGS)
-    return _download(png(moment.corrected, palette, tones), f"frame-{moment.number}.png", "image/png")
+    return _download(png(newest.corrected, palette, tones), f"frame-{newest.number}.png", "image/png")
 
 
 def _known(name: str | None, names: Collection[str]) -> str:
@@ -130,7 +130,7 @@ def _known(name: str | None, names: Collection[str]) -> str:
     return name
 
 
-def _newest(session: Session) -> Moment:
+def _newest(session: Session) -> CorrectedFrame:
     if session.newest is None:
         raise HTTPException(404, "no frame has come yet")
     return session.newest

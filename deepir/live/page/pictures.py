@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from deepir.arrays.samples import as_float32
 from deepir.io.output.palettes import colour_table
 from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, apply_palette, display_limits, stretch
 from deepir.io.output.write import save_tiff
@@ -21,7 +22,7 @@ JPEG_QUALITY = 90  # of 100: 150 kB for 640 x 480 px in colour
 
 def jpeg(frame: Array, palette: str, tones: str) -> tuple[bytes, Limits | None]:
     """A frame (h, w) to look at, and the values that the palette begins and ends with, if all pixels share them."""
-    values = np.ma.filled(frame.astype(np.float32), np.nan)
+    values = as_float32(frame)
     limits = display_limits(values) if tones == PERCENTILE else None
     shades = stretch(values, *limits) if limits else TONE_MAPPINGS[tones](values)
     return _encoded(apply_palette(shades, palette), "JPEG", quality=JPEG_QUALITY, subsampling=0), limits

@@ -13,7 +13,7 @@ from deepir.errors import ConfigError
 from deepir.io.extras import import_optional
 from deepir.live.page.session import Session
 
-MAX_WISH = 4096  # bytes
+MAX_REQUEST_BYTES = 4096  # of one message of a viewer
 CLOSING_TIME = 1  # s that viewers get at the end
 LOOPBACK = "127.0.0.1"
 #: An address of the documentation (RFC 5737): no packet is sent to it.
@@ -45,7 +45,7 @@ def serve(session: Session, host: str, port: int) -> Iterator[str]:
     config = uvicorn.Config(
         Guard(make_app(session), host, token),
         ws="websockets-sansio",
-        ws_max_size=MAX_WISH,
+        ws_max_size=MAX_REQUEST_BYTES,
         ws_per_message_deflate=False,
         lifespan="off",
         log_config=None,

@@ -1,4 +1,4 @@
-"""What the loop of the pictures and the viewers share: the newest frame one way, orders the other way."""
+"""What the correcting thread and the viewers share: the newest frame one way, commands the other way."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Literal
 from deepir.io.output.tone_mapping import PERCENTILE, WHITE_HOT
 from deepir.io.radiometry import Radiometry
 from deepir.live.corrector import Corrector
-from deepir.live.playback import Moment
+from deepir.live.playback import CorrectedFrame
 from deepir.live.recorder import Recorder
 
-Order = Literal["hold", "learn", "reset", "record", "stop"]  # of a viewer
+Command = Literal["hold", "learn", "reset", "record", "stop"]  # of a viewer
 
 
 class Session:
-    """The newest frame for viewers in other threads, and what they order.
+    """The newest frame for viewers in other threads, and their commands.
 
-    Only the newest frame is kept, and nothing is computed until a viewer asks for it. Orders are carried out between
-    two frames, in the thread of the pictures.
+    Only the newest frame is kept, and nothing is computed until a viewer asks for it. Commands are executed
+    between two frames, in the correcting thread.
 
     Args:
-        corrector: That the pictures come from.
-        recorder: For recordings that viewers order.
-        title: What the pictures are of.
+        corrector: Of the frames.
+        recorder: For recordings that viewers start.
+        title: Name of the recording or camera.
         radiometry: Of the frames, if known.
         palette, tones: That a viewer begins with.
 
@@ -44,29 +44,29 @@ class Session:
     ) -> None:
         self.recorder, self.title, self.radiometry = recorder, title, radiometry
         self.palette, self.tones = palette, tones
-        self.newest: Moment | None = None
+        self.newest: CorrectedFrame | None = None
         self.ended = ""
         self._corrector = corrector
-        self._orders: queue.SimpleQueue[Order] = queue.SimpleQueue()
+        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
 
-    def show(self, moment: Moment) -> None:
-        """The next frame; carries out what was ordered."""
-        self.recorder.add(moment.raw, moment.corrected)
-        self.newest = moment
-        while not self._orders.empty():
-            self._obey(self._orders.get())
+    def show(self, frame: CorrectedFrame) -> None:
+        """The next frame; executes the commands that wait."""
+        self.recorder.add(frame.raw, frame.corrected)
+        self.newest = frame
+        while not self._commands.empty():
+            self._execute(self._commands.get())
 
     def end(self, reason: str) -> None:
         """No more frames come."""
         self.recorder.stop()
         self.ended = reason
 
-    def order(self, order: Order) -> None:
-        """Of a viewer; carried out with the next frame."""
-        self._orders.put(order)
+    def submit(self, command: Command) -> None:
+        """A command of a viewer; executed with the next frame."""
+        self._commands.put(command)
 
-    def _obey(self, order: Order) -> None:
-        match order:
+    def _execute(self, command: Command) -> None:
+        match command:
             case "hold":
                 self._corrector.hold = True
             case "learn":

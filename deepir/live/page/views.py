@@ -1,4 +1,4 @@
-"""What a viewer asks for, and the answer: the newest frame as he wants to see it, and how it goes."""
+"""Requests of viewers, and the responses: the newest frame in the palette they ask for, and the status."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from deepir.io.output.tone_mapping import TONE_MAPPINGS
 from deepir.io.output.write import to_json_types
 from deepir.io.radiometry import unit_metadata
 from deepir.live.page.pictures import jpeg
-from deepir.live.page.session import Order, Session
-from deepir.live.playback import Moment
+from deepir.live.page.session import Command, Session
+from deepir.live.playback import CorrectedFrame
 
 
 def _one_of(names: Collection[str]) -> AfterValidator:
@@ -29,15 +29,15 @@ def _one_of(names: Collection[str]) -> AfterValidator:
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
-class Wish(BaseModel):
-    """What a viewer asks for.
+class ViewerRequest(BaseModel):
+    """Request of a viewer for the newest frame.
 
     Attributes:
-        seen: Number of the frame that he has; he gets a newer one only.
+        seen: Number of the last frame the viewer received; only a newer one is sent.
         palette, tones: In which the frame is shown.
-        raw: Whether he wants the raw frame too.
-        point: x and y of the point whose values he wants, as fractions of the width and of the height.
-        order: What he orders.
+        raw: Whether the raw frame is sent too.
+        point: x and y of the point whose values are sent, as fractions of the width and of the height.
+        command: Command to the corrector or to the recorder, if any.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -47,16 +47,17 @@ class Wish(BaseModel):
     tones: Annotated[str, _one_of(TONE_MAPPINGS)]
     raw: bool = False
     point: tuple[Fraction, Fraction] | None = None
-    order: Order | None = None
+    command: Command | None = None
 
 
-def answer(session: Session, wish: Wish) -> tuple[list[bytes], dict[str, Any]]:
-    """The answer to a wish.
+def respond(session: Session, request: ViewerRequest) -> tuple[list[bytes], dict[str, Any]]:
+    """The response to a request.
 
     Returns:
-        JPEGs of the corrected frame and of the raw one, or none if he has the newest; and how it goes, in JSON's types.
+        JPEGs of the corrected frame and of the raw one, or none if the viewer has the newest; and the status, in JSON's
+        types.
     """
-    moment, recorder = session.newest, session.recorder
+    newest, recorder = session.newest, session.recorder
     status: dict[str, Any] = {
         "number": 0,
         "ended": session.ended,
@@ -64,35 +65,35 @@ def answer(session: Session, wish: Wish) -> tuple[list[bytes], dict[str, Any]]:
         "recorded": recorder.frames,
         "recorder": recorder.message,
     }
-    if moment is None:
+    if newest is None:
         return [], status
-    status |= vars(moment.status) | {"state": moment.status.state, "number": moment.number}
-    status |= {"rate": moment.rate, "delay": 1000 * moment.delay, "dropped": moment.dropped}
-    status["unit"] = _unit(moment, session)
-    if wish.point:
-        status["spot"] = _spot(moment, session, *wish.point)
+    status |= vars(newest.status) | {"state": newest.status.state, "number": newest.number}
+    status |= {"rate": newest.rate, "delay": 1000 * newest.delay, "dropped": newest.dropped}
+    status["unit"] = _unit(newest, session)
+    if request.point:
+        status["spot"] = _spot(newest, session, *request.point)
     pictures = []
-    if moment.number != wish.seen:
-        shown = [moment.corrected, moment.raw] if wish.raw else [moment.corrected]
-        made = [jpeg(frame, wish.palette, wish.tones) for frame in shown]
+    if newest.number != request.seen:
+        shown = [newest.corrected, newest.raw] if request.raw else [newest.corrected]
+        made = [jpeg(each, request.palette, request.tones) for each in shown]
         pictures = [picture for picture, _ in made]
         limits = made[0][1]
         status |= {"limits": limits, "kelvin": limits and _kelvin(limits, session)}
     return pictures, to_json_types(status)
 
 
-def _spot(moment: Moment, session: Session, x: float, y: float) -> dict[str, Any]:
+def _spot(frame: CorrectedFrame, session: Session, x: float, y: float) -> dict[str, Any]:
     """The values at a point, and the temperature if it is known."""
-    height, width = moment.raw.shape
+    height, width = frame.raw.shape
     row, column = int(y * height), int(x * width)
-    raw, corrected = (frame[row, column] for frame in (moment.raw, moment.corrected))
+    raw, corrected = (each[row, column] for each in (frame.raw, frame.corrected))
     found = {"x": column, "y": row, "raw": raw, "corrected": corrected}
     return found | {"kelvin": _kelvin(corrected, session)}
 
 
-def _unit(moment: Moment, session: Session) -> str:
+def _unit(frame: CorrectedFrame, session: Session) -> str:
     """Of the values; empty where it is not known."""
-    whole = "counts" if moment.raw.dtype.kind in "iu" else ""
+    whole = "counts" if frame.raw.dtype.kind in "iu" else ""
     return str(unit_metadata(session.radiometry).get("unit", whole))
 
 

@@ -7,7 +7,7 @@ const chosen = { palette: data.palette, tones: data.tone };
 let socket = null;
 let seen = 0; // number of the frame that is shown
 let isStale = false; // whether it is to be shown again, in another way
-let order = null;
+let command = null;
 let parts = []; // pictures whose status has not come yet
 let limits = null; // values, and kelvin if they are known, that the palette begins and ends with
 let kelvin = null;
@@ -47,9 +47,9 @@ function ask() {
   requestAnimationFrame(() => {
     if (socket.readyState !== WebSocket.OPEN) return;
     const number = isStale ? 0 : seen;
-    socket.send(JSON.stringify({ seen: number, ...chosen, raw: showsRaw(), point: point(), order }));
+    socket.send(JSON.stringify({ seen: number, ...chosen, raw: showsRaw(), point: point(), command }));
     isStale = false;
-    order = null;
+    command = null;
   });
 }
 
@@ -168,9 +168,9 @@ document.title = data.title ? `${data.title} – deepir live` : "deepir live";
 choices("#palettes", data.palettes, "palette", (name) => [make("img", { src: `palettes/${name}.png`, alt: "" })]);
 choices("#tones", data.tones, "tones", () => []);
 slider.addEventListener("input", () => (isStale = true));
-find("#hold").addEventListener("click", () => (order = now.holding ? "learn" : "hold"));
-find("#record").addEventListener("click", () => (order = now.recording ? "stop" : "record"));
+find("#hold").addEventListener("click", () => (command = now.holding ? "learn" : "hold"));
+find("#record").addEventListener("click", () => (command = now.recording ? "stop" : "record"));
 find("#reset").addEventListener("click", () => {
-  if (confirm("Forget what was learned, and learn anew?")) order = "reset";
+  if (confirm("Forget what was learned, and learn anew?")) command = "reset";
 });
 connect();

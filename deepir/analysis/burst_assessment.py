@@ -1,4 +1,4 @@
-"""Whether a burst suffices to separate a pattern from the scene."""
+"""How well a burst separates a pattern from the scene."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepir.analysis.statistics import MIN_REPORTED_SHARE, STABILITY_LEVEL, Array, Statistics
+from deepir.analysis.statistics import MIN_REPORTED_SHARE, STABILITY_LEVEL, Array, PatternStatistics
 
 #: Range of the motion along an axis below which lines and scene cannot be separated well, px.
 MIN_MOTION_SPAN = 3.0
@@ -21,8 +21,8 @@ MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at w
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What a burst makes of the pattern.
+class BurstAssessment:
+    """How well a burst separates the pattern from the scene.
 
     Attributes:
         displacements: (P, N, 2), motion of each frame relative to the first at P points, x and y in px.
@@ -40,8 +40,8 @@ class Verdict:
         return 1 / max(self.residual_share, 1e-3) ** 2
 
 
-def assess(statistics: Statistics, motion: Array, factor: int = 1) -> Verdict:
-    """What a burst with a given motion makes of the pattern.
+def assess_burst(statistics: PatternStatistics, motion: Array, factor: int = 1) -> BurstAssessment:
+    """Assess how well a burst with a given motion separates the pattern from the scene.
 
     In the average of N registered frames that look at pixels d_k, the variance of the pattern is
     `1 / N^2 sum_pq r(d_p - d_q)`, with its autocorrelation r.
@@ -58,15 +58,17 @@ def assess(statistics: Statistics, motion: Array, factor: int = 1) -> Verdict:
     at = np.einsum("nij,pj->pni", motion, places)
     displacements = at[..., :2] / at[..., 2:] - places[:, None, :2]
     apart = displacements[:, :, None] - displacements[:, None]
-    residual_share = math.sqrt(max(float(statistics.at(apart).mean()), 0.0))
-    verdict = Verdict(displacements, residual_share)
-    verdict.flags.extend([*_too_little(statistics, displacements), *_too_few(verdict, len(motion))])
+    residual_share = math.sqrt(max(float(statistics.autocorrelation_at(apart).mean()), 0.0))
+    assessment = BurstAssessment(displacements, residual_share)
+    assessment.flags.extend(
+        [*_motion_flags(statistics, displacements), *_frame_count_flags(assessment, len(motion))]
+    )
     if (seen := phases_seen(displacements, factor)) < MIN_PHASES * factor**2:
-        verdict.flags.append(
+        assessment.flags.append(
             f"the frames show {seen:.1f} of the {factor**2} sub-pixel phases of super-resolution by {factor}: what is "
             "finer than the detector's pixels is in part the prior's; take more frames"
         )
-    return verdict
+    return assessment
 
 
 def phases_seen(displacements: Array, factor: int) -> float:
@@ -80,7 +82,7 @@ def phases_seen(displacements: Array, factor: int) -> float:
     return float(np.mean([len(np.unique(each, axis=0)) for each in steps]))
 
 
-def _too_little(statistics: Statistics, displacements: Array) -> list[str]:
+def _motion_flags(statistics: PatternStatistics, displacements: Array) -> list[str]:
     """Axes along which the burst moves too little, and the line along which it moves."""
     spans = np.ptp(displacements, axis=1).mean(0)
     found = []
@@ -89,8 +91,10 @@ def _too_little(statistics: Statistics, displacements: Array) -> list[str]:
             lines = "columns" if axis == "x" else "rows"
             found.append(
                 f"the burst moves along {across} only ({span:.1f} px along {axis}): "
-                f"the {lines}' pattern is the scene's as well"
+                f"the pattern of the {lines} cannot be separated from the scene"
             )
+        elif want == math.inf:
+            found.append(f"no finite motion along {axis} separates the pattern from the scene")
         elif span < max(want, MIN_MOTION_SPAN):
             found.append(f"the burst moves by {span:.1f} px along {axis}: {_px(want)} are wanted")
     across_it = np.linalg.svd(displacements - displacements.mean(1, keepdims=True), full_matrices=False)
@@ -100,75 +104,90 @@ def _too_little(statistics: Statistics, displacements: Array) -> list[str]:
     return found
 
 
-def _too_few(verdict: Verdict, n: int) -> list[str]:
+def _frame_count_flags(assessment: BurstAssessment, n: int) -> list[str]:
     if n < 3:
         return [f"too few frames: {n}; take {RECOMMENDED_FRAMES[0]} or more"]
-    if verdict.independent_looks < min(MIN_INDEPENDENT_LOOKS, 0.9 * n):
+    if assessment.independent_looks < min(MIN_INDEPENDENT_LOOKS, 0.9 * n):
         return [
-            f"too few frames so close together: {n} give {verdict.independent_looks:.1f} independent looks "
+            f"too few frames so close together: {n} give {assessment.independent_looks:.1f} independent looks "
             "at the pattern"
         ]
     return []
 
 
 def report_lines(
-    statistics: Statistics, verdict: Verdict | None = None, scene_deviation: Array | None = None
+    statistics: PatternStatistics,
+    assessment: BurstAssessment | None = None,
+    scene_deviation: Array | None = None,
 ) -> list[str]:
     """The result in lines: needed motion and frames, stability of the pattern, whether the burst suffices.
 
     Args:
         statistics: Of the pattern.
-        verdict: Of the burst, if there is one.
+        assessment: Of the burst, if there is one.
         scene_deviation: (H, W), standard deviation of the scene, if it is known.
     """
+    lines = [
+        *_pattern_lines(statistics),
+        _stability_line(statistics),
+        _frame_count_line(statistics.stable_frames),
+    ]
+    return lines if assessment is None else lines + _burst_lines(assessment, scene_deviation)
+
+
+def _pattern_lines(statistics: PatternStatistics) -> list[str]:
+    """Variance of the pattern, and the motion that separates it from the scene."""
     x, y = statistics.lengths
     lines = [
-        f"pattern: standard deviation {statistics.pattern.std():.3g}; of its variance {_shares(statistics)}",
-        f"move the camera between frames by more than {_px(x)} in x and {_px(y)} in y, in both",
+        f"pattern: standard deviation {statistics.pattern.std():.3g}; of its variance {_shares(statistics)}"
     ]
     if max(x, y) == math.inf:
         lines.append(
             "the pattern is correlated over all lags that were measured: no jitter separates it from the scene"
         )
+    else:
+        lines.append(f"move the camera between frames by more than {_px(x)} in x and {_px(y)} in y, in both")
     if statistics.shading > 0.5:
         lines.append(
             "most of it is shading, which jitter separates from the scene only in part: take a flat frame too"
         )
-    if statistics.stable_frames is None:
-        lines.append(
-            "a burst does not show how long the pattern is stable: give frames of a uniform source, with --flat"
-        )
-    elif statistics.stable_frames == math.inf and statistics.temporal is not None:
-        seen = len(statistics.temporal) - 1
-        lines.append(f"the pattern is stable for longer than the {seen} frames over which it was measured")
-    else:
-        lines.append(
-            f"the pattern is stable (autocorrelation above {STABILITY_LEVEL}) for {statistics.stable_frames:.0f} frames"
-        )
-    most = (
-        RECOMMENDED_FRAMES[1]
-        if statistics.stable_frames is None
-        else max(2, int(min(RECOMMENDED_FRAMES[1], statistics.stable_frames)))
-    )
-    few = "" if most >= RECOMMENDED_FRAMES[0] else ", few for a good burst: raise the frame rate"
-    lines.append(f"take {min(RECOMMENDED_FRAMES[0], most)} to {most} frames{few}")
-    if verdict is not None:
-        n = verdict.displacements.shape[1]
-        lines.append(
-            f"this burst: {n} frames; averaged, they keep {100 * verdict.residual_share:.0f} % of the pattern's "
-            f"deviation ({100 / n**0.5:.0f} % at best)"
-        )
-        if scene_deviation is not None:
-            weak = 100 * float((scene_deviation > UNCERTAIN_PIXEL_RATIO * np.median(scene_deviation)).mean())
-            lines.append(
-                f"{weak:.0f} % of the scene's pixels are weakly determined "
-                f"(over {UNCERTAIN_PIXEL_RATIO:g} times the median)"
-            )
-        lines += verdict.flags or ["this burst suffices"]
     return lines
 
 
-def _shares(statistics: Statistics) -> str:
+def _stability_line(statistics: PatternStatistics) -> str:
+    if statistics.stable_frames is None:
+        return "a burst does not show how long the pattern is stable: give frames of a uniform source, with --flat"
+    if statistics.stable_frames == math.inf and statistics.temporal is not None:
+        seen = len(statistics.temporal) - 1
+        return f"the pattern is stable for longer than the {seen} frames over which it was measured"
+    return f"the pattern is stable (autocorrelation above {STABILITY_LEVEL}) for {statistics.stable_frames:.0f} frames"
+
+
+def _frame_count_line(stable_frames: float | None) -> str:
+    fewest, most = RECOMMENDED_FRAMES
+    if stable_frames is not None:
+        most = max(2, int(min(most, stable_frames)))
+    few = "" if most >= fewest else ", few for a good burst: raise the frame rate"
+    return f"take {min(fewest, most)} to {most} frames{few}"
+
+
+def _burst_lines(assessment: BurstAssessment, scene_deviation: Array | None) -> list[str]:
+    """Share of the pattern in the average, weakly determined pixels of the scene, and what the burst lacks."""
+    n = assessment.displacements.shape[1]
+    lines = [
+        f"this burst: {n} frames; averaged, they keep {100 * assessment.residual_share:.0f} % of the pattern's "
+        f"deviation ({100 / n**0.5:.0f} % at best)"
+    ]
+    if scene_deviation is not None:
+        weak = 100 * float((scene_deviation > UNCERTAIN_PIXEL_RATIO * np.median(scene_deviation)).mean())
+        lines.append(
+            f"{weak:.0f} % of the scene's pixels are weakly determined "
+            f"(over {UNCERTAIN_PIXEL_RATIO:g} times the median)"
+        )
+    return lines + (assessment.flags or ["this burst suffices"])
+
+
+def _shares(statistics: PatternStatistics) -> str:
     found = {name: getattr(statistics, name) for name in ("shading", "columns", "rows")}
     found["pixels"] = 1 - sum(found.values())
     kept = {name: each for name, each in found.items() if each >= MIN_REPORTED_SHARE}
@@ -176,5 +195,5 @@ def _shares(statistics: Statistics) -> str:
 
 
 def _px(value: float) -> str:
-    """A motion that is needed, in words; at least what registration and interpolation need."""
-    return "any number of px" if value == math.inf else f"{math.ceil(max(value, MIN_MOTION_SPAN)):.0f} px"
+    """A finite motion that is needed, in words; at least what registration and interpolation need."""
+    return f"{math.ceil(max(value, MIN_MOTION_SPAN)):.0f} px"
