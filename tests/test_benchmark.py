@@ -1,4 +1,4 @@
-"""The benchmark's bursts are what they are said to be, and its oracle knows what it is told."""
+"""The benchmark's bursts are what they are said to be, and its oracle knows what it is given."""
 
 import dataclasses
 from pathlib import Path

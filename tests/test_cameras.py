@@ -110,15 +110,15 @@ def test_no_device_at_all():
 
 @pytest.fixture
 def flirpy(monkeypatch):
-    """A Boson as flirpy gives it; what it was told is in `flirpy.told`."""
-    module = SimpleNamespace(told=[], FLR_BOSON_AUTO_FFC=1, connected=True, mode=1)
+    """A Boson as flirpy gives it; its commands are in `flirpy.commands`."""
+    module = SimpleNamespace(commands=[], FLR_BOSON_AUTO_FFC=1, connected=True, mode=1)
 
     class Made:
         def __init__(self, port):
             self.conn = object() if module.connected else None
 
         def setup_video(self, number):
-            module.told.append("video")
+            module.commands.append("video")
 
         def get_camera_serial(self):
             return 4711
@@ -127,16 +127,16 @@ def flirpy(monkeypatch):
             return module.mode
 
         def set_ffc_manual(self):
-            module.told.append("manual")
+            module.commands.append("manual")
 
         def set_ffc_auto(self):
-            module.told.append("auto")
+            module.commands.append("auto")
 
         def grab(self):
             return RAMP[0]
 
         def close(self):
-            module.told.append("close")
+            module.commands.append("close")
 
     module.Boson = Made
     monkeypatch.setitem(sys.modules, "flirpy.camera.boson", module)
@@ -146,15 +146,15 @@ def flirpy(monkeypatch):
 def test_the_bosons_shutter_is_held_and_let_go(flirpy):
     with Boson() as camera:
         np.testing.assert_array_equal(camera.read(), RAMP[0])
-        assert flirpy.told == ["video", "manual"]
-    assert flirpy.told[2:] == ["auto", "close"]
+        assert flirpy.commands == ["video", "manual"]
+    assert flirpy.commands[2:] == ["auto", "close"]
 
 
 def test_a_shutter_that_was_held_stays_held(flirpy):
     flirpy.mode = 0
     with Boson():
         pass
-    assert flirpy.told[2:] == ["close"]
+    assert flirpy.commands[2:] == ["close"]
 
 
 def test_no_boson(flirpy):

@@ -23,7 +23,7 @@ def burst(tmp_path):
 
 
 @pytest.fixture
-def told(burst):
+def exact(burst):
     """The truth as a result."""
     truth = burst.truth
     scene = truth["scene"] + np.random.default_rng(0).normal(0, 1e-2, truth["scene"].shape)
@@ -38,8 +38,8 @@ def told(burst):
     return result
 
 
-def test_the_truth_is_right_in_every_respect(told, burst):
-    found = compare_to_truth(told, burst)
+def test_the_truth_is_right_in_every_respect(exact, burst):
+    found = compare_to_truth(exact, burst)
     assert found["psnr"] > 90
     errors = {name: value for name, value in found.items() if name.endswith("rmse") or "residual" in name}
     assert {"gain_rmse", "offset_rmse", "stray_rmse", "motion_rmse", "radiometric_rmse"} < set(errors)
@@ -47,21 +47,21 @@ def test_the_truth_is_right_in_every_respect(told, burst):
 
 
 @pytest.mark.parametrize(("name", "off"), [("gain", 0.01), ("offset", 3.0)])
-def test_a_column_that_is_off_is_a_columns_share_of_the_error(told, burst, name, off):
-    getattr(told, name)[:, -1] += off
-    assert compare_to_truth(told, burst)[f"{name}_rmse"] == pytest.approx(
+def test_a_column_that_is_off_is_a_columns_share_of_the_error(exact, burst, name, off):
+    getattr(exact, name)[:, -1] += off
+    assert compare_to_truth(exact, burst)[f"{name}_rmse"] == pytest.approx(
         off / burst.size[1] ** 0.5, rel=1e-3
     )
 
 
-def test_a_motion_is_judged_in_px_of_a_frame(told, burst):
-    told.motion[1:, 0, 2] += 1.0
-    assert compare_to_truth(told, burst)["motion_rmse"] == pytest.approx(1 / SMALL.factor, rel=1e-3)
+def test_a_motion_is_judged_in_px_of_a_frame(exact, burst):
+    exact.motion[1:, 0, 2] += 1.0
+    assert compare_to_truth(exact, burst)["motion_rmse"] == pytest.approx(1 / SMALL.factor, rel=1e-3)
 
 
-def test_where_counts_are_kelvin_the_error_is_in_mk(told, burst):
-    told.scene = told.scene + np.float32(5) * (np.indices(told.scene.shape).sum(0) % 2)
-    found = compare_to_truth(told, dataclasses.replace(burst, radiometry=Linear(0.01)))
+def test_where_counts_are_kelvin_the_error_is_in_mk(exact, burst):
+    exact.scene = exact.scene + np.float32(5) * (np.indices(exact.scene.shape).sum(0) % 2)
+    found = compare_to_truth(exact, dataclasses.replace(burst, radiometry=Linear(0.01)))
     assert found["radiometric_rmse_mk"] == pytest.approx(25, rel=0.02)  # ± 2.5 counts of 10 mK
 
 

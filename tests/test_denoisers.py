@@ -76,10 +76,10 @@ def test_red_takes_a_function_in_a_names_place():
 
 
 def test_red_falls_from_its_first_strength_to_its_last_and_trusts_as_much_as_it_tells():
-    told = []
+    sigmas = []
 
     def denoise(picture, noise):
-        told.append(noise)
+        sigmas.append(noise)
         return picture
 
     penalty = RED((1, 1, 40, 48), denoiser=denoise, first=2.0, strength=1.0, trust=0.25)
@@ -87,11 +87,11 @@ def test_red_falls_from_its_first_strength_to_its_last_and_trusts_as_much_as_it_
     for _ in range(6):
         weights.append(penalty.default_weight(10.0))
         penalty.adapt(picture(), 10.0)
-    assert told == pytest.approx([20, 16, 12.8, 10.24, 10, 10])
-    assert weights == pytest.approx([0.25 / sigma**2 for sigma in told])
+    assert sigmas == pytest.approx([20, 16, 12.8, 10.24, 10, 10])
+    assert weights == pytest.approx([0.25 / sigma**2 for sigma in sigmas])
 
 
-def test_red_is_told_the_noise_of_the_scenes_pixels():
+def test_red_gets_the_noise_of_the_scenes_pixels():
     # Sixteen frames show each px of a scene that is four times as fine once, with the noise of one frame.
     frames = np.random.default_rng(0).normal(0.5, 0.1, (16, 16, 20)).astype(np.float32)
     config = load("sr", ["physics.downsample.factor=4", "prior=pixels", "scene.penalties.red.first=2.0"])

@@ -1,4 +1,4 @@
-"""Samples that are NaN in some frames cost what they would have told, and nothing else."""
+"""Samples that are NaN in some frames cost their information, and nothing else."""
 
 import numpy as np
 

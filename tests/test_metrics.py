@@ -28,7 +28,7 @@ def test_scenes_of_many_frames_have_one_gauge():
     assert each[0] > each[2]
 
 
-def test_columns_and_pixels_are_told_apart_and_nothing_smooth_counts():
+def test_columns_and_pixels_are_separated_and_nothing_smooth_counts():
     rng = np.random.default_rng(0)
     columns, pixels = np.tile(rng.normal(0, 3, 400), (300, 1)), rng.normal(0, 2, (300, 400))
     rows, smooth = rng.normal(0, 5, (300, 1)), np.linspace(0, 50, 400)

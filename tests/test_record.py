@@ -124,7 +124,7 @@ RUNS = [
 ]  # fmt: skip
 
 
-def test_the_margin_is_over_the_best_rival_that_is_told_no_more():
+def test_the_margin_is_over_the_best_rival_that_knows_no_more():
     from record_tables import margins
 
     *_, line = margins({"a": found(*RUNS)})

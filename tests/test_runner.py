@@ -42,14 +42,14 @@ def test_the_same_run_gives_the_same_scene(frames):
 @pytest.mark.parametrize(
     ("value", "why"), [(7, "7 everywhere (a shutter, or lost)"), (np.nan, "100% NaN or infinite")]
 )
-def test_a_frame_that_shows_nothing_is_left_out_and_told_of(frames, value, why):
+def test_a_frame_that_shows_nothing_is_left_out_and_reported(frames, value, why):
     damaged = np.insert(frames.astype(np.float32), 1, value, axis=0)
     result = deepir.run("nuc", frames=damaged, **QUICK)
     assert result.messages[0] == f"frame 1 is left out: it is {why}. Frames are counted without it"
     assert np.array_equal(result.scene, deepir.run("nuc", frames=frames, **QUICK).scene)
 
 
-def test_that_results_are_relative_to_another_frame_is_told(frames):
+def test_that_results_are_relative_to_another_frame_is_reported(frames):
     damaged = np.insert(frames.astype(np.float32), 0, np.nan, axis=0)
     messages = deepir.run("nuc", frames=damaged, **QUICK).messages
     assert any("relative to what was frame 1" in message for message in messages)
@@ -268,8 +268,8 @@ def test_a_known_value_that_makes_no_sense_is_an_error(frames, setting, says):
         deepir.run("nuc", setting, frames=frames, **QUICK)
 
 
-def test_noise_that_whole_counts_cannot_have_is_told(burst):
-    told = [
+def test_noise_that_whole_counts_cannot_have_is_reported(burst):
+    found_messages = [
         [
             each
             for each in deepir.run("nuc", *more, frames=burst.frames).messages
@@ -280,4 +280,4 @@ def test_noise_that_whole_counts_cannot_have_is_told(burst):
             ["noise.read=5", "solver.max_iterations=1"],
         )
     ]
-    assert [len(each) for each in told] == [1, 0]
+    assert [len(each) for each in found_messages] == [1, 0]

@@ -143,6 +143,6 @@ def test_the_command_writes_weights_and_replaces_none(tmp_path, monkeypatch, cap
     ("arguments", "said"),
     [(["denoisr"], "did you mean 'denoiser'"), (["denoiser", "--out", "nowhere/w.safetensors"], "folder")],
 )
-def test_what_cannot_be_trained_or_written_is_told_before_anything_is_done(arguments, said, capsys):
+def test_what_cannot_be_trained_or_written_is_refused_before_anything_is_done(arguments, said, capsys):
     assert main(["train", *arguments]) == 2
     assert said in capsys.readouterr().err

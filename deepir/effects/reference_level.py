@@ -26,7 +26,7 @@ from deepir.registry import register
 #: Nats of the pixels by which a first reference level other than zero has to be likelier, and a later one.
 EVIDENCE_MARGIN, REFINEMENT_MARGIN = 100.0, 2.0
 #: Standard deviations of the data by which a first level differs from zero: nearer, it makes little difference.
-MINIMUM_DEVIATIONS = 3.0
+MIN_DEVIATIONS = 3.0
 #: Levels at which the likelihood is compared first: shares of the data's mean, and quantiles of the data.
 SHARES, QUANTILES = (0.25, 0.5, 0.75), (0.0, 0.1, 0.5, 0.9, 1.0)
 #: Share of the data's standard deviation to which the level is found.
@@ -42,7 +42,7 @@ def take_reference_level(problem: Problem) -> bool:
     Whether it is another one: scene, gain and offset are to be started anew.
     """
     level = _likeliest(problem, EVIDENCE_MARGIN)
-    if level is None or abs(level) < MINIMUM_DEVIATIONS * float(problem.data[problem.precision > 0].std()):
+    if level is None or abs(level) < MIN_DEVIATIONS * float(problem.data[problem.precision > 0].std()):
         return False
     problem.measure_from(level)
     return True

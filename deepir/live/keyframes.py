@@ -22,7 +22,7 @@ MAX_NEWEST = 64  # newest frames that are kept
 MIN_IN_GROUPS = 32  # keyframes in groups, below which the newest frames count too
 MAX_PENDING = 16  # frames since the camera last moved that are kept, in case it goes on
 #: Change since then, relative to that between frames, from which it moves: of a camera that stands still it is 1.
-LEAST_CHANGE = 1.5
+MIN_CHANGE_RATIO = 1.5
 Averaged = tuple[int, Array, Array]  # number, frame (h, w), the frame averaged over blocks
 
 
@@ -61,7 +61,9 @@ class LiveKeyframes:
             self._steps.append(_change(small, self._before))
         self._before = small
         self._pending.append((self.length - 1, frame, small))
-        if not self._newest or _change(small, self._newest[-1][2]) > LEAST_CHANGE * np.median(self._steps):
+        if not self._newest or _change(small, self._newest[-1][2]) > MIN_CHANGE_RATIO * np.median(
+            self._steps
+        ):
             self._taken += min(len(self._pending), MAX_NEWEST - len(self._newest))
             self._newest.extend(self._pending)
             self._pending.clear()

@@ -16,7 +16,7 @@ from deepir.multiview.whitened_maps import WhiteParts
 #: Least spatial frequency of the lowest band, cycles/px; bands are octaves along each axis.
 LOWEST_FREQUENCY = 1 / 128
 #: Power of a band at least, relative to the noise of the estimate there: a power of zero would stay zero.
-LEAST_POWER = 1e-3
+MIN_POWER = 1e-3
 
 
 class ColouredPixels(WhiteParts):
@@ -100,7 +100,7 @@ class ColouredPixels(WhiteParts):
         unshrunk = (_cosines(values[1]) * (1 + modelled / before.clamp(min=1e-300))).square()
         found = self._band_means(unshrunk)
         spoilt = self._band_means(noise).clamp(min=1e-300)
-        power = (found - spoilt).clamp(min=LEAST_POWER * spoilt)
+        power = (found - spoilt).clamp(min=MIN_POWER * spoilt)
         self.power = self._interpolated(power * self._band_means(modelled) / spoilt)
         offset = self.pair[1]
         if offset is not None and self.pair[0] is None:

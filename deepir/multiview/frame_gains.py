@@ -17,7 +17,7 @@ GRADIENT_LIMIT = 6.0
 #: Gradients that say the same: those of neighbours.
 CORRELATED_GRADIENTS = 4.0
 #: Root mean square of (f_k - 1) in its standard errors, and by itself, from which frames have gains of their own.
-SIGNIFICANCE, MINIMUM_SPREAD = 4.0, 0.05
+SIGNIFICANCE, MIN_SPREAD = 4.0, 0.05
 
 
 def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | None:
@@ -35,7 +35,7 @@ def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | Non
     gains = gains / gains.log().mean().exp()
     apart = gains - gains.median()
     spread = float((apart / errors).square().mean().sqrt())
-    return gains if spread > SIGNIFICANCE and float(apart.square().mean().sqrt()) > MINIMUM_SPREAD else None
+    return gains if spread > SIGNIFICANCE and float(apart.square().mean().sqrt()) > MIN_SPREAD else None
 
 
 def pattern_gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tensor]:

@@ -23,7 +23,7 @@ from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, s
 Array = np.ndarray[Any, Any]
 
 #: Share of the frame that has to be known to have moved.
-LEAST_KNOWN = 0.02
+MIN_KNOWN = 0.02
 #: Shorter side, px, to which frames are averaged at least.
 SHORT_SIDE = 80
 #: Correlated samples: one displacement is estimated for all of a window.
@@ -90,7 +90,7 @@ class CorrectionScorer:
         self.ways = [(np.ones_like(detail), detail), *corrections]
         coarse = [self.coarse(*each) for each in self.ways]
         for way in coarse:
-            self.found += [each for each in displacements(way, pairs) if each.share_moved >= LEAST_KNOWN]
+            self.found += [each for each in displacements(way, pairs) if each.share_moved >= MIN_KNOWN]
         #: Scale of the change along each, by the best of these ways; all corrections are compared by it.
         self.scales = [
             max(min(_spread(_change(way, each)) for way in coarse), float(np.finfo(np.float32).tiny))

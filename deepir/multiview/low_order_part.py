@@ -23,7 +23,7 @@ LOW_ORDER_SIGMA = 4.0
 #: Side, px, of the windows whose median is taken off for the fine part.
 FINE_SIDE = 5
 #: Largest ratio of the low-order part's standard deviation to the fine part's (robust) in a sensor's pattern.
-LARGEST_RATIO = 20.0
+MAX_RATIO = 20.0
 
 
 def low_order_part(pattern: Array, usable: Array, sigma: float = LOW_ORDER_SIGMA) -> Array:
@@ -41,4 +41,4 @@ def is_implausible(pattern: Array, usable: Array) -> bool:
     """Whether the low-order part of a pattern (h, w) is stronger, by its fine part, than a sensor's."""
     detail = (pattern - median_filter(pattern, FINE_SIDE))[usable]
     fine = MAD_TO_SIGMA * float(np.median(np.abs(detail - np.median(detail)))) if usable.any() else 0.0
-    return fine > 0 and float(low_order_part(pattern, usable)[usable].std()) > LARGEST_RATIO * fine
+    return fine > 0 and float(low_order_part(pattern, usable)[usable].std()) > MAX_RATIO * fine

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import ndimage
 
+from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
 from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
 
@@ -28,13 +29,13 @@ CORRELATED = len(GAPS) * ((2 * RADIUS + 1) / STEP) ** 2
 DEGREE = 2  # of the polynomial
 CHANGE_SIGMA = 0.5  # px of the averaged frames; Gaussian over which changes of brightness are averaged
 #: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
-LEAST_KNOWN, CHANCE_FACTOR = 0.02, 3.0
+MIN_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
 REWEIGHTINGS = 5
 #: Robust deviation of a pair's changes at least, relative to the frames' contrast.
-LEAST_SCALE = 0.003
+MIN_SCALE = 0.003
 #: Samples of a pair below which it is left out.
-MINIMUM_SAMPLES = 50
+MIN_SAMPLES = 50
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def _related(frames: Array, found: Sequence[Displacement], quantile: float) -> b
     nearest = min(each.second - each.first for each in found)
     shares = [each.share_moved for each in found if each.second - each.first == nearest]
     known = float(np.quantile(shares, quantile))
-    return known >= max(LEAST_KNOWN, CHANCE_FACTOR * chance)
+    return known >= max(MIN_KNOWN, CHANCE_FACTOR * chance)
 
 
 def coarsening(size: Sequence[int]) -> int:
@@ -147,7 +148,7 @@ class _Grid:
             for design, change in equations:
                 rest = change - design @ unknowns
                 rest -= np.median(rest)
-                scale = max(1.4826 * float(np.median(np.abs(rest))), LEAST_SCALE)
+                scale = max(MAD_TO_SIGMA * float(np.median(np.abs(rest))), MIN_SCALE)
                 weight = 1 / (scale**2 + rest**2) / CORRELATED
                 weighted = design.T.multiply(weight).tocsr()
                 # Each pair has a level of its own: it is eliminated.
@@ -167,7 +168,7 @@ class _Grid:
         some = np.zeros(self.size, bool)
         some[::STEP, ::STEP] = True
         some &= found.known
-        if some.sum() < MINIMUM_SAMPLES:
+        if some.sum() < MIN_SAMPLES:
             return None
         rows, columns = np.nonzero(some)
         y, x = found.y[some], found.x[some]

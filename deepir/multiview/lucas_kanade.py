@@ -16,7 +16,7 @@ Array = np.ndarray[Any, Any]
 RADIUS = 7  # px, half-width of a window
 ITERATIONS = 4  # Gauss-Newton steps on each level
 LEVELS = 3  # of the pyramid, each of half the resolution
-SMALLEST_SIDE = 12  # px, of the coarsest level
+MIN_SIDE = 12  # px, of the coarsest level
 PYRAMID_SIGMA, GRADIENT_SIGMA = 1.0, 0.7  # px, of Gaussians before halving and before differences
 #: Share of the median structure tensor's trace that is added to its diagonal: without texture, flow stays as it was.
 DAMPING = 0.03
@@ -38,7 +38,7 @@ class Pyramid:
             shown = transform(level)
             gradient = np.stack(np.gradient(ndimage.gaussian_filter(shown, GRADIENT_SIGMA)))
             self.levels.append((shown, gradient, *_structure_tensor(gradient)))
-            if min(level.shape) < 2 * SMALLEST_SIDE:
+            if min(level.shape) < 2 * MIN_SIDE:
                 break
             level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
 

@@ -33,7 +33,7 @@ CERTAINTY = 3.0
 #: Pairs of the burst's own frames that are compared, and frames apart.
 OWN_PAIRS, GAPS = 4, (1, 2)
 #: Frames below which no pattern is estimated without registration.
-MINIMUM_FRAMES = 4
+MIN_FRAMES = 4
 UNREGISTERED = "an offset that is estimated without registration, and no gain"
 
 
@@ -62,7 +62,7 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool, trusted: bool
     if found is None or raw is None or shared is None:
         return kept
     free = None
-    if registered and len(burst.frames) >= MINIMUM_FRAMES and _doubtful(found, raw, shared):
+    if registered and len(burst.frames) >= MIN_FRAMES and _doubtful(found, raw, shared):
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
         free = _candidates(UNREGISTERED, scorer, burst, one, offset)
     best = _best(found, free, raw, scorer, registered=registered)
@@ -86,7 +86,7 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool, trusted: bool
 def unregistered(burst: Burst, refusal: DataError) -> Result:
     """A result for frames that do not register, but show the same things displaced; else `refusal` is raised again."""
     usable = burst.valid & ~burst.bad_pixels
-    if len(burst.frames) < MINIMUM_FRAMES or not usable.any():
+    if len(burst.frames) < MIN_FRAMES or not usable.any():
         raise refusal
     offset, related = estimate_offset(burst.frames, usable)
     if not related:

@@ -27,7 +27,7 @@ from deepir.problems.recipe import Recipe
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
-FEW = 4  # frames, below which pixels are hardly told from the scenes
+FEW = 4  # frames, below which pixels are hardly separated from the scenes
 BLOCK = 8  # px, of which means are compared
 SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated ones
 #: Share of the low-order part, from none and from all, within which its division is no guess.

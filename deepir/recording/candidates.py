@@ -14,7 +14,7 @@ from deepir.recording.responses import refine_gain_offset
 
 Array = np.ndarray[Any, Any]
 
-LEAST_NATS = 30.0  # by which a larger correction makes held-out frames likelier, to be chosen
+MIN_NATS = 30.0  # by which a larger correction makes held-out frames likelier, to be chosen
 #: How a camera turns whose scenes do not move along an axis, where its shading is not separated, and what to do.
 ONE_WAY = (
     ("turns sideways only", "from top to bottom", "Tilt the camera too"),
@@ -36,9 +36,7 @@ def choose_offset(
     if correction == "offset" and whole is not None:
         return (correction, whole), []
     nats = {name: _low_order_nats(held_out, each) for name, each in offsets.items()}
-    better = [
-        name for name in offsets if nats["fine"] - nats[name] > (LEAST_NATS if name == "whole" else 0.0)
-    ]
+    better = [name for name in offsets if nats["fine"] - nats[name] > (MIN_NATS if name == "whole" else 0.0)]
     if better:
         return ("offset", offsets[min(better, key=nats.__getitem__)]), []
     return ("fine_offset", offsets["fine"]), [
@@ -66,10 +64,10 @@ def candidate_corrections(
 
 
 def choose_correction(nats: dict[str, float]) -> str:
-    """The last correction that is likelier than the one kept before by `LEAST_NATS`; the fine offset without nats."""
+    """The last correction that is likelier than the one kept before by `MIN_NATS`; the fine offset without nats."""
     kept = "none" if nats else "fine_offset"
     for name, each in nats.items():
-        if each < nats[kept] - LEAST_NATS:
+        if each < nats[kept] - MIN_NATS:
             kept = name
     return kept
 

@@ -25,7 +25,7 @@ ITERATIONS = 6  # of reweighting at an edge
 PCG_STEPS, PCG_TOLERANCE = 15, 1e-4  # of the integration: at most, and residual relative to the start
 FRAMES_OF_SCALE = 15  # frames whose median gradients are taken off before the scale of each is measured
 GRADIENT_STRIDE = 7  # of the gradients that give a frame's scale
-LEAST_VARIANCE = 1e-6  # of a frame's gradients, relative to the largest of all frames
+MIN_VARIANCE = 1e-6  # of a frame's gradients, relative to the largest of all frames
 
 
 def gradient_consensus(frames: Array, usable: Array) -> Array:
@@ -56,7 +56,7 @@ def _gradient_variances(frames: Array) -> Array:
     gradients = sampled_gradients(frames, GRADIENT_STRIDE, GRADIENT_STRIDE)
     common = np.median(gradients[:: max(1, len(frames) // FRAMES_OF_SCALE)], axis=0)
     variances = np.median(np.abs(gradients - common), axis=1) ** 2
-    return np.maximum(variances, max(LEAST_VARIANCE * variances.max(), np.finfo(np.float32).tiny)).astype(
+    return np.maximum(variances, max(MIN_VARIANCE * variances.max(), np.finfo(np.float32).tiny)).astype(
         np.float32
     )
 

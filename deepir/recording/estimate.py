@@ -44,10 +44,10 @@ SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
 #: has moved.
-LEAST_CHANGE = 2.2
+MIN_CHANGE_SIGMAS = 2.2
 #: Motion of a camera at rest, px, at most, and share of the frame whose displacement is known then, at least. Before
 #: tripods it was 0.3 to 1.2 px and 75 %.
-REST_MOTION, REST_KNOWN = 1.5, 0.5
+MAX_REST_MOTION, MIN_REST_KNOWN = 1.5, 0.5
 AT_REST = (
     "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
     "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
@@ -260,7 +260,7 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
     some = frames[:: max(1, len(frames) // FRAMES_AT_REST)]
     if (
         not changes
-        or np.median(changes) < LEAST_CHANGE * noise
+        or np.median(changes) < MIN_CHANGE_SIGMAS * noise
         or is_at_rest(some, np.ones(some.shape, bool))
     ):
         raise CameraAtRestError(AT_REST)
@@ -268,9 +268,9 @@ def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]
 
 def _rests(found: Sequence[Displacement], short_side: int) -> bool:
     """Whether most of the scene is seen to stay where it is, as before a camera at rest whose gain changes."""
-    if np.mean([each.known.mean() for each in found] or [0.0]) < REST_KNOWN:
+    if np.mean([each.known.mean() for each in found] or [0.0]) < MIN_REST_KNOWN:
         return False
-    return max(motion_extent(found)) * (short_side // min(found[0].known.shape)) < REST_MOTION
+    return max(motion_extent(found)) * (short_side // min(found[0].known.shape)) < MAX_REST_MOTION
 
 
 def _held_out_frames(held: Keyframes, usable: Array, offsets: Sequence[Array]) -> HeldOutFrames:

@@ -16,7 +16,7 @@ from deepir.recording.offset import fine_offset
 
 Array = np.ndarray[Any, Any]
 
-LEAST_FRAMES, MAX_FRAMES = 4, 16  # of a half
+MIN_FRAMES, MAX_FRAMES = 4, 16  # of a half
 
 
 def half_offsets(keyframes: Keyframes, estimate: SensorEstimate) -> Array | None:
@@ -32,7 +32,7 @@ def half_offsets(keyframes: Keyframes, estimate: SensorEstimate) -> Array | None
     some, _ = keyframes.split()
     _, order = np.unique(some.groups, return_inverse=True)
     halves = [some.frames[order % 2 == k] for k in (0, 1)]
-    if min(map(len, halves)) < LEAST_FRAMES:
+    if min(map(len, halves)) < MIN_FRAMES:
         return None
     return np.stack([_fine_offset(half[:: -(-len(half) // MAX_FRAMES)], estimate) for half in halves])
 

@@ -27,8 +27,8 @@ WINDOW = 65
 #: Change of the scene within the spacing of a group, relative to that over the window.
 CHANGE_WITHIN_SPACING = 0.35
 #: Change since the last group, relative to that over the window, below which the camera stands and no group begins.
-LEAST_CHANGE = 0.25
-LEAST_CHANGE_OF_FRAME = 0.1  # the same since the last frame, below which the camera stands
+MIN_CHANGE_OF_GROUP = 0.25
+MIN_CHANGE_OF_FRAME = 0.1  # the same since the last frame, below which the camera stands
 SPACINGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # frames
 SHORT_SIDE = 48  # px, shorter side of the averaged frames whose changes are measured
 HELD_OUT_EVERY = 6  # groups, of which one is held out
@@ -72,7 +72,7 @@ class Keyframes:
         _, typical = motion_spacing(np.stack(small))
         kept = [0]
         for k in range(1, len(small)):
-            if np.abs(small[k] - small[kept[-1]]).mean() >= LEAST_CHANGE_OF_FRAME * typical:
+            if np.abs(small[k] - small[kept[-1]]).mean() >= MIN_CHANGE_OF_FRAME * typical:
                 kept.append(k)
         return self.subset(np.array(kept))
 
@@ -226,7 +226,8 @@ class KeyframeCollector:
                 self._taken += 1
             return
         stands = (
-            self._last is not None and float(np.abs(self._last - small).mean()) < LEAST_CHANGE * self._typical
+            self._last is not None
+            and float(np.abs(self._last - small).mean()) < MIN_CHANGE_OF_GROUP * self._typical
         )
         if stands or number - self._opening < GROUP_SIZE * self._spacing:
             return

@@ -32,14 +32,14 @@ RELATED_QUANTILE = (
     0.75  # over pairs of frames: a camera turns too fast at times, and some pairs show the same things
 )
 CUTOFF_PAIRS = 12  # pairs of frames by which the cut-off is chosen
-LEAST_COMMON = 200  # px of the averaged frames whose displacement has to be known in a pair
+MIN_COMMON = 200  # px of the averaged frames whose displacement has to be known in a pair
 #: Ratio of the changes along displacements with a low cut-off to those with a high one, from which the texture in
 #: between is the sensor's: 1.2 to 1.4 where it is, up to 1.03 where it is the scenes', in real and simulated drives.
-LEAST_AGREEMENT_RATIO = 1.1
+MIN_AGREEMENT_RATIO = 1.1
 #: px of the averaged frames that the scene has to move somewhere once, so that the place does not rest. With this the
 #: share of the scenes' mean that is left in the offset is the share of the frame that rests, in six simulated
 #: recordings and a real one.
-REST_MOTION = 2.0
+MIN_SCENE_MOTION = 2.0
 #: Where the camera turns only one way: px of the averaged frames that the scene moves along one axis at least, and what
 #: it seems to move across, relative to that.
 TURN_MOTION, CROSS_RATIO = 2.5, 0.2
@@ -158,9 +158,9 @@ def _cutoff(rest: Array, good: Array, shared: Array, pairs: Sequence[tuple[int, 
     ratios = []
     for one, other in zip(*found, strict=True):
         common = one.known & other.known
-        if common.sum() >= LEAST_COMMON:
+        if common.sum() >= MIN_COMMON:
             ratios.append(agreement(coarse, one, common) / agreement(coarse, other, common))
-    return high if ratios and np.median(ratios) > LEAST_AGREEMENT_RATIO else low
+    return high if ratios and np.median(ratios) > MIN_AGREEMENT_RATIO else low
 
 
 def agreement(frames: Array, found: Displacement, where: Array) -> float:
@@ -182,10 +182,10 @@ def _scene_left(mean: Array, known: Array, found: Sequence[Displacement]) -> Arr
 
 
 def _share_at_rest(found: Sequence[Displacement]) -> float:
-    """Share of the frame where no displacement is known that is as long as `REST_MOTION`."""
+    """Share of the frame where no displacement is known that is as long as `MIN_SCENE_MOTION`."""
     moved = np.zeros(found[0].known.shape, bool)
     for each in found:
-        moved |= each.known & (np.hypot(*each.vectors) >= REST_MOTION)
+        moved |= each.known & (np.hypot(*each.vectors) >= MIN_SCENE_MOTION)
     return float(1 - moved.mean())
 
 

@@ -12,14 +12,15 @@ import torch
 from deepir.kernels.block_means import block_means
 from deepir.multiview.texture_flow import Displacement
 from deepir.operators.warp import project_pixels
+from deepir.recording.keyframes import spread
 from deepir.recording.offset import agreement
 
 Array = np.ndarray[Any, Any]
 
 PAIRS = 16  # of frames that are looked at
-LEAST_MOTION = 0.5  # px of the averaged frames; median displacement of a pair that counts
+MIN_MOTION = 0.5  # px of the averaged frames; median displacement of a pair that counts
 POINTS = 1500  # of a displacement field to which the homography is fitted
-LEAST_POINTS = 60
+MIN_POINTS = 60
 REWEIGHTINGS = 8  # of the fit, by Cauchy's likelihood
 RIDGE = 1e-9  # px^2 of the averaged frames, less than any displacement is missed by
 BORDER = 1  # px from the border within which a homography's displacement does not count
@@ -44,10 +45,9 @@ def parallax_ratio(
     """
     gain, offset = gain.astype(np.float32), offset.astype(np.float32)
     logs, weights = [], []
-    for k in np.unique(np.linspace(0, len(found) - 1, min(PAIRS, len(found))).astype(int)):
-        dense = found[k]
+    for dense in spread(found, PAIRS):
         plane = _homography(dense)
-        if plane is None or (inside := dense.known & _inside(plane)).sum() < LEAST_POINTS:
+        if plane is None or (inside := dense.known & _inside(plane)).sum() < MIN_POINTS:
             continue
         numbers = [dense.first, dense.second]
         factor = min(frames.shape[1:]) // min(dense.y.shape)
@@ -68,7 +68,7 @@ def _homography(found: Displacement) -> Displacement | None:
     stride = max(1, len(y) // POINTS)
     at = (np.stack((x, y), 1) - middle)[::stride]
     to = (np.stack((found.x[y, x], found.y[y, x]), 1) - middle)[::stride]
-    if len(at) < LEAST_POINTS or np.median(np.hypot(*(to - at).T)) < LEAST_MOTION:
+    if len(at) < MIN_POINTS or np.median(np.hypot(*(to - at).T)) < MIN_MOTION:
         return None
     here, there = (torch.from_numpy(each)[None] for each in (at, to))
     weights = torch.ones(1, len(at), dtype=torch.float64)

@@ -17,29 +17,29 @@ from deepir.recording.pattern_shares import slopes
 Array = np.ndarray[Any, Any]
 
 WINDOW = 12  # keyframes on either side
-LEAST_KEYFRAMES = 8  # between two jumps, and to the ends
+MIN_KEYFRAMES = 8  # between two jumps, and to the ends
 SAMPLES = 4000  # gradients along each axis that are looked at
 #: Difference across a place, relative to the median over all places, from which the pattern may jump. In real and
 #: simulated recordings it was 1.2 to 3.4 where a shutter had closed, and up to 1.3 where a film's codec begins anew.
-LEAST_RATIO = 1.35
+MIN_RATIO = 1.35
 REACH = 2  # keyframes by which the place is uncertain
 #: Share of the difference that is between two keyframes, where the pattern jumps. It was 0.44 to 0.97 at 12 jumps, and
 #: 0.01 to 0.35 at 37 of 38 other places with a large difference.
-LEAST_STEP = 0.4
-LEAST_SLOPE = 0.5  # of the frames' change over their difference, which is noise where it is smaller
+MIN_STEP = 0.4
+MIN_SLOPE = 0.5  # of the frames' change over their difference, which is noise where it is smaller
 
 
 def pattern_jumps(frames: Array) -> list[int]:
     """Numbers of the keyframes (N, h, w) that are the first with another fixed pattern, increasing."""
     count = len(frames)
-    places = np.arange(LEAST_KEYFRAMES, count - LEAST_KEYFRAMES + 1)
+    places = np.arange(MIN_KEYFRAMES, count - MIN_KEYFRAMES + 1)
     if len(places) < WINDOW:  # too few to know what is usual
         return []
     gradients = _gradients(frames)
     change = np.array([_change(gradients, int(place)) for place in places])
     usual = float(np.median(change))
     found: list[int] = []
-    while usual and change.max() > LEAST_RATIO * usual:
+    while usual and change.max() > MIN_RATIO * usual:
         index = int(change.argmax())
         if place := _step(gradients, int(places[index])):
             found.append(place)
@@ -55,7 +55,7 @@ def _step(gradients: Array, place: int) -> int | None:
     slope = slopes(after, change)[0] - slopes(before, change)[0]
     near = range(place - REACH, place + REACH + 1)
     steps = [float(slopes(gradients[[k]] - gradients[[k - 1]], change)[0][0]) for k in near]
-    if slope[0] < LEAST_SLOPE or max(steps) < LEAST_STEP * slope[0]:
+    if slope[0] < MIN_SLOPE or max(steps) < MIN_STEP * slope[0]:
         return None
     return near[int(np.argmax(steps))]
 

@@ -22,7 +22,7 @@ GAIN_SIGMA = 0.03  # prior deviation of a pixel's gain from one
 OFFSET_SAMPLES = 2.0  # samples that the offset found before counts as
 ROUNDS = 2  # of correcting the frames that predict
 DISPLACEMENT_ERROR = 1.0  # px, standard deviation of a displacement's error
-LEAST_DISPLACEMENT = 2.0  # px
+MIN_DISPLACEMENT = 2.0  # px
 FRAMES_OF_NOISE = 8  # frames that the noise is measured in
 NOISE_FACTOR = 1.5  # scale of a residual, in sigmas of a frame's noise: the prediction has noise too
 
@@ -99,7 +99,7 @@ def _accumulate(frames: Array, displacement: Displacement, noise: float, level: 
         factor,
         noise,
         DISPLACEMENT_ERROR,
-        LEAST_DISPLACEMENT,
+        MIN_DISPLACEMENT,
         level,
         sums,
     )

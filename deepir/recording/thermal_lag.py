@@ -25,10 +25,10 @@ from deepir.recording.responses import noise_deviation
 Array = np.ndarray[Any, Any]
 
 DETAIL_SIGMA = 3.0  # px of the averaged frames; Gaussian over which the energy of detail is averaged
-LEAST_ENERGY = 3.0  # of detail that counts, in variances of the noise
+MIN_ENERGY = 3.0  # of detail that counts, in variances of the noise
 STRIDE = 2  # px of the averaged frames, between places that are compared
-LEAST_PLACES = 30  # in a run of frames
-LEAST_RUNS = 4
+MIN_PLACES = 30  # in a run of frames
+MIN_RUNS = 4
 #: Correlated places: the energy of detail is averaged.
 CORRELATED = 4 * np.pi * DETAIL_SIGMA**2 / STRIDE**2
 #: Limits of the cut-off, rad/px.
@@ -71,7 +71,7 @@ def thermal_lag(runs: Sequence[Array]) -> ThermalLag | None:
     Returns:
         None where too little of them shows the same.
     """
-    if len(runs) < LEAST_RUNS:
+    if len(runs) < MIN_RUNS:
         return None
     frames = np.nan_to_num(np.concatenate(runs), copy=False)
     factor = coarsening(frames.shape[1:])
@@ -83,10 +83,10 @@ def thermal_lag(runs: Sequence[Array]) -> ThermalLag | None:
     compared = []
     for k in range(len(runs)):
         energies = [_energies(frames[4 * k + i], factor, noise) for i in (1, 3)]
-        each = _compared(energies, found[3 * k : 3 * k + 3], factor, LEAST_ENERGY * noise**2)
+        each = _compared(energies, found[3 * k : 3 * k + 3], factor, MIN_ENERGY * noise**2)
         if each is not None:
             compared.append(each)
-    if len(compared) < LEAST_RUNS:
+    if len(compared) < MIN_RUNS:
         return None
     cutoff = _cutoff(frames, noise)
     nats = np.array([sum(_nats(*each, cutoff * tau) for each in compared) for tau in TIME_CONSTANTS])
@@ -129,7 +129,7 @@ def _compared(
     there = between.y[y, x], between.x[y, x]
     here, later = energies[0][:, y, x], np.stack([sampled(each, *there) for each in energies[1]])
     enough = (np.minimum(here, later) > least).all(0)
-    if enough.sum() < LEAST_PLACES:
+    if enough.sum() < MIN_PLACES:
         return None
     here, later = here[:, enough], later[:, enough]
     change = np.log(here[1] / here[0]) - np.log(later[1] / later[0])

@@ -16,7 +16,7 @@ from deepir.io import read_frames
 @pytest.fixture
 def fake(monkeypatch, simulation):
     """A camera `fake` that gives what the test puts into `fake.frames`, and then the last again and again."""
-    told = SimpleNamespace(frames=list(simulation.frames), closed=0, opened=0)
+    device = SimpleNamespace(frames=list(simulation.frames), closed=0, opened=0)
 
     class Fake(Camera):
         """A camera that is made up."""
@@ -24,8 +24,8 @@ def fake(monkeypatch, simulation):
         correction = "switch it off"
 
         def __init__(self, *, device: str = "/dev/null"):
-            told.opened += 1
-            self.coming = iter(told.frames)
+            device.opened += 1
+            self.coming = iter(device.frames)
             self.frame = None
 
         def read(self):
@@ -35,11 +35,11 @@ def fake(monkeypatch, simulation):
             return self.frame
 
         def close(self):
-            told.closed += 1
+            device.closed += 1
 
     monkeypatch.setitem(registry._components["camera"], "fake", Fake)
     monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 0.2)
-    return told
+    return device
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def test_frames_lie_apart_in_time(fake, take, folder, simulation):
         assert (np.diff(stored["time"]) >= 0.02).all()
 
 
-def test_a_shutter_in_the_midst_is_told(fake, take, monkeypatch, simulation):
+def test_a_shutter_in_the_midst_is_reported(fake, take, monkeypatch, simulation):
     monkeypatch.setattr(capturing, "FREEZE_TIME", 0.02)
     monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 60.0)
     a, b, c = simulation.frames

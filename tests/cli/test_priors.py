@@ -22,14 +22,14 @@ def test_every_prior_corrects_a_burst(nuc, folder, prior):
     assert np.isfinite(scene).all()
 
 
-def test_a_wrong_fit_is_told_by_its_key(nuc):
+def test_a_wrong_fit_is_named_by_its_key(nuc):
     status, _, err = nuc("data.path=burst.npz", "prior=grid", "scene.fit.iteration=3")
     assert status != 0
     assert "scene.fit" in err
     assert "iterations" in err
 
 
-def test_a_start_that_there_is_not_is_told(nuc):
+def test_an_unknown_start_is_reported(nuc):
     status, _, err = nuc("data.path=burst.npz", "prior=grid", "scene.init=noise")
     assert status != 0
     assert "scene.init" in err

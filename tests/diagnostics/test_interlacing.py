@@ -22,21 +22,21 @@ def interlaced(seed, camera=CAMERA):
     return both
 
 
-def told(frames):
+def reported(frames):
     frames = torch.from_numpy(frames.astype(np.float32))
     return are_interlaced(frames, register(frames).motion)
 
 
-def test_interlaced_frames_are_told_and_every_second_row_of_them_is_sound():
+def test_interlaced_frames_are_reported_and_every_second_row_of_them_is_sound():
     frames = interlaced(3)
     messages = deepir.run("nuc", frames=frames, threads=1).messages
     assert any("interlaced" in message and "frames[:, ::2]" in message for message in messages)
-    assert not told(frames[:, ::2])
+    assert not reported(frames[:, ::2])
 
 
 @pytest.mark.parametrize("seed", [4, 5])
 def test_a_px_between_the_fields_is_enough(seed):
-    assert told(interlaced(seed, dataclasses.replace(CAMERA, max_shift=1.0)))
+    assert reported(interlaced(seed, dataclasses.replace(CAMERA, max_shift=1.0)))
 
 
 @pytest.mark.parametrize(
@@ -52,4 +52,4 @@ def test_a_px_between_the_fields_is_enough(seed):
 )
 def test_rows_of_one_time_are_not_apart(effects):
     sim = simulate(None, dataclasses.replace(CAMERA, n_frames=5, **effects), seed=6)
-    assert not told(sim.frames)
+    assert not reported(sim.frames)

@@ -12,7 +12,7 @@ def said(result):
     return any("looks like a picture" in message for message in result.messages)
 
 
-def test_a_camera_that_rests_before_somebody_who_walks_is_told():
+def test_a_camera_that_rests_before_somebody_who_walks_is_reported():
     rng = np.random.default_rng(3)
     scene = 8000 + 1500 / 255 * camera()[100:340:3, 100:412:3].astype(float)
     still = scene * (1 + rng.normal(0, 0.03, scene.shape)) + rng.normal(0, 60, scene.shape[1])

@@ -1,4 +1,4 @@
-"""Bad pixels and moving things are told by what they do beside the model."""
+"""Bad pixels and moving things are detected by what they do beside the model."""
 
 import numpy as np
 import torch

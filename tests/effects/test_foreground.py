@@ -1,4 +1,4 @@
-"""Which frames show somebody is told from what stands nearby and from how bright he and the scene are."""
+"""Which frames show somebody is decided by what stands nearby and by how bright he and the scene are."""
 
 import torch
 
@@ -36,7 +36,7 @@ def test_places_that_he_covers_in_most_frames_are_his_too():
     assert right[:, places].float().mean() > 0.99
 
 
-def test_a_foot_that_stands_in_four_frames_of_five_is_told_by_how_bright_it_is():
+def test_a_foot_that_stands_in_four_frames_of_five_is_detected_by_how_bright_it_is():
     """Four frames are the more; where he is in few, beside it, tells how bright he is."""
     his = torch.tensor(0.8)
     flux, where = walk(torch.full(SHAPE, 0.3), his, [(20, 20)] * 4 + [(20, 60)], (10, 8))

@@ -1,4 +1,4 @@
-"""Drift of the level, and shading, look alike to a camera that moves: they are told by the frames' tilt."""
+"""Drift of the level, and shading, look alike to a camera that moves: the frames' tilt separates them."""
 
 import dataclasses
 
@@ -67,7 +67,7 @@ def test_shading_stronger_than_the_pixels_pattern_is_taken_out():
 
 
 @pytest.mark.parametrize(("n_frames", "seed"), [(3, 2), (3, 6), (5, 2), (5, 5)])
-def test_a_slope_of_the_sensor_is_told_from_a_drift_and_from_the_scene(n_frames, seed):
+def test_a_slope_of_the_sensor_is_separated_from_a_drift_and_from_the_scene(n_frames, seed):
     tones = {"counts": False, "photons": 1000.0, "read_noise": 0.002}
     result, sim = run(n_frames, seed, shading=0.2, **tones)
     error = result.scene - sim.truth.scene

@@ -1,4 +1,4 @@
-"""Who walks through a burst is told from the scene, also where most frames show him."""
+"""Who walks through a burst is separated from the scene, also where most frames show him."""
 
 import dataclasses
 

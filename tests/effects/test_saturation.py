@@ -88,7 +88,7 @@ def test_what_is_cut_off_costs_little_elsewhere_and_is_a_bound_there(hot, sign):
     assert "clipped" not in whole.extra
 
 
-def test_a_pixel_that_is_stuck_at_the_end_is_told_from_what_is_saturated(hot):
+def test_a_pixel_that_is_stuck_at_the_end_is_distinguished_from_what_is_saturated(hot):
     sim, end = hot
     frames = np.minimum(sim.frames, end)
     frames[:, [5, 50, 20], [60, 9, 15]] = end

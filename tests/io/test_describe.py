@@ -34,7 +34,7 @@ def number_after(words, content):
     return float(content.split(words)[1].split()[0])
 
 
-def test_number_size_type_and_range_are_told():
+def test_number_size_type_and_range_are_reported():
     frames = np.zeros((2, 20, 24))
     frames[0, 0, 0] = 9
     assert "2 frame(s) of 20 x 24 px (height x width), stored as uint16" in text(frames)
@@ -79,15 +79,15 @@ def test_identical_frames_have_neither_noise_nor_motion():
 
 
 @pytest.mark.parametrize("frames", [np.ones((1, 20, 20)), np.ones((3, 8, 20))])
-def test_too_little_to_see_motion_is_told(frames):
+def test_too_little_to_see_motion_is_reported(frames):
     assert "too few or too small" in text(frames)
 
 
-def test_nothing_finite_is_told():
+def test_nothing_finite_is_reported():
     assert "no finite value" in text(np.full((2, 20, 20), np.nan))
 
 
-def test_a_moving_and_a_still_real_camera_are_told_apart(data):
+def test_a_moving_and_a_still_real_camera_are_distinguished(data):
     moving = "\n".join(describe(read_frames(data / "a65" / "a65_frames_000-009.npz")))
     still = "\n".join(describe(read_frames(data / "lepton" / "lepton_tlinear_82x120x160.npz")))
     assert "motion: yes" in moving

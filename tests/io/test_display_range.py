@@ -32,7 +32,7 @@ def test_an_automatic_gain_is_undone(seed):
     assert found > usual + 10
 
 
-def test_a_gain_that_changes_much_is_told():
+def test_a_gain_that_changes_much_is_reported():
     frames = simulate(None, CAMERA, seed=3).frames
     middle, factor = np.median(frames), np.array([1, 0.9, 1.2, 1, 1.1, 0.8])[:, None, None]
     stretched = np.rint(128 + (frames - middle) / np.ptp(frames) * 150 * factor)
@@ -95,7 +95,7 @@ def equalised(frames):
 
 
 @pytest.mark.parametrize("shape", [(24, 32), (80, 96)])
-def test_an_equalised_histogram_is_told_and_no_other_picture_is_taken_for_one(shape):
+def test_an_equalised_histogram_is_detected_and_no_other_picture_is_taken_for_one(shape):
     frames = simulate(None, dataclasses.replace(CAMERA, shape=shape), seed=3).frames
     fixed = np.rint((frames - frames.min()) / np.ptp(frames) * 255)
     assert is_equalised(equalised(frames))

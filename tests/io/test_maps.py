@@ -44,7 +44,7 @@ def test_anything_but_zero_is_ignored(tmp_path):
     assert read_mask(tmp_path / "mask.npy", SHAPE).sum() == 3
 
 
-def test_a_mask_of_another_shape_is_told_both(tmp_path, mask):
+def test_a_mask_of_another_shape_is_reported_with_both(tmp_path, mask):
     np.save(tmp_path / "mask.npy", mask)
     with pytest.raises(DataError, match="the mask is 20 x 24 px, the frames are 24 x 20 px"):
         read_mask(tmp_path / "mask.npy", (24, 20))
@@ -83,7 +83,7 @@ def test_a_truth_without_a_scene_says_what_it_has(tmp_path):
         read_truth(tmp_path / "t.npz", SHAPE)
 
 
-def test_a_truth_of_another_shape_is_told_both(tmp_path, burst):
+def test_a_truth_of_another_shape_is_reported_with_both(tmp_path, burst):
     np.savez(tmp_path / "t.npz", scene=burst[0])
     with pytest.raises(DataError, match="the scene is 20 x 24 px, expected 40 x 48 px"):
         read_truth(tmp_path / "t.npz", (40, 48))

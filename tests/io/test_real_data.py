@@ -36,7 +36,7 @@ def test_real_files_are_read_and_described(data, name):
     if not (data / name).exists():
         pytest.skip(f"{data / name} is absent")
     (count, height, width), dtype = FILES[name]
-    told = CliRunner().invoke(app, ["check", str(data / name)])
-    assert told.exit_code == 0
-    assert f"{count} frame(s) of {height} x {width} px (height x width), stored as {dtype}" in told.output
-    assert "values " in told.output
+    checked = CliRunner().invoke(app, ["check", str(data / name)])
+    assert checked.exit_code == 0
+    assert f"{count} frame(s) of {height} x {width} px (height x width), stored as {dtype}" in checked.output
+    assert "values " in checked.output

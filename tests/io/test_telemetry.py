@@ -17,7 +17,7 @@ def sim():
     return simulate(None, Settings(n_frames=5, shape=(96, 128), counts=True), seed=2)
 
 
-def told(frames, rows, share=1.0, seed=0):
+def with_telemetry(frames, rows, share=1.0, seed=0):
     """Frames with random words of 16 bits in these rows, the other words of which do not change."""
     rng = np.random.default_rng(seed)
     frames = frames.copy()
@@ -30,7 +30,7 @@ def told(frames, rows, share=1.0, seed=0):
 @pytest.mark.parametrize("rows", [[0], [95], [0, 1], [93, 94, 95], [0, 94, 95]])
 @pytest.mark.parametrize("share", [1.0, 0.3])
 def test_rows_of_words_are_found(sim, rows, share):
-    assert telemetry_rows(told(sim.frames, rows, share)) == rows
+    assert telemetry_rows(with_telemetry(sim.frames, rows, share)) == rows
 
 
 @pytest.mark.parametrize("rows", [[0], [95], [0, 1, 2, 3], [92, 93, 94, 95]])
@@ -56,7 +56,7 @@ def test_what_is_left_of_frames_that_are_half_lost_is_a_picture(sim, lost):
     frames[:, lost] = np.nan
     assert telemetry_rows(frames) == []
     far = [95] if lost.start == 0 else [0]
-    assert telemetry_rows(told(frames, far)) == far
+    assert telemetry_rows(with_telemetry(frames, far)) == far
 
 
 def test_frames_of_few_rows_and_lost_samples_do_no_harm():
@@ -65,13 +65,13 @@ def test_frames_of_few_rows_and_lost_samples_do_no_harm():
 
 
 def test_a_burst_with_telemetry_is_corrected_as_without(sim):
-    result = deepir.run("nuc", frames=told(sim.frames, [0, 1]), threads=1)
+    result = deepir.run("nuc", frames=with_telemetry(sim.frames, [0, 1]), threads=1)
     assert any("rows 0, 1 show numbers" in message for message in result.messages)
     rest = np.where(np.arange(96)[:, None] < 2, np.nan, sim.truth.scene)
     assert scores(result.scene, rest)["psnr_aligned"] > 40
 
 
 def test_what_a_file_holds_says_so_and_sees_the_motion(sim):
-    lines = describe(Frames(told(sim.frames, [95]).astype(np.float32), "burst.npz", "uint16", ""))
+    lines = describe(Frames(with_telemetry(sim.frames, [95]).astype(np.float32), "burst.npz", "uint16", ""))
     assert any("data.crop=[0, 95, 0, 128]" in line for line in lines)
     assert any(line.startswith("motion: yes") for line in lines)

@@ -169,7 +169,7 @@ def test_a_recording_is_started_and_stopped(page, running):
     until(page, lambda: "frame(s) are in" in page.inner_text("#recorder"))
 
 
-def test_the_end_is_told_and_the_last_frame_stays(page, live):
+def test_the_end_is_reported_and_the_last_frame_stays(page, live):
     live.show()
     live.session.end("the recording has ended")
     headline(page, "Ended")

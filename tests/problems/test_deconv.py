@@ -77,7 +77,7 @@ def test_a_width_that_is_found_is_as_good_as_the_true_one(sim, known):
     assert np.array_equal(found.gain, np.ones((80, 96)))
 
 
-def test_a_frame_that_is_sharp_is_told_so():
+def test_a_frame_that_is_sharp_is_reported_so():
     picture = data.camera()[:430, :500] / 255
     found = deepir.run(
         "deconv", "solver.max_iterations=1", frames=camera(picture, psf_sigma=0.0).frames, threads=1
@@ -160,7 +160,7 @@ def test_behind_a_blur_the_spectrum_tells_noise_from_texture(texture):
 # ---- what it says ----
 
 
-def test_a_blur_that_is_wider_than_its_array_is_told(sim):
+def test_a_blur_that_is_wider_than_its_array_is_reported(sim):
     psf = "physics.blur.psf={type: gaussian, sigma: 3, fixed: true}"
     with pytest.raises(
         ConfigError, match=r"^physics\.blur\.psf: .* radius of 4 px .* physics\.blur\.radius=8"
@@ -168,7 +168,7 @@ def test_a_blur_that_is_wider_than_its_array_is_told(sim):
         deepir.run("deconv", psf, "physics.blur.radius=4", frames=sim.frames)
 
 
-def test_a_kernel_that_does_not_fit_is_told(sim, tmp_path):
+def test_a_kernel_that_does_not_fit_is_reported(sim, tmp_path):
     np.save(tmp_path / "psf.npy", np.ones((4, 5)))
     with pytest.raises(ConfigError, match=r"psf\.npy: .* odd sides of up to 17 px, not \(4, 5\)"):
         deepir.run(

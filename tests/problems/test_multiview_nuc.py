@@ -97,7 +97,7 @@ def test_units_do_not_matter(sim, result):
     assert np.abs(counts.scene / 1000 - result.scene).max() < 0.01
 
 
-def test_gain_is_told_from_offset_by_scenes_of_different_levels():
+def test_gain_is_separated_from_offset_by_scenes_of_different_levels():
     """With a pedestal of 8,000 counts a gain of 3 % is a pattern of 250, which the scenes' 1,500 change by a fifth."""
     sim = views(counts=True, gain_pixel=0.03, gain_column=0.01, offset_pixel=0.003)
     result = deepir.run("multiview_nuc", frames=sim.frames, **QUICK)

@@ -77,7 +77,7 @@ def test_a_scene_is_as_plain_behind_a_steep_stray_flux_as_without():
     assert torch.equal(*found)
 
 
-def test_behind_a_known_gain_stray_flux_is_told_from_the_offset_by_the_gain_alone(tmp_path):
+def test_behind_a_known_gain_stray_flux_is_separated_from_the_offset_by_the_gain_alone(tmp_path):
     """`g s` repeats the gain's pattern, an offset does not: that is all there is to tell them apart."""
     sim = record("smooth", offset_pixel=0.0, offset_column=0.0, offset_row=0.0)
     np.savez(tmp_path / "maps.npz", gain=sim.truth.gain, offset=sim.truth.offset)

@@ -45,12 +45,12 @@ def test_a_gain_that_is_known_is_no_worse_than_one_that_is_found(tmp_path):
     sim = simulate(DARK, camera, seed=15)
     np.save(tmp_path / "gain.npy", sim.truth.gain)
     known = {"type": "constant", "path": str(tmp_path / "gain.npy")}
-    found, told = (
+    found, with_truth = (
         deepir.run("nuc", frames=sim.frames, threads=1, **more)
         for more in ({}, {"physics": {"sensor": {"gain": known}}})
     )
-    found, told = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, told))
-    assert told > found - 0.2
+    found, with_truth = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, with_truth))
+    assert with_truth > found - 0.2
 
 
 def test_noise_that_is_given_as_it_was_made_does_next_to_as_well_as_that_which_is_measured():
@@ -58,12 +58,12 @@ def test_noise_that_is_given_as_it_was_made_does_next_to_as_well_as_that_which_i
         n_frames=3, shape=(96, 120), photons=1000.0, read_noise=0.002, shading=0.0, dead_pixels=0.0
     )
     sim = simulate(DARK, camera, seed=16)
-    found, told = (
+    found, with_truth = (
         deepir.run("nuc", frames=sim.frames, threads=1, **more)
         for more in ({}, {"noise": {"read": 0.002, "photons": 1000.0}})
     )
-    found, told = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, told))
-    assert told > found - 1
+    found, with_truth = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (found, with_truth))
+    assert with_truth > found - 1
 
 
 def test_a_pattern_many_times_stronger_than_the_scene_is_taken_out():

@@ -123,7 +123,7 @@ def test_the_scene_is_finer_and_better_than_what_interpolation_gives(sim):
     result = found["joint"]
     assert result.scene.shape == (64, 80)
     assert result.gain.shape == result.offset.shape == (32, 40)
-    level = sim.truth.scene.mean()  # where gain and offset can hardly be told apart, but their sum is known
+    level = sim.truth.scene.mean()  # where gain and offset can hardly be separated, but their sum is known
     pattern, true = (each.gain * level + each.offset for each in (result, sim.truth))
     assert (pattern - true).std() < 0.2 * true.std()
     fine = np.diag([2, 2, 1.0])

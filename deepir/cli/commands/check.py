@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 STILL = "  motion: none"  # beginning of the line on frames in which no motion is seen
 MOTION_FRAMES = 8  # frames that are registered where no motion is seen
-MOST_FRAMES_OF_A_BURST = 30  # more are a recording
+MAX_FRAMES_OF_A_BURST = 30  # more are a recording
 REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
 
 
@@ -53,7 +53,7 @@ def check(
         else:
             command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
             whole = all(each.startswith(DATA_SETTINGS) for each in settings or ())
-            if whole and int(lines[1].split()[0]) > MOST_FRAMES_OF_A_BURST:
+            if whole and int(lines[1].split()[0]) > MAX_FRAMES_OF_A_BURST:
                 command = ["deepir", "correct", what, *(settings or ())]
             still = lines[-1].startswith(STILL)
             echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")

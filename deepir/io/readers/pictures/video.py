@@ -26,7 +26,7 @@ AVI_HEAD_BYTES = 2**14  # within which an AVI says what its film is
 LIMITED_RANGE = (12, 239)  # luma for black and white, 16 and 235, with what a lossy codec adds
 #: Grey level of each luma of that range, as FFmpeg's scaler gives it; by this table it takes a fiftieth of the time.
 STRETCHED = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
-LARGEST_DIFFERENCE = 3.174  # of two channels, of colour planes that differ by one from grey (BT.601)
+MAX_DIFFERENCE = 3.174  # of two channels, of colour planes that differ by one from grey (BT.601)
 FULL_RANGE = 2  # FFmpeg's AVCOL_RANGE_JPEG: luma from 0 to 255
 MAX_OVERSHOOT = 0.002  # share of the samples beyond it in a film of that range
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
@@ -145,8 +145,8 @@ def _colour(frame: Any) -> float:
         for plane in frame.planes[1:3]
     ]
     most = max(abs(int(edge) - 128) for plane in planes for edge in (plane.min(), plane.max()))
-    if LARGEST_DIFFERENCE * most <= 255 * LOSSY_TOLERANCE:  # mostly so: a bound is enough
-        return LARGEST_DIFFERENCE * most / 255
+    if MAX_DIFFERENCE * most <= 255 * LOSSY_TOLERANCE:  # mostly so: a bound is enough
+        return MAX_DIFFERENCE * most / 255
     blue, red = (plane - np.float32(128) for plane in planes)
     channels = 1.402 * red, -0.344 * blue - 0.714 * red, 1.772 * blue
     return max(float(np.abs(a - b).max()) for a, b in itertools.combinations(channels, 2)) / 255
