@@ -16,7 +16,7 @@ from deepir.io import read_frames
 @pytest.fixture
 def fake(monkeypatch, simulation):
     """A camera `fake` that gives what the test puts into `fake.frames`, and then the last again and again."""
-    device = SimpleNamespace(frames=list(simulation.frames), closed=0, opened=0)
+    state = SimpleNamespace(frames=list(simulation.frames), closed=0, opened=0)
 
     class Fake(Camera):
         """A camera that is made up."""
@@ -24,8 +24,8 @@ def fake(monkeypatch, simulation):
         correction = "switch it off"
 
         def __init__(self, *, device: str = "/dev/null"):
-            device.opened += 1
-            self.coming = iter(device.frames)
+            state.opened += 1
+            self.coming = iter(state.frames)
             self.frame = None
 
         def read(self):
@@ -35,11 +35,11 @@ def fake(monkeypatch, simulation):
             return self.frame
 
         def close(self):
-            device.closed += 1
+            state.closed += 1
 
     monkeypatch.setitem(registry._components["camera"], "fake", Fake)
     monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 0.2)
-    return device
+    return state
 
 
 @pytest.fixture
