@@ -21,7 +21,7 @@ def period(frames):
     return scene_period(frames, np.ones(frames.shape, bool))
 
 
-@pytest.mark.parametrize(("seed", "turn"), [(0, 0.0), (1, 2.0)])
+@pytest.mark.parametrize(("seed", "turn"), [pytest.param(0, 0.0, marks=pytest.mark.slow), (1, 2.0)])
 def test_before_a_fence_the_result_is_no_worse_than_a_raw_frame(seed, turn):
     camera = Settings(
         n_frames=6, shape=(96, 128), motion="rigid" if turn else "shift", max_rotation=turn, scale=1.25

@@ -22,7 +22,7 @@ def test_a_camera_that_rests_before_somebody_who_walks_is_reported():
     assert said(deepir.run("nuc", frames=frames, threads=1))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_pattern_of_a_camera_that_moves_is_none(seed):
     sim = simulate(None, Settings(n_frames=5, shape=(96, 128), counts=True), seed=seed)
     assert not said(deepir.run("nuc", frames=sim.frames, threads=1))

@@ -9,7 +9,7 @@ from deepir.simulate import Settings, simulate
 
 
 @pytest.mark.parametrize("counts", [False, True])
-@pytest.mark.parametrize("ratio", [1.1, 2.0])
+@pytest.mark.parametrize("ratio", [1.1, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_an_exposure_that_alternates_is_evened_out(ratio, counts):
     """Levels that alternate with the camera's motion would else stand in the scene as a slope: 17 to 25 dB."""
     sim = simulate(None, Settings(n_frames=5, shape=(80, 96), counts=counts), seed=1)

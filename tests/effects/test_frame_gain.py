@@ -23,7 +23,7 @@ def said(result):
     return any("response drifts" in message for message in result.messages)
 
 
-@pytest.mark.parametrize(("seed", "least"), [(2, 30), (7, 30)])
+@pytest.mark.parametrize(("seed", "least"), [(2, 30), pytest.param(7, 30, marks=pytest.mark.slow)])
 def test_a_response_that_drifts_is_evened_out(seed, least):
     """By half a per cent a frame, beside a pedestal of five times the scene's range."""
     frames, scene = burst(0.005, seed)
@@ -32,7 +32,7 @@ def test_a_response_that_drifts_is_evened_out(seed, least):
     assert scores(result.scene, scene)["psnr_aligned"] > least
 
 
-@pytest.mark.parametrize("seed", [2, 7])
+@pytest.mark.parametrize("seed", [2, pytest.param(7, marks=pytest.mark.slow)])
 def test_a_steady_response_is_left_as_it_is(seed):
     frames, _ = burst(0.0, seed)
     assert not said(deepir.run("nuc", frames=frames, threads=1))

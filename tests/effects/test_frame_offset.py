@@ -66,7 +66,10 @@ def test_shading_stronger_than_the_pixels_pattern_is_taken_out():
     assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
 
 
-@pytest.mark.parametrize(("n_frames", "seed"), [(3, 2), (3, 6), (5, 2), (5, 5)])
+@pytest.mark.parametrize(
+    ("n_frames", "seed"),
+    [(3, 2), pytest.param(3, 6, marks=pytest.mark.slow), (5, 2), pytest.param(5, 5, marks=pytest.mark.slow)],
+)
 def test_a_slope_of_the_sensor_is_separated_from_a_drift_and_from_the_scene(n_frames, seed):
     tones = {"counts": False, "photons": 1000.0, "read_noise": 0.002}
     result, sim = run(n_frames, seed, shading=0.2, **tones)
@@ -75,7 +78,7 @@ def test_a_slope_of_the_sensor_is_separated_from_a_drift_and_from_the_scene(n_fr
     assert (error - error.mean()).std() < 0.015
 
 
-@pytest.mark.parametrize(("seed", "counts"), [(3, True), (4, False)])
+@pytest.mark.parametrize(("seed", "counts"), [(3, True), pytest.param(4, False, marks=pytest.mark.slow)])
 def test_frames_that_are_smoothly_wrong_each_by_itself_are_not_shaded(seed, counts):
     """By one per cent of what they show, as parallax or a lens that breathes makes them."""
     sim = simulate(None, dataclasses.replace(CAMERA, n_frames=6, shape=(96, 128), counts=counts), seed=seed)
@@ -86,7 +89,9 @@ def test_frames_that_are_smoothly_wrong_each_by_itself_are_not_shaded(seed, coun
     assert scores(result.scene, sim.truth.scene)["psnr_aligned"] > 42
 
 
-@pytest.mark.parametrize(("slope", "kind"), [(0.0, 0), (60.0, 0), (0.0, 2)])
+@pytest.mark.parametrize(
+    ("slope", "kind"), [pytest.param(0.0, 0, marks=pytest.mark.slow), (60.0, 0), (0.0, 2)]
+)
 def test_a_pan_over_which_the_level_rises_steadily_is_no_slope_of_the_scene(slope, kind):
     """A slope of the scene, the opposite one of the offset and a steady drift are the same frames: the least it is."""
     rng = np.random.default_rng(0)

@@ -23,7 +23,10 @@ def filtered_in_time():
     return (noise[4:] + noise[3:-1] + noise[2:-2]) / 3**0.5
 
 
-@pytest.mark.parametrize(("noise", "step"), [(coloured, 1.0), (coloured, 16.0), (filtered_in_time, 1.0)])
+@pytest.mark.parametrize(
+    ("noise", "step"),
+    [(coloured, 1.0), pytest.param(coloured, 16.0, marks=pytest.mark.slow), (filtered_in_time, 1.0)],
+)
 def test_pixels_are_as_strong_as_they_are(noise, step):
     frames, _, _ = camera(PEDESTAL, noise())
     frames = (step * np.round(frames / step)).astype(np.float32)

@@ -62,7 +62,9 @@ def test_where_no_line_jumps_nothing_changes(effects):
     [
         (2, {"shape": (24, 32), "max_shift": 4.0, "offset_pixel": 0.04, "offset_row": 0.03}),
         (1, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}),
-        (4, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}),
+        pytest.param(
+            4, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_edges_as_long_as_a_short_line_do_not_make_it_jump(scene, camera):

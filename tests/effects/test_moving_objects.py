@@ -92,7 +92,7 @@ def test_who_walks_is_said_and_shown():
     assert not any("moves" in message for message in nobody.messages)
 
 
-@pytest.mark.parametrize("seed", [1, 6])
+@pytest.mark.parametrize("seed", [1, pytest.param(6, marks=pytest.mark.slow)])
 def test_who_is_far_above_the_noise_is_not_built_into_scene_and_pattern(seed):
     """He covers half of his way in three frames of five; gains there had come to zero before he was found: 25 dB."""
     settings = Settings(shape=(160, 208), n_frames=5, walker=0.5, walker_speed=8.0, read_noise=0.001)

@@ -22,7 +22,7 @@ def automatic_gain(frames, bits=8):
     return np.rint(np.clip((frames - low) / (high - low), 0, 1) * (2**bits - 1))
 
 
-@pytest.mark.parametrize("seed", [4, 7, 9])
+@pytest.mark.parametrize("seed", [4, 7, pytest.param(9, marks=pytest.mark.slow)])
 def test_an_automatic_gain_is_undone(seed):
     sim = simulate(None, CAMERA, seed=seed)
     pictures = automatic_gain(sim.frames)

@@ -31,7 +31,11 @@ def test_no_file_is_forgotten(data):
     assert there <= set(FILES)
 
 
-@pytest.mark.parametrize("name", FILES)
+#: Like another one, and large.
+SLOW = {"lynred_car/calibrated.avi": pytest.mark.slow}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in FILES])
 def test_real_files_are_read_and_described(data, name):
     if not (data / name).exists():
         pytest.skip(f"{data / name} is absent")

@@ -68,7 +68,7 @@ def test_halves_of_a_forced_correction_of_few_frames_are_not_compared(walk):
     assert correct(walk.frames[:6, :64, :80], correction="fine_offset").agreement is None
 
 
-@pytest.mark.parametrize("way", ["sideways", "tilts"])
+@pytest.mark.parametrize("way", ["sideways", pytest.param("tilts", marks=pytest.mark.slow)])
 def test_a_camera_that_turns_one_way_separates_the_shading_along_it_and_says_so(walk, way):
     frames = np.stack([np.roll(walk.scenes[0], 3 * k, axis=1) for k in range(40)])
     frames = frames + walk.fine + walk.slow + 3 * np.random.default_rng(0).standard_normal(frames.shape)

@@ -27,7 +27,7 @@ def strangers(frames, **settings):
 
 
 @pytest.mark.parametrize("settings", [{}, COUNTS], ids=["unit", "counts"])
-@pytest.mark.parametrize("place", [0, 3])
+@pytest.mark.parametrize("place", [pytest.param(0, marks=pytest.mark.slow), 3])
 def test_a_frame_that_does_not_belong_is_left_out_wherever_it_is(settings, place):
     frames, truth = simulated("camera", **settings)
     alone = errors(register(frames[[k for k in range(5) if k != place]]), np.delete(truth, place, 0)).max()
@@ -83,7 +83,7 @@ def test_a_moving_object_does_not_bias_the_likelihood():
     assert apart(sim, shifts) < 0.2
 
 
-@pytest.mark.parametrize(("number", "seed"), [(62, 62), (30, 30)])
+@pytest.mark.parametrize(("number", "seed"), [(62, 62), pytest.param(30, 30, marks=pytest.mark.slow)])
 def test_a_hot_object_before_a_weakly_textured_scene_is_not_followed(number, seed):
     picture = scene("moon") if number == 62 else sky(1, (430, 500))
     walker = {"walker": 0.5, "walker_contrast": 0.3}

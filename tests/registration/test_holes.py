@@ -30,7 +30,7 @@ def lost_bands(shape, seed):
 
 @pytest.mark.parametrize("camera", [{}, COUNTS], ids=["tones", "counts"])
 @pytest.mark.parametrize("n_frames", [3, 5])
-@pytest.mark.parametrize("seed", [1, 3, 4])
+@pytest.mark.parametrize("seed", [1, 3, pytest.param(4, marks=pytest.mark.slow)])
 def test_frames_that_lack_a_band_register(seed, n_frames, camera):
     sim = simulate(procedural(seed, (430, 500)), camera_of_tones(n_frames=n_frames, **camera), seed=seed)
     found = registered(sim, lost_bands(sim.frames.shape, seed))

@@ -60,8 +60,8 @@ def test_an_object_is_inpainted_by_the_background():
     [
         (procedural(6, (430, 500)), 10, 76, {}),  # three frames followed the object,
         (scene("moon"), 10, 61, {}),  # all did, and were said not to move,
-        (sky(2, (430, 500)), 20, 19, COUNTS),
-        (sky(5, (430, 500)), 5, 1, COUNTS),
+        pytest.param(sky(2, (430, 500)), 20, 19, COUNTS, marks=pytest.mark.slow),
+        pytest.param(sky(5, (430, 500)), 5, 1, COUNTS, marks=pytest.mark.slow),
         (sky(6, (430, 500)), 3, 52, {}),  # or nearly all of them
     ],
 )

@@ -50,7 +50,12 @@ def test_the_likelihood_of_turns_has_the_slope_that_it_says():
 
 @pytest.mark.parametrize(
     ("number", "seed", "settings"),
-    [(1, 21, {}), (1, 21, STRONG), (3, 43, COUNTS | STRONG), (8, 50, COUNTS | STRONG)],
+    [
+        pytest.param(1, 21, {}, marks=pytest.mark.slow),
+        (1, 21, STRONG),
+        (3, 43, COUNTS | STRONG),
+        (8, 50, COUNTS | STRONG),
+    ],
 )
 def test_clouds_before_which_the_camera_turns_are_found(number, seed, settings, monkeypatch):
     frames, off = turning(number, seed, n_frames=6, max_rotation=2.0, max_shift=8.0, **settings)

@@ -20,7 +20,7 @@ TLINEAR_COUNTS = (23315, 42315)  # counts of TLinear (K x 100) from -40 to 150 Â
 BLOCK_SIDE = 8  # px; side of the blocks whose means show motion
 MIN_VISIBLE_MOTION = 0.1  # px between frames below which a camera counts as still
 MIN_F_STATISTIC = 10.0  # F statistic above which a shift is significant
-MEASURED_PAIRS = 128  # pairs of consecutive frames in which noise and motion are measured
+MEASURED_PAIRS = 32  # pairs of consecutive frames in which noise and motion are measured
 SAMPLES = 100_000  # of many values, near whose median theirs is sought
 NEAR_MEDIAN = (0.45, 0.55)  # quantiles of these between which it is
 
