@@ -187,3 +187,16 @@ def test_a_table_that_no_memory_holds_is_damage(tmp_path):
     (tmp_path / "a.mp4").write_bytes(content)
     with pytest.raises(DataError, match="damaged: it declares a part that is too large"):
         read_frames(tmp_path / "a.mp4")
+
+
+def test_a_film_that_is_cut_off_is_read_with_a_warning(tmp_path, caplog):
+    frames = np.random.default_rng(0).integers(0, 255, (40, 32, 48), np.uint8)
+    recordings.film(tmp_path / "whole.avi", frames, codec="rawvideo", stored="gray")
+    between_frames = b"00dc".join((tmp_path / "whole.avi").read_bytes().split(b"00dc")[:21])
+    (tmp_path / "cut.avi").write_bytes(between_frames)
+    found = read_frames(tmp_path / "cut.avi").frames
+    np.testing.assert_array_equal(found, frames[: len(found)])
+    assert f"{len(found)} of the 40 frames that its header announces" in caplog.text
+    caplog.clear()
+    read_frames(tmp_path / "whole.avi")
+    assert not caplog.text

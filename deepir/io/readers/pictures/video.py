@@ -14,7 +14,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.extras import import_optional
-from deepir.io.guards import LOSSY_TOLERANCE, check_size, stack_frames, to_grey
+from deepir.io.guards import LOSSY_TOLERANCE, check_size, stack_frames, to_grey, warn_once
 from deepir.io.readers import Array
 
 GENERIC = True
@@ -29,6 +29,7 @@ STRETCHED = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(n
 MAX_DIFFERENCE = 3.174  # of two channels, of colour planes that differ by one from grey (BT.601)
 FULL_RANGE = 2  # FFmpeg's AVCOL_RANGE_JPEG: luma from 0 to 255
 MAX_OVERSHOOT = 0.002  # share of the samples beyond it in a film of that range
+MIN_SHARE_OF_ANNOUNCED = 0.95  # of the frames, as recorders count those that they drop
 SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
 
 
@@ -67,7 +68,7 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             )
         check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
         as_stored: bool | None = None  # whether luma are the counts, and not 16 to 235 for 0 to 255
-        for frame in container.decode(video=0):
+        for frame in _counted(container, path):
             deep = any(component.bits > 8 for component in frame.format.components)
             grey = "gray16le" if deep else "gray"
             name = frame.format.name
@@ -90,6 +91,16 @@ def stream(path: Path, key: str | None) -> Iterator[Array]:
             pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
             coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
             yield np.ma.masked_array(counts, coloured) if coloured.any() else counts
+
+
+def _counted(container: Any, path: Path) -> Iterator[Any]:
+    """The decoded frames of a film; a warning at the end if it lacks many of those that its header announces."""
+    count, announced = 0, container.streams.video[0].frames  # 0: not announced
+    for frame in container.decode(video=0):
+        count += 1
+        yield frame
+    if count < MIN_SHARE_OF_ANNOUNCED * announced:
+        warn_once(f"{path}: {count} of the {announced} frames that its header announces: cut off, or damaged")
 
 
 @contextmanager
