@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import threading
 from collections.abc import Iterator
+from typing import Any
 
 #: Option of mallopt: free memory at the top of the heap that is kept, bytes (glibc, malloc.h).
 TRIM_THRESHOLD = -1
@@ -15,22 +17,37 @@ MMAP_MAX = -4
 #: Values afterwards: the largest that glibc itself adapts to.
 RESTORED_OPTIONS = {TRIM_THRESHOLD: 2**26, MMAP_THRESHOLD: 2**25, MMAP_MAX: 2**16}
 
+_lock = threading.Lock()
+_open_contexts = 0
+
 
 @contextlib.contextmanager
 def kept() -> Iterator[None]:
-    """Context in which freed memory stays in the process; it is returned at the end. Only with glibc (Linux)."""
-    try:
-        libc = ctypes.CDLL("libc.so.6")
-        known = libc.mallopt, libc.malloc_trim
-    except (OSError, AttributeError):  # another C library
-        yield
-        return
-    mallopt, trim = known
-    mallopt(TRIM_THRESHOLD, 2**31 - 1)
-    mallopt(MMAP_MAX, 0)
+    """Context in which freed memory stays in the process; at the end of the outermost it is returned.
+
+    Contexts may be nested, and of several threads. Only with glibc (Linux).
+    """
+    global _open_contexts  # noqa: PLW0603 - options of the process
+    with _lock:
+        _open_contexts += 1
+        if _open_contexts == 1 and (libc := _glibc()):
+            libc.mallopt(TRIM_THRESHOLD, 2**31 - 1)
+            libc.mallopt(MMAP_MAX, 0)
     try:
         yield
     finally:
-        for option, value in RESTORED_OPTIONS.items():
-            mallopt(option, value)
-        trim(0)
+        with _lock:
+            _open_contexts -= 1
+            if _open_contexts == 0 and (libc := _glibc()):
+                for option, value in RESTORED_OPTIONS.items():
+                    libc.mallopt(option, value)
+                libc.malloc_trim(0)
+
+
+def _glibc() -> Any:
+    """The C library if it is glibc, else None."""
+    try:
+        libc = ctypes.CDLL("libc.so.6")
+    except OSError:
+        return None
+    return libc if hasattr(libc, "mallopt") and hasattr(libc, "malloc_trim") else None

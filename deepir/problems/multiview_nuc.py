@@ -27,7 +27,7 @@ from deepir.problems.recipe import Recipe
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
-FEW = 4  # frames, below which pixels are hardly separated from the scenes
+MIN_FRAMES_FOR_PIXELS = 4  # frames; of fewer, pixels are hardly separated from the scenes
 BLOCK = 8  # px, of which means are compared
 SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated ones
 #: Share of the low-order part, from none and from all, within which its division is no guess.
@@ -119,12 +119,12 @@ def _demand_different(frames: Tensor, usable: Tensor) -> list[str]:
                 "'nuc'",
             )
         )
-    if len(frames) < FEW:
+    if len(frames) < MIN_FRAMES_FOR_PIXELS:
         messages.append(
             Message(
                 "few-frames",
                 f"{len(frames)} frames: what each pixel has of its own is hardly separated from the scenes. "
-                f"Take {FEW}, better 10",
+                f"Take {MIN_FRAMES_FOR_PIXELS}, better 10",
             )
         )
     return messages
