@@ -20,7 +20,7 @@ import numpy as np
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import memory, threads
-from deepir.recording.estimate import AUTO, estimate_fine_offset
+from deepir.recording.estimate import estimate_fine_offset
 from deepir.recording.keyframes import ChosenFrames, Keyframes, spread
 from deepir.recording.segments import Segment, estimate_segments
 
@@ -66,7 +66,7 @@ def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps 
             if quick:
                 some = spread(range(len(keyframes.frames)), QUICK_KEYFRAMES)
                 return Segment(first, last, estimate_fine_offset(keyframes.subset(np.array(some))))
-            return estimate_segments(keyframes, AUTO, former=former)[-1]
+            return estimate_segments(keyframes, former=former)[-1]
     except DataError as error:
         return Segment(first, last, None, str(error))
 

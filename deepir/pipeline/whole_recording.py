@@ -10,28 +10,25 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.io.inspection.display_range import has_eight_bits
 from deepir.recording.correct import CorrectedRecording
-from deepir.recording.estimate import AUTO
 from deepir.registry import register
 from deepir.result import Result, neutral
 
 
 @register("method", "recording")
-def recording(burst: Burst, config: Config, *, correction: str = AUTO) -> Result:
+def recording(burst: Burst, config: Config) -> Result:
     """The sensor from a whole recording of a moving camera, as `deepir correct`; each frame's scene is corrected.
 
     Args:
         burst: All frames of the recording, in their order.
         config: The configuration.
-        correction: One of `CORRECTIONS`; "auto": what serves held-out frames best.
 
     Raises:
         DataError: Few frames differ, or the camera stands still.
-        ConfigError: There is no such correction.
     """
     frames = burst.frames.astype(np.uint8) if has_eight_bits(burst.frames) else burst.frames
     if (lost := ~burst.valid & ~burst.bad_pixels).any():
         frames = np.ma.masked_array(frames, lost)
-    corrected = CorrectedRecording.of(lambda: iter(frames), correction)
+    corrected = CorrectedRecording.of(lambda: iter(frames))
     maps, estimates = corrected.maps, [each.estimate for each in corrected.segments if each.estimate]
     result = neutral(corrected.frames, len(frames), burst.size, burst.bad_pixels | maps.bad_pixels)
     return dataclasses.replace(
@@ -41,10 +38,8 @@ def recording(burst: Burst, config: Config, *, correction: str = AUTO) -> Result
         messages=list(dict.fromkeys(message for each in estimates for message in each.messages)),
         metrics={
             "correction": corrected.estimate.kept,
-            "nats": corrected.estimate.nats,
-            "shares": corrected.estimate.shares,
             "first_frames": [each.first for each in corrected.segments],
-            "parallax": corrected.estimate.parallax,
+            "misfit": corrected.estimate.misfit,
             "iterations": 0,
             "evaluations": 0,
             "stop_reason": f"estimated from {len(corrected.keyframes.frames)} of {len(frames)} frames",

@@ -10,15 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from deepir.analysis.fourier_ring_correlation import RingCorrelation, fourier_ring_correlation
 from deepir.calibration import CorrectionMaps
 from deepir.config.components import validate
 from deepir.config.schema import Data, Radiometry, Raw
 from deepir.errors import ConfigError, DataError
 from deepir.io import cropped, stream_data, write_npz
 from deepir.io.inspection.axes import oriented
-from deepir.recording.estimate import AUTO, SensorEstimate
-from deepir.recording.halves import half_offsets
+from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
 from deepir.recording.neighbours import NeighbouringFrames
 from deepir.recording.segments import Segment, estimate_segments, segment_at
@@ -47,23 +45,20 @@ class CorrectedRecording:
     def of(
         cls,
         read: Callable[[], Iterator[Array]],
-        correction: str,
         track: Callable[[Iterator[Array]], Iterator[Array]] = iter,
     ) -> CorrectedRecording:
         """Read a recording once, and estimate its sensor.
 
         Args:
             read: Reads the recorded frames (h, w) from the start.
-            correction: One of `CORRECTIONS`, or "auto".
             track: Passes frames on while they are read, and shows progress.
 
         Raises:
             DataError: It has few frames, or the camera stands still.
-            ConfigError: There is no such correction.
         """
         neighbours = NeighbouringFrames()
         keyframes = choose_keyframes(neighbours.collect(track(read())))
-        return cls(read, estimate_segments(keyframes, correction), keyframes, neighbours)
+        return cls(read, estimate_segments(keyframes), keyframes, neighbours)
 
     def __len__(self) -> int:
         return self.keyframes.length
@@ -92,16 +87,6 @@ class CorrectedRecording:
         runs = zip(self.neighbours.numbers, self.neighbours.runs, strict=True)
         return thermal_lag([np.stack([self.correct(frame, number) for frame in run]) for number, run in runs])
 
-    @functools.cached_property
-    def agreement(self) -> RingCorrelation | None:
-        """Of the fine offsets of the odd and of the even groups of keyframes; None where they are too few."""
-        last = next(each for each in reversed(self.segments) if each.estimate)
-        numbers = self.keyframes.numbers
-        halves = half_offsets(
-            self.keyframes.subset((numbers >= last.first) & (numbers <= last.last)), self.estimate
-        )
-        return None if halves is None else fourier_ring_correlation(*halves)
-
     def correct(self, frame: Array, number: int | None = None) -> Array:
         """Correct a frame (h, w) of this camera, in the recording's units.
 
@@ -113,7 +98,7 @@ class CorrectedRecording:
         return segment_at(self.segments, place, frame).correct(frame)
 
     def save_maps(self, path: str | os.PathLike[str]) -> None:
-        """Write gain, offset, bad pixels, and how well each correction serves held-out frames, to an `.npz`.
+        """Write gain, offset and bad pixels, and the offset's standard deviation where it is known, to an `.npz`.
 
         Where the pattern jumps, `gains` and `offsets` (segments, h, w) and the number of each one's first frame follow.
         """
@@ -123,6 +108,7 @@ class CorrectedRecording:
             "offsets": np.stack([each.maps.offset for each in parts]).astype(np.float32),
             "first_frames": np.array([each.first for each in parts]),
         }
+        deviation = self.estimate.offset_deviation
         write_npz(
             path,
             {
@@ -130,9 +116,7 @@ class CorrectedRecording:
                 "offset": self.maps.offset.astype(np.float32),
                 "bad_pixels": self.maps.bad_pixels,
                 "level": np.array(self.estimate.level),
-                "correction": np.array(self.estimate.kept),
-                **{f"nats_{name}": np.asarray(value) for name, value in self.estimate.nats.items()},
-                **{f"share_{name}": np.asarray(value) for name, value in self.estimate.shares.items()},
+                **({} if deviation is None else {"offset_deviation": deviation.astype(np.float32)}),
                 **(over_time if len(self.segments) > 1 else {}),
             },
         )
@@ -147,7 +131,6 @@ def correct(
     crop: list[int] | None = None,
     swap_bytes: bool | None = None,
     radiometry: Radiometry | Mapping[str, Any] | None = None,
-    correction: str = AUTO,
 ) -> CorrectedRecording:
     """Correct a recording of a moving camera: `correct("drive.avi").frames`.
 
@@ -159,7 +142,6 @@ def correct(
         crop: Part of the frames, [y0, y1, x0, x1], as `data.crop`.
         swap_bytes: Whether the bytes of each sample are swapped, of a file.
         radiometry: Conversion to kelvin, of a file, as `data.radiometry`.
-        correction: What is corrected, one of `CORRECTIONS`; "auto": what serves held-out frames best.
 
     Raises:
         DataError: It cannot be read, has few frames, or the camera stands still.
@@ -184,4 +166,4 @@ def correct(
         read: Callable[[], Iterator[Array]] = functools.partial(cropped, frames, crop)
     else:
         read = functools.partial(stream_data, data.model_copy(update={"path": os.fspath(recording)}))
-    return CorrectedRecording.of(read, correction)
+    return CorrectedRecording.of(read)

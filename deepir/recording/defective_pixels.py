@@ -1,4 +1,8 @@
-"""Pixels of a camera that do not show the scene as their neighbours do, from frames of a moving scene."""
+"""Pixels of a camera that do not respond to the scene, or are not steady, from frames of a moving scene.
+
+What a pixel should show is known from registered frames, or else is the median of its neighbours. A constant offset is
+no defect, however large.
+"""
 
 from __future__ import annotations
 
@@ -12,43 +16,39 @@ from deepir.kernels.median_filter import median_filter
 Array = np.ndarray[Any, Any]
 
 FRAMES = 24  # of all, that are looked at
-#: Slope of a pixel over the median of its surroundings, at most, of one that does not respond; and the standard errors
-#: by which it is below that.
-MUTE_SLOPE, SIGNIFICANCE = 0.5, 4.0
-#: Deviation of a pixel from its surroundings over time, relative to that of pixels near it, from which it is noisy.
+CLEAR = 10.0  # nats by which a constant is likelier than the scene, of a pixel that does not respond
+#: Deviation of a pixel from the scene over time, relative to that of pixels near it, from which it is not steady.
 NOISE_RATIO = 6.0
-#: Offset of a pixel from its surroundings, in robust standard deviations of all pixels', from which it is defective.
-OFFSET_DEVIATIONS = 10.0
 NEIGHBOURHOOD = 7  # px, side of the square of the pixels near
 
 
-def defective_pixels(frames: Array, usable: Array, offset: Array, rounding: float = 0.0) -> Array:
-    """Pixels that do not follow their surroundings from frame to frame, flicker, or are far off.
+def defective_pixels(frames: Array, expected: Array, rounding: float = 0.0) -> Array:
+    """Pixels that a constant explains better than the scene does, or that deviate from it too much.
 
     Args:
         frames: (N, h, w) of a scene that changes, finite.
-        usable: which samples count, same shape.
-        offset: fixed pattern of the frames, (h, w).
-        rounding: standard deviation of the error of a recorded sample's rounding. In corrected recordings of 8 bits
-            most pixels have no other.
+        expected: what they should show, up to a constant of each pixel, same shape.
+        rounding: standard deviation of the error of a recorded sample's rounding.
 
     Returns:
         (h, w) bool.
     """
-    chosen = slice(None, None, max(1, len(frames) // FRAMES))
-    some = frames[chosen] - offset
-    around = np.stack([median_filter(frame, 3) for frame in some])
-    some = np.where(usable[chosen], some, around)
-    level = np.median(some, axis=(1, 2), keepdims=True)
-    x, y = around - level, some - level
-    x, y = x - x.mean(0), y - y.mean(0)
-    power = np.maximum((x * x).sum(0), np.finfo(np.float32).tiny)
-    slope = (x * y).sum(0) / power
-    error = np.sqrt(((y - slope * x) ** 2).sum(0) / max(len(some) - 2, 1) / power)
-    is_mute = slope + SIGNIFICANCE * error < MUTE_SLOPE
-    apart = some - around
-    noise = np.median(np.abs(apart - np.median(apart, axis=0)), axis=0)
-    usual = np.maximum(median_filter(noise, NEIGHBOURHOOD), max(np.median(noise), rounding))
-    detail = np.abs(offset - median_filter(offset, 3))
-    is_far = detail > OFFSET_DEVIATIONS * max(MAD_TO_SIGMA * np.median(detail), rounding)
-    return np.asarray(is_mute | is_far | (noise > NOISE_RATIO * usual) | ~usable.any(0))
+    apart = frames - expected
+    apart = apart - np.median(apart, axis=0)
+    deviation = MAD_TO_SIGMA * np.median(np.abs(apart), axis=0)
+    usual = np.maximum(median_filter(deviation, NEIGHBOURHOOD), max(float(np.median(deviation)), rounding))
+    usual = np.maximum(usual, np.finfo(np.float32).tiny)
+    constant = frames - np.median(frames, axis=0)
+    # Cauchy's likelihood: what moves by itself, and edges, are in few frames.
+    gain = np.log1p((apart / usual) ** 2) - np.log1p((constant / usual) ** 2)
+    return np.asarray((gain.sum(0) > CLEAR) | (deviation > NOISE_RATIO * usual))
+
+
+def some_frames(frames: Array) -> Array:
+    """As many of the frames as are looked at."""
+    return frames[:: max(1, len(frames) // FRAMES)]
+
+
+def of_neighbours(frames: Array) -> Array:
+    """Median of each sample and its neighbours, (N, h, w)."""
+    return np.stack([median_filter(frame, 3) for frame in frames])

@@ -1,62 +1,54 @@
 """Gain, offset and bad pixels of a camera from the keyframes of a recording.
 
-The fine offset comes from the gradients that all frames share, its low-order part from changes of brightness along the
-scene's displacements, the gain from registered frames. Corrections with fewer of these parts compete on held-out
-frames: a part that does not help there is left out.
+Frames that register are solved together with their scene (`joint_solve`). Where the camera moves among near things
+nothing registers as a whole: then dense displacements tell the low-order part, and frames of different scenes the fine
+one (`displaced`). What neither determines is left as it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 
-from deepir.arrays.noise_level import ROUNDING_SIGMA, quantisation_step
 from deepir.calibration import CorrectionMaps
-from deepir.errors import ConfigError, DataError, nearest
+from deepir.errors import DataError
 from deepir.io.inspection.saturated_samples import saturated_samples
+from deepir.kernels.block_means import block_means
 from deepir.messages import Message
-from deepir.multiview.camera_at_rest import is_at_rest
-from deepir.multiview.low_order_part import low_order_part
-from deepir.multiview.texture_flow import Displacement, motion_extent
-from deepir.recording.automatic_gain import PatternStrength, pattern_strengths
-from deepir.recording.candidates import candidate_corrections, choose_correction, choose_offset, turns_one_way
-from deepir.recording.consensus import gradient_consensus
-from deepir.recording.defective_pixels import defective_pixels
-from deepir.recording.held_out import HeldOutFrames
-from deepir.recording.keyframes import Keyframes, spread
-from deepir.recording.offset import fine_offset, separate_offset
-from deepir.recording.parallax import parallax_ratio
-from deepir.recording.pattern_shares import scale_parts, shrink_offset
-from deepir.recording.responses import noise_deviation
+from deepir.recording.bursts import Burst, burst_motion, find_burst, shared_pattern
+from deepir.recording.defective_pixels import defective_pixels, of_neighbours, some_frames
+from deepir.recording.displaced import enlarged, fine_part, solve_low_order
+from deepir.recording.joint_solve import SensorSolution, solve_sensor
+from deepir.recording.keyframes import Keyframes
+from deepir.recording.noise import noise_deviation, rounding_deviation
 
 Array = np.ndarray[Any, Any]
 
-MAX_PAIRS = 90  # pairs of frames whose displacements are sought
 MIN_KEYFRAMES = 4
-#: What a correction may consist of, from nothing to all; and the word for the choice by held-out frames.
-CORRECTIONS = ("none", "fine_offset", "offset", "registered_offset", "gain_and_offset")
-AUTO = "auto"
+SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least, before they are registered
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
 #: has moved.
 MIN_CHANGE_SIGMAS = 2.2
-#: Motion of a camera at rest, px, at most, and share of the frame whose displacement is known then, at least. Before
-#: tripods it was 0.3 to 1.2 px and 75 %.
-MAX_REST_MOTION, MIN_REST_KNOWN = 1.5, 0.5
+#: Misfit of registered frames, in variances of the noise of a sample, from which they do not register as a whole: 1 to
+#: 40 in 44 hand-held recordings, 900 and more in drives.
+MAX_MISFIT = 100.0
+FULL_SIZE_ROUNDS = 2  # of the solve at the frames' own size, after that of averaged frames
+MIN_MOTION = 1.0  # px, range of the motion along an axis, below which nothing is separated along it
 AT_REST = (
     "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
     "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
     "deepir apply MAPS FILE"
 )
-FOLDS = 4  # parts of the groups of frames; each part is held out once
-FRAMES_AT_REST = 16  # keyframes that are compared whether the camera rests
-#: Gains outside these limits are of pixels that do not respond to the scene.
-GAIN_LIMITS = (0.5, 2.0)
+#: How a camera moves along one axis alone, where its shading is not separated, and what to do.
+ONE_WAY = (
+    ("turns sideways only", "from top to bottom", "Tilt the camera too"),
+    ("tilts only", "from left to right", "Turn the camera sideways too"),
+)
 
 
 class CameraAtRestError(DataError):
@@ -72,158 +64,195 @@ class SensorEstimate:
         offset: (h, w), frames' units, mean zero.
         bad_pixels: (h, w) bool.
         level: frames' units, the median of the frames.
-        strength: of the pattern in a frame, where an automatic gain control changes it; else None.
-        kept: what the correction consists of, one of `CORRECTIONS`.
-        nats: of each candidate on held-out frames, less is better; empty where it was not judged.
-        shares: of the offset's columns, rows, pixels and blobs that other frames hold; empty where it was not judged.
+        offset_deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
+        kept: what is corrected, in words.
+        misfit: of registered frames, in variances of the noise of a sample; inf where they do not register.
         messages: for the user.
-        parallax: ratio, see `parallax_ratio`; NaN where it was not judged.
     """
 
     gain: Array
     offset: Array
     bad_pixels: Array
     level: float
-    strength: PatternStrength | None
+    offset_deviation: Array | None
     kept: str
-    nats: dict[str, float]
-    shares: dict[str, float] = field(default_factory=dict)
+    misfit: float
     messages: tuple[str, ...] = ()
-    parallax: float = np.nan
 
 
-def estimate_sensor(
-    keyframes: Keyframes, correction: str = AUTO, *, former: CorrectionMaps | None = None, shrink: bool = True
-) -> SensorEstimate:
+@dataclass(frozen=True)
+class _Samples:
+    """Frames less their level, which of their samples count, and the pattern that the gradients of halves share."""
+
+    frames: Array
+    usable: Array
+    halves: tuple[Array, Array]
+    bad: Array
+    level: float
+    rounding: float
+
+    @classmethod
+    def of(cls, keyframes: Keyframes) -> _Samples:
+        frames = keyframes.frames
+        if len(frames) < MIN_KEYFRAMES:
+            raise DataError(
+                f"{len(frames)} of {keyframes.length} frame(s) show anything new, too few. "
+                "Record for some seconds while the camera moves"
+            )
+        low, high = _limits(frames)
+        usable = (frames > low) & (frames < high)
+        some = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
+        level = float(np.median(frames[some][usable[some]])) if usable[some].any() else 0.0
+        frames = np.where(usable, frames, np.float32(level)) - np.float32(level)
+        middle = len(frames) // 2
+        halves = shared_pattern(frames[:middle], usable[:middle]), shared_pattern(frames[middle:], usable[middle:])
+        pattern = (halves[0] + halves[1]) / 2
+        rounding = rounding_deviation(keyframes.frames[0])
+        some = some_frames(frames) - pattern
+        around = of_neighbours(some)
+        bad = defective_pixels(np.where(some_frames(usable), some, around), around, rounding) | ~usable.any(0)
+        return cls(frames, usable, halves, bad, level, rounding)
+
+    @property
+    def known(self) -> Array:
+        """Samples that count, of pixels that seem to respond, (N, h, w) bool."""
+        return self.usable & ~self.bad
+
+    @property
+    def pattern(self) -> Array:
+        """Shared by all frames, (h, w)."""
+        return (self.halves[0] + self.halves[1]) / 2
+
+
+def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = None) -> SensorEstimate:
     """Estimate gain, offset and bad pixels.
 
     Args:
         keyframes: of a recording.
-        correction: one of `CORRECTIONS`; "auto": the one that serves held-out frames best.
-        former: of the same sensor; held-out frames choose between the low-order part of their offset and the new one.
-        shrink: whether the parts of the offset are scaled by the shares of them that held-out frames hold.
+        former: of the same sensor; the low-order part of their offset stays where the frames do not tell it.
 
     Raises:
-        ConfigError: There is no such correction.
-        DataError: There are few frames, or the camera stands still, or `correction` cannot be estimated.
+        DataError: There are few frames, or the camera stands still.
     """
-    if correction not in (AUTO, *CORRECTIONS):
-        raise ConfigError(
-            f"correction '{correction}' is unknown; {nearest(correction, (AUTO, *CORRECTIONS))}"
+    samples = _Samples.of(keyframes)
+    found = _registered(samples, gains_differ=keyframes.eight_bits)
+    if found is not None:
+        solution, burst, numbers, misfit = found
+        shown, expected = burst.compared(solution.offset, solution.gain)
+        return _estimate(
+            samples,
+            solution,
+            "gain and offset",
+            _one_way(burst, samples.frames.shape[1:]),
+            (np.where(samples.usable[numbers], shown, expected), expected),
+            misfit,
         )
-    estimated, held = keyframes.split()
-    limits = _limits(keyframes.frames)
-    frames, usable, level, offset = _consensus(estimated, limits)
-    gains = pattern_strengths(frames, usable, offset) if keyframes.eight_bits else None
-    if gains is not None:
-        frames = (frames - level) / gains[:, None, None] + np.float32(level)
-        offset = gradient_consensus(frames, usable).astype(np.float32)
-    bad = defective_pixels(frames, usable, offset, _rounding(estimated.frames))
-    pairs = spread(estimated.pairs, MAX_PAIRS)
-    separated = separate_offset(frames, usable, ~bad, offset, pairs, level)
-    if _rests(separated.displacements, min(frames.shape[1:])):
-        raise CameraAtRestError(AT_REST)
-    offsets = {"fine": separated.fine}
-    if separated.whole is not None:
-        offsets["whole"] = separated.whole
-    if former is not None and gains is None:
-        rest = former.offset + (former.gain - 1) * level - separated.fine
-        offsets["former"] = separated.fine + low_order_part(rest, ~bad)
-    held_out = _held_out_frames(held, _usable(held.frames, limits) & ~bad, list(offsets.values()))
-    masked = np.where(usable, frames, np.nan).astype(np.float32)
-    base, messages = choose_offset(offsets, held_out, correction)
-    if separated.axis_at_rest is not None and base[0] == "offset":
-        messages.append(turns_one_way(separated.axis_at_rest))
-    candidates = candidate_corrections(masked, base, separated.displacements, level, with_gain=gains is None)
-    bad |= _unresponsive(candidates["gain_and_offset"][0]) if "gain_and_offset" in candidates else False
-    nats = {name: found for name, each in candidates.items() if np.isfinite(found := held_out.nats(*each))}
-    kept = correction
-    if correction == AUTO:
-        kept = choose_correction(nats)
-        if kept == "none":
-            messages.append(
-                Message(
-                    "no-correction-helps",
-                    "no correction makes held-out frames better: the recording is left as it is",
-                )
-            )
-    elif correction not in candidates:
-        raise DataError(
-            f"the correction '{correction}' cannot be estimated from this recording; {'; '.join(messages)}"
-        )
-    gain, offset = candidates[kept]
-    gain, offset = np.where(bad, 1, gain), offset - offset[~bad].mean()
-    strength = None if gains is None else PatternStrength.of_frames(offset, estimated.frames, usable)
-    shares: dict[str, float] = {}
-    if shrink and kept != "none":
-        offset, shares = (
-            _shrunk(gain, offset, ~bad, level, held.frames, _usable(held.frames, limits), strength)
-            if len(held.frames)
-            else _shrunk_by_others(offset, frames, usable, ~bad, estimated.groups)
-        )
-    parallax = parallax_ratio(frames, usable & ~bad, gain, offset, separated.displacements)
-    return SensorEstimate(gain, offset, bad, level, strength, kept, nats, shares, tuple(messages), parallax)
+    _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
+    return _of_displaced(samples, keyframes, former)
 
 
 def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
-    """The fine offset and bad pixels alone: at once, from few frames, without displacements.
+    """The fine offset and bad pixels alone: at once, from few frames.
 
     Raises:
         DataError: As `estimate_sensor`.
     """
-    frames, usable, level, consensus = _consensus(keyframes, _limits(keyframes.frames))
-    bad = defective_pixels(frames, usable, consensus, _rounding(keyframes.frames))
-    offset = fine_offset(consensus, ~bad)
-    offset, shares = _shrunk_by_others(offset - offset[~bad].mean(), frames, usable, ~bad, keyframes.groups)
-    return SensorEstimate(np.ones_like(offset), offset, bad, level, None, "fine_offset", {}, shares)
+    samples = _Samples.of(keyframes)
+    _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
+    return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), "fine offset")
 
 
-def _shrunk(
-    gain: Array,
-    offset: Array,
-    known: Array,
-    level: float,
-    held: Array,
-    usable: Array,
-    strength: PatternStrength | None,
-) -> tuple[Array, dict[str, float]]:
-    """An offset (h, w), its parts scaled by the shares of them that held-out frames (N, h, w) have."""
-    frames = np.where(usable, held, np.nan)
-    if strength is not None:
-        frames = frames / np.array([strength(each) for each in frames], np.float32)[:, None, None]
-    scaled, shares = shrink_offset(offset / gain, known, (frames - level) / gain)
-    return gain * scaled, shares
+def _registered(samples: _Samples, *, gains_differ: bool) -> tuple[SensorSolution, Burst, Array, float] | None:
+    """The sensor by frames that register, these, their numbers, and their misfit; None where too few do, or the model does not fit them."""
+    frames, usable = samples.frames, samples.known
+    factor = max(1, min(frames.shape[1:]) // SHORT_SIDE)
+    small, known = _averaged(frames, usable, factor)
+    start = _averaged(samples.pattern[None], ~samples.bad[None], factor)[0][0]
+    found = find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ)
+    if found is None:
+        return None
+    shared = shared_pattern(small[found[1]], known[found[1]])
+    burst, numbers = find_burst(small, known, len(frames) // 2, shared, gains_differ=gains_differ) or found
+    solution = solve_sensor([burst], shared)
+    noise = noise_deviation(burst.frames - shared)
+    misfit = solution.inflation * (solution.noise / noise) ** 2
+    if misfit > MAX_MISFIT:
+        return None
+    if factor == 1:
+        return solution, burst, numbers, misfit
+    motion = burst_motion(burst.canvas.motion, factor, frames.shape[1:])
+    full = Burst(frames[numbers], usable[numbers], motion, burst.reference, gains_differ=gains_differ)
+    full.levels, full.gains = burst.levels, burst.gains
+    shared = shared_pattern(frames[numbers], usable[numbers])
+    return solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS), full, numbers, misfit
 
 
-def _shrunk_by_others(
-    offset: Array, frames: Array, usable: Array, known: Array, groups: Array
-) -> tuple[Array, dict[str, float]]:
-    """A fine offset (h, w), scaled by the mean shares that some groups of frames hold of what the others give."""
-    found = []
-    for fold in np.unique(groups % FOLDS):
-        here = groups % FOLDS == fold
-        if here.all():
-            return offset, {}
-        others = fine_offset(gradient_consensus(frames[~here], usable[~here]), known)
-        seen = np.where(usable[here], frames[here], np.nan)
-        found.append(shrink_offset(others, known, seen)[1])
-    shares = {name: float(np.mean([each[name] for each in found])) for name in found[0]}
-    return scale_parts(offset, known, shares), shares
+def _of_displaced(
+    samples: _Samples, keyframes: Keyframes, former: CorrectionMaps | None
+) -> SensorEstimate:
+    """The sensor of a camera that moves among near things."""
+    size = samples.frames.shape[1:]
+    factor = max(1, min(size) // SHORT_SIDE)
+    small, known = _averaged(samples.frames, samples.known, factor)
+    start = _averaged(samples.pattern[None], ~samples.bad[None], factor)[0][0]
+    offset = fine_part(*samples.halves)
+    low = solve_low_order(small, known, keyframes.neighbours, start)
+    if low is not None:
+        return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
+    if former is not None:
+        rest = former.offset + (former.gain - 1) * samples.level
+        return _estimate(samples, SensorSolution.of_offset(offset + rest - fine_part(rest, rest)), "offset")
+    message = Message(
+        "low-order-part-not-separated",
+        "the low-order part (shading) of the fixed pattern could not be separated from the scenes and was not "
+        "corrected: it is weak, or the camera moves too little",
+    )
+    return _estimate(samples, SensorSolution.of_offset(offset), "fine offset", (message,))
 
 
-def _consensus(keyframes: Keyframes, limits: tuple[float, float]) -> tuple[Array, Array, float, Array]:
-    """Frames with their level in place of unusable samples, which are usable, the level, and the shared offset."""
-    frames, usable = keyframes.frames, _usable(keyframes.frames, limits)
-    if len(frames) < MIN_KEYFRAMES:
-        raise DataError(
-            f"{len(frames)} of {keyframes.length} frame(s) show anything new, too few. "
-            "Record for some seconds while the camera moves"
-        )
-    level = _median(frames, usable)
-    frames = np.where(usable, frames, np.float32(level))
-    offset = gradient_consensus(frames, usable).astype(np.float32)
-    _demand_motion(frames, offset, keyframes.pairs)
-    return frames, usable, level, offset
+def _estimate(
+    samples: _Samples,
+    solution: SensorSolution,
+    kept: str,
+    messages: tuple[str, ...] = (),
+    registered: tuple[Array, Array] | None = None,
+    misfit: float = np.inf,
+) -> SensorEstimate:
+    """The estimate, its bad pixels judged again by `registered` frames and what they should show, if there are any."""
+    gain, offset, bad = solution.gain, solution.offset, samples.bad
+    if registered is not None:
+        frames, expected = registered
+        again = defective_pixels(frames, expected, samples.rounding) | ~samples.usable.any(0)
+        # The samples of pixels that were left out tell their offset now.
+        offset = np.where(bad & ~again, offset + np.median(frames - expected, axis=0), offset)
+        bad = again
+    offset = offset - (0.0 if bad.all() else offset[~bad].mean())
+    return SensorEstimate(np.where(bad, 1, gain), offset, bad, samples.level, solution.deviation, kept, misfit, messages)
+
+
+def _averaged(frames: Array, usable: Array, factor: int) -> tuple[Array, Array]:
+    """Means of frames over blocks, float32, and where all samples of a block count."""
+    if factor == 1:
+        return frames, usable
+    means = block_means(frames, usable, factor).astype(np.float32)
+    share = block_means(usable.astype(np.float32), np.ones(usable.shape, bool), factor)
+    return means, np.asarray(share > 0.5)
+
+
+def _one_way(burst: Burst, size: Sequence[int]) -> tuple[str, ...]:
+    """The message that the shading across the motion of a camera that turns one way is not separated, if it does."""
+    ranges = np.ptp(burst.canvas.motion[:, :2, 2], axis=0)
+    for axis in (0, 1):
+        if ranges[1 - axis] < MIN_MOTION * max(1, min(size) // SHORT_SIDE) < ranges[axis] / 2:
+            motion, where, remedy = ONE_WAY[axis]
+            return (
+                Message(
+                    "camera-turns-one-way",
+                    f"the camera {motion}: the shading of the fixed pattern {where} is not separated from the scenes', "
+                    f"and was left as it was. {remedy}",
+                ),
+            )
+    return ()
 
 
 def _limits(frames: Array) -> tuple[float, float]:
@@ -236,48 +265,9 @@ def _limits(frames: Array) -> tuple[float, float]:
     return below.max(initial=-np.inf), above.min(initial=np.inf)
 
 
-def _usable(frames: Array, limits: tuple[float, float]) -> Array:
-    return np.asarray((frames > limits[0]) & (frames < limits[1]))
-
-
-def _median(frames: Array, usable: Array) -> float:
-    """Of some of the usable samples."""
-    return float(
-        np.median(frames[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE][usable[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]])
-    )
-
-
-def _rounding(frames: Array) -> float:
-    """Standard deviation of the rounding error of samples (N, h, w)."""
-    some = torch.from_numpy(frames[:: max(1, len(frames) // FRAMES_OF_LIMITS)])[:, None]
-    return ROUNDING_SIGMA * quantisation_step(some, some.isfinite())
-
-
-def _demand_motion(frames: Array, offset: Array, pairs: Sequence[tuple[int, int]]) -> None:
-    """Raise `DataError` if neighbouring frames differ only by noise, or all show the same scene."""
-    noise = 2**0.5 * noise_deviation(frames - offset)
+def _demand_motion(frames: Array, pattern: Array, pairs: Sequence[tuple[int, int]]) -> None:
+    """Raise `CameraAtRestError` if neighbouring frames differ only by noise."""
+    noise = 2**0.5 * noise_deviation(frames - pattern)
     changes = [float(np.quantile(np.abs(frames[i] - frames[j])[::3, ::3], 0.75)) for i, j in pairs]
-    some = frames[:: max(1, len(frames) // FRAMES_AT_REST)]
-    if (
-        not changes
-        or np.median(changes) < MIN_CHANGE_SIGMAS * noise
-        or is_at_rest(some, np.ones(some.shape, bool))
-    ):
+    if not changes or np.median(changes) < MIN_CHANGE_SIGMAS * noise:
         raise CameraAtRestError(AT_REST)
-
-
-def _rests(found: Sequence[Displacement], short_side: int) -> bool:
-    """Whether most of the scene is seen to stay where it is, as before a camera at rest whose gain changes."""
-    if np.mean([each.known.mean() for each in found] or [0.0]) < MIN_REST_KNOWN:
-        return False
-    return max(motion_extent(found)) * (short_side // min(found[0].known.shape)) < MAX_REST_MOTION
-
-
-def _held_out_frames(held: Keyframes, usable: Array, offsets: Sequence[Array]) -> HeldOutFrames:
-    """Frames that judge; the displacements of their scenes are sought with each offset."""
-    level = _median(held.frames, usable) if usable.any() else 0.0
-    return HeldOutFrames(held, usable, level, [(np.ones_like(each), each) for each in offsets])
-
-
-def _unresponsive(gain: Array) -> Array:
-    return np.asarray((gain < GAIN_LIMITS[0]) | (gain > GAIN_LIMITS[1]))

@@ -1,4 +1,4 @@
-"""Lines on parallax, thermal lag and repeatability, each with the figure that it rests on."""
+"""Lines on motion, uncertainty and thermal lag, each with the figure that it rests on."""
 
 from __future__ import annotations
 
@@ -6,33 +6,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deepir.analysis.fourier_ring_correlation import RingCorrelation
 from deepir.recording.estimate import SensorEstimate
-from deepir.recording.parallax import PARALLAX_RATIO
 from deepir.recording.thermal_lag import ThermalLag
 
 
-def findings_lines(
-    estimate: SensorEstimate, lag: ThermalLag | None, halves: RingCorrelation | None
-) -> Iterator[str]:
-    """Lines on parallax, thermal lag and repeatability of the offset.
+def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator[str]:
+    """Lines on how the frames register, how sure the offset is, and thermal lag.
 
     Args:
         estimate: of the sensor.
         lag: of the pixels; None if it was not estimated.
-        halves: Fourier ring correlation of the offsets of two halves; None if they have too few frames.
     """
-    ratio = estimate.parallax
-    if np.isnan(ratio):
-        yield "parallax: not judged, the scene's displacements are too small"
-    elif ratio > PARALLAX_RATIO:
-        yield (
-            f"parallax: yes, a homography leaves {ratio:.2f} times the change of brightness of a dense displacement"
-        )
+    if np.isfinite(estimate.misfit):
+        yield "motion: the frames register as a whole, and were solved together with their scene"
     else:
+        yield "motion: near and far things move differently; the offset rests on local displacements"
+    if estimate.offset_deviation is not None:
+        good = ~estimate.bad_pixels
         yield (
-            "parallax: none, a homography describes the displacements "
-            f"(it leaves {ratio:.2f} times the change of brightness of a dense one)"
+            f"offset: standard deviation {estimate.offset[good].std():.3g}, uncertain by "
+            f"{np.sqrt(np.mean(estimate.offset_deviation[good] ** 2)):.2g} (root mean square over the pixels)"
         )
     if lag is None:
         yield "thermal lag: not judged, too little of the scene is seen at several speeds"
@@ -43,10 +36,3 @@ def findings_lines(
         )
     else:
         yield f"thermal lag: none is seen ({lag.time_constant:.1g} of the time between two frames, {lag.nats:.1f} nats)"
-    if halves is None:
-        yield "repeatability: not judged, too few frames for two halves"
-    else:
-        yield (
-            "repeatability: offsets of odd and even groups of frames agree down to a period of "
-            f"{halves.resolution:.1f} px (the limit is 2 px)"
-        )

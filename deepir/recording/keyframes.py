@@ -31,7 +31,6 @@ MIN_CHANGE_OF_GROUP = 0.25
 MIN_CHANGE_OF_FRAME = 0.1  # the same since the last frame, below which the camera stands
 SPACINGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # frames
 SHORT_SIDE = 48  # px, shorter side of the averaged frames whose changes are measured
-HELD_OUT_EVERY = 6  # groups, of which one is held out
 #: Frames of a short recording, which is kept whole.
 SHORT = GROUP_SIZE * MAX_GROUPS
 
@@ -55,11 +54,6 @@ class Keyframes:
     spacings: Array
     length: int
     eight_bits: bool
-
-    def split(self) -> tuple[Keyframes, Keyframes]:
-        """The keyframes to estimate from, and those of some groups that are held out to judge the estimate."""
-        held = self.groups % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
-        return self.subset(~held), self.subset(held)
 
     def subset(self, selection: Array) -> Keyframes:
         """The keyframes at these indices, or where a mask (N,) is True."""
@@ -86,6 +80,12 @@ class Keyframes:
                 if j > i and abs(self.numbers[j] - number - times * spacing) <= spacing / 2:
                     found.append((i, j))
         return found or [(k, k + 1) for k in range(len(self.numbers) - 1)]
+
+    @property
+    def neighbours(self) -> list[list[int]]:
+        """Of each keyframe those that are one to three spacings away: they show the same things displaced."""
+        apart = np.abs(self.numbers - self.numbers[:, None]) / self.spacings[:, None]
+        return [np.flatnonzero((row > 0.5) & (row < GROUP_SIZE - 0.5)).tolist() for row in apart]
 
 
 def choose_keyframes(recording: Iterable[Array]) -> Keyframes:

@@ -2,7 +2,7 @@
 
 The error of an estimate comes from the scenes of its frames, and is in no others. So the slope of the gradients of
 other frames over those of the estimate is the share of it that is the sensor's: one for a good estimate, zero for one
-that is all scene. Each part of an offset is scaled by its share, as in empirical Bayes shrinkage.
+that is all scene.
 """
 
 from __future__ import annotations
@@ -10,17 +10,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.recording.consensus import sampled_gradients
 
 Array = np.ndarray[Any, Any]
 
-PARTS = ("columns", "rows", "pixels", "blobs")
-LINE_SIGMA = 16.0  # px; Gaussian below which columns and rows are not lines, but low-order
-#: Gaussians, px, between which the pattern's blobs are: finer are pixels, broader is the low-order part.
-BLOB_SIGMAS = (2.0, 8.0)
 REWEIGHTINGS = 8  # by Cauchy's likelihood: the scene's gradients have heavy tails
 MAX_GRADIENTS = 10_000  # of a frame along each axis that are looked at
 #: Share of the maps' pattern in a frame from which they fit, by one weighted fit, which underestimates patterns as weak
@@ -30,30 +25,6 @@ MIN_SHARE_TO_FIT = 0.45
 SIGNIFICANCE = 2.0  # standard errors by which a share has to be too small
 CORRELATED_GRADIENTS = 4.0  # gradients of neighbouring pixels that are correlated
 RIDGE = 1e-6  # weak prior on a slope: without it, a part that is zero everywhere makes the system singular
-
-
-def shrink_offset(offset: Array, known: Array, frames: Array) -> tuple[Array, dict[str, float]]:
-    """Scale columns, rows, pixels and blobs of an offset by the shares of them that frames hold.
-
-    The low-order part stays: gradients do not separate it from the scenes.
-
-    Args:
-        offset: (h, w), frames' units.
-        known: (h, w) bool, pixels that respond to the scene.
-        frames: (N, h, w), of scenes that the offset was not estimated from; NaN where a sample does not count.
-
-    Returns:
-        The offset, (h, w), and the share of each of `PARTS`, between 0 and 1.
-    """
-    found = shares(frames, _parts(offset, known), known)[0].clip(0, 1)
-    each = dict(zip(PARTS, found.tolist(), strict=True))
-    return scale_parts(offset, known, each), each
-
-
-def scale_parts(offset: Array, known: Array, by: dict[str, float]) -> Array:
-    """An offset (h, w) whose parts are scaled; arguments as in `shrink_offset`."""
-    less = 1 - np.array([by[name] for name in PARTS])
-    return np.asarray(offset - np.tensordot(less, _parts(offset, known), 1))
 
 
 def contains_pattern(frame: Array, corrected: Array, bad: Array) -> bool:
@@ -138,20 +109,3 @@ def slopes(steps: Array, design: Array, *, reweightings: int = REWEIGHTINGS) -> 
 def _products(one: Array, other: Array) -> Array:
     """Sums of products of (K, S) and (L, S): (K, L). Not by BLAS: its threads wait for each other on busy cores."""
     return np.asarray(np.einsum("ks,ls->kl", one, other))
-
-
-def _parts(offset: Array, known: Array) -> Array:
-    """Columns, rows, pixels and blobs, (4, h, w)."""
-    inside = np.where(known, offset, 0.0)
-
-    def lines(values: Array, axis: int) -> Array:
-        profile = values.sum(axis) / np.maximum(known.sum(axis), 1)
-        return np.expand_dims(profile - ndimage.gaussian_filter1d(profile, LINE_SIGMA), axis)
-
-    columns = lines(inside, 0)
-    rows = lines(np.where(known, inside - columns, 0.0), 1)
-    rest = np.where(known, offset - columns - rows, 0.0)
-    share = ndimage.gaussian_filter(known.astype(float), BLOB_SIGMAS[0])
-    smooth = ndimage.gaussian_filter(rest, BLOB_SIGMAS[0]) / np.maximum(share, np.finfo(float).tiny)
-    blobs = smooth - ndimage.gaussian_filter(smooth, BLOB_SIGMAS[1])
-    return np.stack(np.broadcast_arrays(columns, rows, np.where(known, rest - smooth, 0.0), blobs))

@@ -22,6 +22,8 @@ from deepir.recording.pattern_shares import contains_pattern, removes_more
 Array = np.ndarray[Any, Any]
 
 FRAMES_TO_FIT = 5  # of a segment, which maps of another one have to fit
+#: Misfit of registered frames to one pattern, in variances of the noise, up to which it does not jump.
+MAX_MISFIT = 2.0
 MIN_MOVING = 16  # keyframes in which the camera moves, that a sensor is estimated from
 
 
@@ -42,18 +44,12 @@ class Segment:
 
     def correct(self, frame: Array) -> Array:
         """Correct a frame (h, w), in the recording's units; float32."""
-        found = self.estimate
-        if found is None:
-            return as_float32(frame)
-        if found.strength is not None:
-            values = as_float32(frame)
-            frame = values - np.float32(found.strength(values) - 1) * found.offset
-        return self.maps.correct(frame)
+        return as_float32(frame) if self.estimate is None else self.maps.correct(frame)
 
     @property
     def description(self) -> str:
         """Which frames, and what is corrected of them."""
-        what = self.estimate.kept.replace("_", " ") if self.estimate else f"left as recorded: {self.refused}"
+        what = self.estimate.kept if self.estimate else f"left as recorded: {self.refused}"
         return f"frames {self.first} to {self.last}: {what}"
 
     @functools.cached_property
@@ -66,32 +62,40 @@ class Segment:
 
 
 def estimate_segments(
-    keyframes: Keyframes, correction: str, *, former: CorrectionMaps | None = None
+    keyframes: Keyframes, *, former: CorrectionMaps | None = None
 ) -> list[Segment]:
     """Find where the pattern jumps, and estimate the sensor of each part.
 
     Args:
         keyframes: of a recording.
-        correction, former: see `estimate_sensor`.
+        former: see `estimate_sensor`.
 
     Raises:
-        ConfigError: There is no such correction.
         DataError: No part can be corrected; the reason of the first.
     """
     with threads.for_samples(keyframes.frames.size), memory.kept():
-        return _estimate_segments(keyframes, correction, former)
+        return _estimate_segments(keyframes, former)
 
 
-def _estimate_segments(keyframes: Keyframes, correction: str, former: CorrectionMaps | None) -> list[Segment]:
+def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> list[Segment]:
+    whole: SensorEstimate | DataError
+    try:
+        whole = _estimate(keyframes, former)
+        if whole.misfit < MAX_MISFIT:
+            return [_segment(keyframes, whole)]
+    except DataError as error:
+        whole = error
     ends = [0, *pattern_jumps(keyframes.frames), len(keyframes.frames)]
     parts = [np.arange(*each) for each in itertools.pairwise(ends)]
     if len(parts) == 1:
-        return [_segment(keyframes, _estimate(keyframes, correction, former))]
+        if isinstance(whole, DataError):
+            raise whole
+        return [_segment(keyframes, whole)]
     found, refused = [], []
     for part in parts:
         some = keyframes.subset(part)
         try:
-            found.append(_segment(some, _estimate(some, correction, former)))
+            found.append(_segment(some, _estimate(some, former)))
         except DataError as error:
             refused.append(error)
             found.append(_segment(some, None, str(error)))
@@ -115,15 +119,15 @@ def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], fra
     return segment
 
 
-def _estimate(keyframes: Keyframes, correction: str, former: CorrectionMaps | None) -> SensorEstimate:
+def _estimate(keyframes: Keyframes, former: CorrectionMaps | None) -> SensorEstimate:
     """From all keyframes, or from those in which the camera moves, if it stands in most of them."""
     try:
-        return estimate_sensor(keyframes, correction, former=former)
+        return estimate_sensor(keyframes, former=former)
     except CameraAtRestError:
         moving = keyframes.moving()
         if not MIN_MOVING <= len(moving.frames) < len(keyframes.frames):
             raise
-        return estimate_sensor(moving, correction, former=former)
+        return estimate_sensor(moving, former=former)
 
 
 def _segment(keyframes: Keyframes, estimate: SensorEstimate | None, refused: str = "") -> Segment:

@@ -35,13 +35,6 @@ def correct(
             help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.", show_default=False
         ),
     ] = None,
-    correction: Annotated[
-        str,
-        typer.Option(
-            help="What is corrected: none, fine_offset, offset, registered_offset, gain_and_offset; or auto, "
-            "what serves held-out frames best."
-        ),
-    ] = "auto",
     float32: Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")] = False,
     overwrite: Overwrite = False,
 ) -> int:
@@ -60,7 +53,7 @@ def correct(
     known = maps.exists()
     try:
         with Interruptible(), held_outputs(*outputs, overwrite=overwrite, source=config.data.path):
-            _correct(config, correction, *outputs, rounded=not float32)
+            _correct(config, *outputs, rounded=not float32)
     except Interrupted as error:
         if maps.exists() and not known:
             notify(f"interrupted; go on with: deepir apply {maps} {file}")
@@ -70,7 +63,7 @@ def correct(
 
 
 def _correct(
-    config: Config, correction: str, target: Path, maps: Path, picture: Path, *, rounded: bool
+    config: Config, target: Path, maps: Path, picture: Path, *, rounded: bool
 ) -> None:
     """Estimate the sensor, then write maps, picture and all corrected frames."""
     import functools
@@ -91,7 +84,7 @@ def _correct(
     dtype = output_type(next(read()).dtype, rounded=rounded)
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
-    corrected = CorrectedRecording.of(read, correction, lambda frames: track(frames, "reading"))
+    corrected = CorrectedRecording.of(read, lambda frames: track(frames, "reading"))
     with atomic_files(maps, picture) as (own_maps, own_picture):
         corrected.save_maps(own_maps)
         _describe(corrected)
@@ -99,10 +92,9 @@ def _correct(
             with ThreadPoolExecutor(1) as beside, writer as write:
                 drawn = beside.submit(write_correction, own_picture, corrected)
                 lag = beside.submit(lambda: corrected.lag)
-                halves = beside.submit(lambda: corrected.agreement)
                 count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
                 drawn.result()
-                findings = list(findings_lines(corrected.estimate, lag.result(), halves.result()))
+                findings = list(findings_lines(corrected.estimate, lag.result()))
         except Interrupted:
             if not maps.exists():
                 own_maps.replace(maps)  # all that the rest needs
@@ -120,29 +112,13 @@ def _describe(corrected: CorrectedRecording) -> None:
         echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
         for each in segments:
             echo(f"  {each.description}")
-    for line in _summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)):
-        echo(line)
+    echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
     found = [each for part in segments if part.estimate for each in part.estimate.messages]
     for line in labelled(dict.fromkeys(found)):
         notify(line)
 
 
-def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> Iterator[str]:
-    """Lines: what is corrected, how much likelier it makes held-out frames, and which parts these confirm."""
-    yield (
-        f"correction: {estimate.kept.replace('_', ' ')}, from {keyframes} of {length} frames; "
-        f"{int(estimate.bad_pixels.sum())} bad pixels"
+def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:
+    return (
+        f"correction: {estimate.kept}, from {keyframes} of {length} frames; {int(estimate.bad_pixels.sum())} bad pixels"
     )
-    least = estimate.nats.get(estimate.kept)
-    gains = [
-        f"{nats - least:.0f} over {name.replace('_', ' ')}"
-        for name, nats in estimate.nats.items()
-        if least is not None and name != estimate.kept
-    ]
-    if gains:
-        yield f"log-likelihood gain on held-out frames, nats: {', '.join(gains)}"
-    if estimate.shares:
-        held = ", ".join(f"{100 * share:.0f} % of the {name}" for name, share in estimate.shares.items())
-        yield f"confirmed by other frames: {held}"
-    if estimate.strength is not None:
-        yield "the pattern is scaled in each frame, as by an automatic gain control"

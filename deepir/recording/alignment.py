@@ -1,0 +1,141 @@
+"""Motion of frames of one scene, once the fixed pattern is taken off: phase of shifts first, then Gauss-Newton steps.
+
+Under a fixed pattern every registration finds no motion. A first estimate of the pattern, from the gradients that all
+frames share, removes that bias, whatever the pattern's strength.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import fft, ndimage
+
+from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.recording.canvas import Canvas, centred
+
+Array = np.ndarray[Any, Any]
+
+SHIFT_SIGMA = 6.0  # px; Gaussian whose mean is taken off before frames are correlated
+REFINE_SIGMA = 8.0  # px; the same before motion is refined: what is slower is left to the sensor's estimate
+MIN_OVERLAP = 0.3  # of the frames' windows, of a shift that is considered
+PADDING = 1.8  # sides of the correlated frames with zeros beyond, relative to the frames
+MAX_STEPS, LAST_STEP = 3, 2e-3  # Gauss-Newton steps, at most; px, of the last one
+OUTLIER_SIGMAS = 2.0  # of residuals, scale of Cauchy's weights
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Transforms of a windowed frame, of its square and of the window, for masked correlation."""
+
+    frame: Array
+    square: Array
+    window: Array
+    padded: tuple[int, int]
+
+    @classmethod
+    def of(cls, frame: Array) -> Spectrum:
+        """Of a frame (h, w), less its low-order part."""
+        padded = fft.next_fast_len(int(PADDING * frame.shape[0])), fft.next_fast_len(
+            int(PADDING * frame.shape[1])
+        )
+        window = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in frame.shape))).astype(np.float32)
+        detail = frame - ndimage.gaussian_filter(frame, SHIFT_SIGMA)
+        parts = (fft.rfft2(part, padded) for part in (detail * window, detail**2 * window, window))
+        return cls(*parts, padded)
+
+
+def find_shift(reference: Spectrum, frame: Spectrum) -> tuple[Array, float]:
+    """The shift (x, y), px, from a frame to the reference, and the correlation there, at most one.
+
+    Source: Padfield, "Masked object registration in the Fourier domain", IEEE Trans. Image Process. 21, 2012.
+    """
+
+    def correlation(one: Array, other: Array) -> Array:
+        return np.asarray(fft.irfft2(np.conj(other) * one, reference.padded))
+
+    overlap = correlation(reference.window, frame.window)
+    energy = np.sqrt(
+        np.maximum(correlation(reference.square, frame.window), 0)
+        * np.maximum(correlation(reference.window, frame.square), 0)
+    )
+    is_wide = (overlap > MIN_OVERLAP * overlap.max()) & (energy > 1e-3 * energy.max())
+    score = np.where(is_wide, correlation(reference.frame, frame.frame) / np.where(is_wide, energy, 1), -1.0)
+    peak = np.unravel_index(int(score.argmax()), score.shape)
+    shift = []
+    for axis, (at, side) in enumerate(zip(peak, score.shape, strict=True)):
+        before, here, after = (
+            score[tuple(np.where(np.arange(2) == axis, (at + step) % side, peak))] for step in (-1, 0, 1)
+        )
+        curvature = before - 2 * here + after
+        between = 0.5 * (before - after) / curvature if curvature < 0 and min(before, after) > -1 else 0.0
+        shift.append((at if at < side / 2 else at - side) + between)
+    return np.array(shift[::-1]), float(min(score[peak], 1.0))
+
+
+def find_motion(spectra: Sequence[Spectrum], reference: int) -> tuple[Array, Array]:
+    """Motion (n, 3, 3) of frames to a reference, by shifts, and how well each correlates.
+
+    Each frame is compared with the reference and with its neighbour towards it: the better chain counts.
+    """
+    count = len(spectra)
+    motion, score = np.tile(np.eye(3), (count, 1, 1)), np.ones(count)
+    for order, step in ((range(reference + 1, count), -1), (range(reference - 1, -1, -1), 1)):
+        for k in order:
+            found = []
+            for other in {reference, k + step}:
+                shift, likeness = find_shift(spectra[other], spectra[k])
+                found.append((min(likeness, score[other]), *(motion[other, :2, 2] + shift)))
+            score[k], motion[k, 0, 2], motion[k, 1, 2] = max(found)
+    return motion, score
+
+
+def refined_motion(canvas: Canvas, frames: Array, weights: Array, reference: int, free: int) -> Array:
+    """Motion (n, 3, 3) that registers frames with their mean on the canvas.
+
+    Args:
+        canvas: with the motion so far.
+        frames: (n, h, w), corrected.
+        weights: of the samples, same shape.
+        reference: number of the frame that stays where it is.
+        free: parameters: 3 for shift and rotation, 6 for an affine motion.
+    """
+    detail = np.stack([each - ndimage.gaussian_filter(each, REFINE_SIGMA) for each in frames])
+    scene = canvas.mean(detail, canvas.spread_weights(weights))
+    motion, around = canvas.motion.copy(), Canvas.__new__(Canvas)
+    around.size, around.shape = canvas.size, canvas.shape
+    around.move(motion)
+    y, x = (each.ravel() / (max(canvas.size) / 2) for each in centred(canvas.size))
+    gradient = np.gradient(scene)
+    for _ in range(MAX_STEPS):
+        down, across = (around.predicted(each).reshape(len(motion), -1) for each in gradient)
+        rest = (detail - around.predicted(scene)).reshape(len(motion), -1)
+        largest = 0.0
+        for k, (gy, gx, missing, weight) in enumerate(zip(down, across, rest, weights, strict=True)):
+            counts = weight.ravel() > 0
+            if not counts.any():
+                continue
+            scale = MAD_TO_SIGMA * float(np.median(np.abs(missing[counts]))) + np.finfo(np.float32).tiny
+            robust = counts / (1 + (missing / (OUTLIER_SIGMAS * scale)) ** 2)
+            design = np.stack(
+                [gx, gy, gy * x - gx * y, gx * x + gy * y, gx * x - gy * y, gx * y + gy * x][:free]
+            )
+            weighted = design * robust
+            normal = weighted @ design.T
+            normal[np.diag_indices(free)] += 1e-9 * np.trace(normal) + np.finfo(np.float32).tiny
+            step = np.linalg.solve(normal, weighted @ missing)
+            motion[k] += _as_matrix(step, max(canvas.size) / 2)
+            largest = max(largest, float(np.abs(step).max()))
+        around.move(motion)
+        if largest < LAST_STEP:
+            break
+    return np.asarray(motion @ np.linalg.inv(motion[reference]))
+
+
+def _as_matrix(step: Array, half: float) -> Array:
+    """What a step of the parameters adds to a homography (3, 3)."""
+    dx, dy, turn, scale, stretch, shear = np.pad(step, (0, 6 - len(step)))
+    linear = np.array([[scale + stretch, shear - turn], [shear + turn, scale - stretch]]) / half
+    return np.block([[linear, np.array([[dx], [dy]])], [np.zeros((1, 3))]])

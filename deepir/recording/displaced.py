@@ -1,0 +1,141 @@
+"""The offset of a sensor from frames that do not register as a whole: a camera that drives, among near things.
+
+Dense displacements take the place of one motion for each frame. What a point of the scene changes in brightness along
+its way tells the low-order part of the offset; the fine part is what all frames share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.multiview.texture_flow import Displacement, displacements, sampled
+from deepir.recording.joint_solve import LowOrderSystem, low_order_step
+from deepir.recording.low_order import LowOrderModes, NormalEquations, block_sums, low_order_equations, low_order_modes
+from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius, shared_share
+from deepir.recording.noise import noise_deviation
+
+Array = np.ndarray[Any, Any]
+
+REFERENCES = 20  # frames that others are compared with, at most
+NEIGHBOURS = 6  # frames that each reference is compared with, at most
+ROUNDS = 2  # of finding displacements, each after what was found before is taken off
+RADIUS = 12.0  # half periods over the longer side, below which modes are found from displacements
+DISPLACEMENT_ERROR = 0.4  # px, standard deviation
+MIN_KNOWN = 0.05  # share of a frame whose displacement is known, so that the frame is used
+LEVEL_STEP = 20.0  # standard deviation of the levels' steps, in sigmas of the noise
+#: Strength of the low-order part relative to that of the scenes' mean, from which it is the sensor's. Errors of
+#: displacements are common to all frames and put up to all of the scenes' mean into it: 0.4 to 1.0 in drives without
+#: a low-order part of their own, 1.6 to 2.4 with a strong one (six recordings each, of one film).
+SCENE_RATIO = 1.25
+
+
+class DisplacedFrames:
+    """A reference frame, and others whose points are displaced from it.
+
+    Args:
+        frames: (n, h, w), without what is known of the pattern; the reference first.
+        found: displacements from the reference to each other frame.
+        noise: standard deviation of a sample.
+    """
+
+    gains_differ = False
+
+    def __init__(self, frames: Array, found: Sequence[Displacement], noise: float) -> None:
+        self.noise, self.level_variance, self.inflation = noise, (LEVEL_STEP * noise) ** 2, 1.0
+        self.level_variances = (self.level_variance,)
+        self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
+        rows, columns = np.indices(frames.shape[1:], float)
+        self._at = [(rows, columns), *((each.y, each.x) for each in found)]
+        self._shown = np.stack([frames[0], *(sampled(f, *at) for f, at in zip(frames[1:], self._at[1:], strict=True))])
+        slope = np.hypot(*np.gradient(ndimage.gaussian_filter(frames[0], 1.0)))
+        variance = noise**2 + (DISPLACEMENT_ERROR * slope) ** 2
+        known = np.stack([np.any([each.known for each in found], axis=0), *(each.known for each in found)])
+        self._weights = known / variance
+        scene = (self._weights * self._centred()).sum(0) / np.maximum(self._weights.sum(0), 1e-30)
+        rest = self._centred() - scene
+        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(rest[known]))) if known.any() else 0.0, noise)
+        self._weights /= 1 + (rest / (3 * scale)) ** 2
+
+    def _centred(self) -> Array:
+        """The frames on the reference, without the differences of their levels."""
+        levels = [
+            np.median((each - self._shown[0])[weight > 0]) if (weight > 0).any() else 0.0
+            for each, weight in zip(self._shown, self._weights, strict=True)
+        ]
+        return np.asarray(self._shown - np.reshape(levels, (-1, 1, 1)))
+
+    def equations(self, modes: LowOrderModes, offset: Array, gain: Array) -> NormalEquations:
+        """Of the low-order part; offset and gain are taken off already."""
+
+        def places(k: int, seen: Array) -> tuple[Array, Array]:
+            weight = np.maximum(self._weights[k], 1e-30)
+            total = block_sums(weight, modes.block)[seen]
+            y, x = (block_sums(weight * each, modes.block)[seen] / total for each in self._at[k])
+            return y, x
+
+        return low_order_equations(self._shown, self._weights, places, modes, with_motion=False)
+
+
+def solve_low_order(frames: Array, usable: Array, neighbours: Sequence[Sequence[int]], start: Array) -> Array | None:
+    """The low-order part (h, w) of an offset; None if it may as well be the scenes'.
+
+    Args:
+        frames: (N, h, w), float32, averaged over blocks.
+        usable: same shape, bool.
+        neighbours: of each frame, those that may show the same things displaced.
+        start: (h, w), a pattern whose fine part is right.
+    """
+    size = frames.shape[1:]
+    modes, low = low_order_modes(size, mode_radius(size), RADIUS)
+    spectrum = dct(start.astype(float))
+    finest = mode_radius(size) > max(size) / 2
+    prior = PatternPrior(size, max(float(np.median(spectrum[finest] ** 2)) / 0.455, 1e-12))
+    offset = start.astype(float)
+    for _ in range(ROUNDS):
+        rest = (frames - offset).astype(float)
+        rest -= np.median(rest, axis=(1, 2), keepdims=True)
+        sets = _displaced(rest, neighbours)
+        if not sets:
+            return None
+        step, _ = low_order_step(sets, modes, low, prior, offset, np.ones(size))
+        offset = offset + step
+    found, scene = dct(offset)[low], dct(frames.mean(0) - offset)[low]
+    if found @ found < SCENE_RATIO**2 * (scene @ scene):
+        return None
+    return idct(np.where(low, dct(offset), 0.0))
+
+
+def _displaced(frames: Array, neighbours: Sequence[Sequence[int]]) -> list[LowOrderSystem]:
+    able = [k for k, others in enumerate(neighbours) if others]
+    references = [able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(REFERENCES, len(able))).astype(int))]
+    pairs = [
+        (k, neighbours[k][i])
+        for k in references
+        for i in np.unique(np.linspace(0, len(neighbours[k]) - 1, min(NEIGHBOURS, len(neighbours[k]))).astype(int))
+    ]
+    noise = noise_deviation(frames.astype(np.float32))
+    found = [each for each in displacements(frames, pairs) if each.known.mean() > MIN_KNOWN]
+    sets: list[LowOrderSystem] = []
+    for k in references:
+        mine = [each for each in found if each.first == k]
+        if mine:
+            sets.append(DisplacedFrames(frames[[k, *(each.second for each in mine)]], mine, noise))
+    return sets
+
+
+def fine_part(one: Array, other: Array) -> Array:
+    """The fine part (h, w) of an offset that two patterns share, estimated from different stretches of a recording."""
+    first, second = dct(one.astype(float)), dct(other.astype(float))
+    share = shared_share(first, second) * (mode_radius(one.shape) >= RADIUS)
+    return idct(share * (first + second) / 2)
+
+
+def enlarged(means: Array, size: Sequence[int], factor: int) -> Array:
+    """A map of means over blocks of `factor` px at each px of `size`, bilinear about the blocks' centres."""
+    y, x = ((np.arange(side) + 0.5) / factor - 0.5 for side in size)
+    return sampled(means, *np.meshgrid(y, x, indexing="ij"))

@@ -1,0 +1,430 @@
+"""The offset and gain of a sensor, with scene, motion and levels of registered frames: one linear Gaussian model.
+
+    frame_k = a_k (gain * scene(motion_k) + offset + level_k) + noise
+
+Each round refines the motion, solves the low-order part exactly (`low_order`), and the rest of the offset by conjugate
+gradients, in which the scene is eliminated. The strengths of all parts are set by expectation maximisation. A part that
+the motion does not determine stays at its prior mean, zero.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from scipy import linalg, ndimage
+
+from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.recording.alignment import refined_motion
+from deepir.recording.canvas import Canvas, centred, project
+from deepir.recording.low_order import LowOrderModes, NormalEquations, block_sums, low_order_equations, low_order_modes
+from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius
+
+Array = np.ndarray[Any, Any]
+
+ROUNDS = 5
+LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
+#: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient.
+MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
+CHI_SQUARED_MEDIAN = 0.455  # of one degree of freedom
+OUTLIER_SIGMAS = 3.0  # of residuals, scale of Cauchy's weights
+WEIGHT_SIGMA = 1.5  # px, Gaussian over which residuals are averaged that set weights
+#: Share of the noise of a sample that interpolation and uneven weights leave in a pattern that does not move.
+INTERPOLATION_NOISE = 0.05
+STEPS = 3  # of conjugate gradients in a round
+UPDATES = 6  # of the strengths in a round
+#: Variances of a step of the levels, relative to that of a sample's noise, of which the likeliest is taken.
+LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
+SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
+GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to start from
+GAIN_DEVIATION = 0.003  # of columns' and pixels' gain from one, to start from
+SAMPLE_STRIDE = 2  # px, of the samples that the noise is measured in
+
+
+class LowOrderSystem(Protocol):
+    """Frames whose levels, motions and gains are unknown beside the low-order part of the offset."""
+
+    noise: float
+    level_variance: float  # of a step from frame to frame
+    level_variances: Sequence[float]  # of which the likeliest is taken
+    inflation: float  # of the misfit over the noise
+    levels: Array
+    gains: Array
+    gains_differ: bool
+
+    def equations(self, modes: LowOrderModes, offset: Array, gain: Array) -> NormalEquations:
+        """Of the low-order part."""
+
+
+class Burst:
+    """Frames of one scene.
+
+    Args:
+        frames: (n, h, w), float32, in their order; finite.
+        usable: same shape, bool.
+        motion: (n, 3, 3), to the reference frame.
+        reference: its number.
+        gains_differ: whether an automatic gain control may change the frames' gains.
+    """
+
+    def __init__(
+        self, frames: Array, usable: Array, motion: Array, reference: int, *, gains_differ: bool = False
+    ) -> None:
+        self.frames, self.usable, self.reference = frames, usable.astype(np.float32), reference
+        self.gains_differ = gains_differ
+        self.canvas = Canvas(motion, (frames.shape[1], frames.shape[2]))
+        self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
+        self.weights, self.spread_weights = self.usable, self.canvas.spread_weights(self.usable)
+        self.scene: Array = np.zeros(self.canvas.shape, np.float32)
+        self.noise, self.level_variance, self.inflation = 1.0, 0.0, 1.0
+        self.level_variances: Sequence[float] = ()
+
+    def corrected(self, offset: Array, gain: Array) -> Array:
+        """Frames (n, h, w) without pattern and level."""
+        levels, gains = (np.asarray(each, np.float32)[:, None, None] for each in (self.levels, self.gains))
+        return np.asarray((self.frames / gains - levels - offset.astype(np.float32)) / gain.astype(np.float32))
+
+    def align(self, offset: Array, gain: Array, free: int) -> None:
+        """Refine the motion."""
+        frames = self.corrected(offset, gain)
+        self.canvas.move(refined_motion(self.canvas, frames, self.weights, self.reference, free))
+        self.spread_weights = self.canvas.spread_weights(self.weights)
+
+    def weigh(self, offset: Array, gain: Array, motion_error: float, *, robust: bool) -> None:
+        """Set the noise, and the weights of the samples: by the noise, by errors of motion at edges, by outliers."""
+        frames = self.corrected(offset, gain)
+        self.scene = self.canvas.mean(frames, self.spread_weights)
+        rest = frames - self.canvas.predicted(self.scene)
+        seen = self.usable * self.canvas.is_seen(self.spread_weights)
+        some = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
+        counted = np.abs(rest[some][seen[some] > 0])
+        self.noise = max(MAD_TO_SIGMA * float(np.median(counted)) if counted.size else 0.0, 1e-6)
+        down, across = (self.canvas.predicted(each) for each in np.gradient(self.scene))
+        variance = self.noise**2 + motion_error**2 * _smoothed(down**2 + across**2)
+        weights = seen / variance
+        if robust:
+            weights = weights / (1 + _smoothed(rest**2) / (OUTLIER_SIGMAS**2 * variance))
+        self.weights = weights.astype(np.float32)
+        free = LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES  # such a control sets levels too
+        self.level_variances = (free * self.noise**2).tolist()
+        y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
+        self._motions = np.stack([across, down, down * x - across * y], 1)
+        normal = np.einsum("kihw,kjhw,khw->kij", self._motions, self._motions, self.weights, optimize=True)
+        self._motion_covariance = np.linalg.inv(normal.astype(float) + np.eye(3) / SHIFT_ERROR**2)
+        self.spread_weights = self.canvas.spread_weights(self.weights)
+
+    def compared(self, offset: Array, gain: Array) -> tuple[Array, Array]:
+        """Frames (n, h, w) without pattern and level, and what the other samples of the scene expect of them."""
+        frames = self.corrected(offset, gain)
+        expected = self.canvas.predicted(self.canvas.mean(frames, self.spread_weights))
+        return frames, np.where(self.canvas.is_seen(self.spread_weights), expected, frames)
+
+    def score(self, frames: Array) -> Array:
+        """Sum (h, w) over frames (n or 1, h, w) of their weighted differences to their mean scene."""
+        scene = self.canvas.mean(frames, self.spread_weights)
+        rest = self.weights * (frames - self.canvas.predicted(scene))
+        moved = np.einsum("kij,kjhw,khw->ki", self._motion_covariance, self._motions, rest, optimize=True)
+        rest -= self.weights * np.einsum("ki,kihw->khw", moved.astype(np.float32), self._motions)
+        return np.asarray(rest.sum(0, dtype=float)) / self.inflation
+
+    def equations(self, modes: LowOrderModes, offset: Array, gain: Array) -> NormalEquations:
+        """Of the low-order part."""
+        spread = self.canvas.spread(self.corrected(offset, gain))
+        return low_order_equations(
+            spread,
+            self.spread_weights,
+            functools.partial(self._places, modes.block),
+            modes,
+            offset if self.gains_differ else None,
+            with_motion=True,
+        )
+
+    def _places(self, block: int, k: int, seen: Array) -> tuple[Array, Array]:
+        """Rows and columns of a frame, px, that blocks of the canvas show."""
+        y, x = (block_sums(each, block)[seen] / block**2 for each in centred(self.canvas.shape))
+        y, x = project(np.linalg.inv(self.canvas.motion[k]), y, x)
+        return y + (self.canvas.size[0] - 1) / 2, x + (self.canvas.size[1] - 1) / 2
+
+
+def _smoothed(values: Array) -> Array:
+    """Means (n, h, w) around each sample: weights that change from pixel to pixel do not survive interpolation."""
+    return np.asarray(ndimage.gaussian_filter(values, (0, WEIGHT_SIGMA, WEIGHT_SIGMA)))
+
+
+@dataclass(frozen=True)
+class SensorSolution:
+    """Posterior of a sensor.
+
+    Attributes:
+        offset: (h, w), frames' units, mean zero.
+        gain: (h, w), around one.
+        deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
+        inflation: of the misfit over the noise, the largest of the bursts.
+        noise: of a sample, frames' units.
+    """
+
+    offset: Array
+    gain: Array
+    deviation: Array | None
+    inflation: float
+    noise: float
+
+    @classmethod
+    def of_offset(cls, offset: Array) -> SensorSolution:
+        """An offset whose deviation is not known."""
+        return cls(offset, np.ones_like(offset), None, 1.0, 0.0)
+
+
+def solve_sensor(
+    bursts: Sequence[Burst], start: Array, *, rounds: int = ROUNDS, with_gain: bool = True
+) -> SensorSolution:
+    """Estimate offset and gain from bursts of one sensor.
+
+    Args:
+        bursts: each of one scene; their motion, levels and gains are refined in place.
+        start: (h, w), an offset whose fine part is right; its low-order part is not used.
+        rounds: of alternating.
+        with_gain: whether pixels have gains.
+    """
+    size = bursts[0].frames.shape[1:]
+    radius = mode_radius(size)
+    modes, low = low_order_modes(size, radius, LOW_ORDER_RADIUS)
+    spectrum = dct(start.astype(float))
+    finest = radius > max(size) / 2
+    prior = PatternPrior(size, max(float(np.median(spectrum[finest] ** 2)) / CHI_SQUARED_MEDIAN, 1e-12))
+    offset, gain = idct(np.where(low, 0.0, spectrum)), np.ones(size)
+    fine = ~low
+    fine[0, 0] = False
+    for number in range(rounds):
+        for burst in bursts:
+            burst.align(offset, gain, 3 if number == 0 else 6)
+            burst.weigh(offset, gain, MOTION_ERRORS[min(number, 4)], robust=number > 0)
+        step, covariance = low_order_step(bursts, modes, low, prior, offset, gain)
+        offset = offset + step
+        information, trusted = _information(bursts, size)
+        offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine, trusted, 0.0))
+        posterior = 1 / (information + 1 / prior.variance)
+        prior.update(dct(offset), posterior, fine)
+        if with_gain and number >= rounds - 2:
+            offset, gain = _with_gain(bursts, offset, gain)
+    deviation = _deviation(modes, covariance, posterior[fine].sum() / posterior.size, size)
+    inflation, noise = max(b.inflation for b in bursts), float(np.median([b.noise for b in bursts]))
+    return SensorSolution(offset - offset.mean(), gain, deviation, inflation, noise)
+
+
+def low_order_step(
+    bursts: Sequence[LowOrderSystem], modes: LowOrderModes, low: Array, prior: PatternPrior, offset: Array, gain: Array
+) -> tuple[Array, Array]:
+    """Change the low-order part of an offset to its posterior mean; sets its strengths, and levels and gains of frames.
+
+    Args:
+        bursts: that tell it.
+        modes, low: the modes, and the mask (h, w) of them among all.
+        prior: of the pattern; the variances of these modes are estimated anew.
+        offset, gain: (h, w), what the bursts' frames are corrected by.
+
+    Returns:
+        The change (h, w), and the posterior covariance (K, K) of the modes.
+    """
+    systems = [burst.equations(modes, offset, gain) for burst in bursts]
+    before = dct(offset)[low]
+    for burst in bursts:
+        burst.inflation, burst.level_variance = 1.0, max(burst.level_variances)
+    free = _fit(bursts, systems, prior, low, before)  # the misfit that is left with free levels
+    for burst, system, own in zip(bursts, systems, free.reduced, strict=True):
+        burst.inflation = system.inflation(np.concatenate([free.change, own.of(free.change)]))
+    for k, burst in enumerate(bursts):
+        if len(burst.level_variances) > 1:
+            evidence = []
+            for burst.level_variance in burst.level_variances:
+                evidence.append(_fit(bursts[k : k + 1], systems[k : k + 1], prior, low, before).evidence)
+            burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
+    best = _fit(bursts, systems, prior, low, before)
+    for burst, system, own in zip(bursts, systems, best.reduced, strict=True):
+        each = own.of(best.change).reshape(-1, system.per_frame)
+        burst.levels = burst.levels + each[:, 0]
+        if burst.gains_differ:
+            burst.gains = burst.gains * (1 + each[:, 4])
+            burst.gains = burst.gains / np.exp(np.log(burst.gains).mean())
+    prior.variance[low] = best.variance
+    step = np.zeros(low.shape)
+    step[low] = best.change
+    return idct(step), best.covariance
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Low-order modes with the variances that suit them."""
+
+    change: Array
+    covariance: Array
+    variance: Array
+    evidence: float
+    reduced: list[_Reduced]
+
+
+def _fit(
+    bursts: Sequence[LowOrderSystem], systems: Sequence[NormalEquations], prior: PatternPrior, low: Array, before: Array
+) -> _Fit:
+    """Expectation maximisation of the variances, from a broad prior; the evidence is up to a constant."""
+    reduced = [_nuisance(burst, system, len(before)) for burst, system in zip(bursts, systems, strict=True)]
+    data = sum(each.matrix for each in reduced)
+    score = sum(each.score for each in reduced) + data @ before
+    variance = prior.start[low]
+    for number in range(UPDATES):
+        matrix = data + np.diag(1 / variance)
+        covariance = np.linalg.inv(matrix)
+        mean = covariance @ score
+        if number < UPDATES - 1:
+            found, spread = np.zeros(low.shape), np.zeros(low.shape)
+            found[low], spread[low] = mean, np.diag(covariance)
+            variance = prior.strengths(found, spread, low)
+    evidence = 0.5 * (score @ mean + np.linalg.slogdet(covariance)[1] - np.log(variance).sum())
+    evidence += sum(each.evidence for each in reduced)
+    return _Fit(mean - before, covariance, variance, float(evidence), reduced)
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """Normal equations of the modes, unknowns of the frames eliminated; `of` gives these back for a change of modes."""
+
+    matrix: Array
+    score: Array
+    of: Callable[[Array], Array]
+    evidence: float
+
+
+def _nuisance(burst: LowOrderSystem, system: NormalEquations, count: int) -> _Reduced:
+    """Eliminate the unknowns of the frames, whose priors are about what they are so far."""
+    matrix, score = system.matrix / burst.inflation, system.score / burst.inflation
+    prior = _frame_prior(burst, system.per_frame)
+    known = np.zeros(len(prior))
+    known[:: system.per_frame] = burst.levels
+    factor = linalg.cho_factor(matrix[count:, count:] + prior)
+    cross, rest = matrix[count:, :count], score[count:] - prior @ known
+    free, tied = linalg.cho_solve(factor, rest), linalg.cho_solve(factor, cross)
+    evidence = 0.5 * (rest @ free - known @ prior @ known + np.linalg.slogdet(prior)[1])
+    return _Reduced(
+        matrix[:count, :count] - cross.T @ tied,
+        score[:count] - cross.T @ free,
+        lambda modes: free - tied @ modes,
+        float(evidence - np.log(np.diag(factor[0])).sum()),
+    )
+
+
+def _frame_prior(burst: LowOrderSystem, per_frame: int) -> Array:
+    """Inverse covariance of the frames' unknowns: levels drift, motions are known, gains are near one."""
+    count = len(burst.levels)
+    steps = np.diff(np.eye(count), axis=0)
+    diagonal = np.zeros(count * per_frame)
+    each = diagonal.reshape(count, per_frame)
+    each[:, 0] = 1 / (100 * burst.noise**2 + 1e4 * burst.level_variance)
+    each[:, 1:4] = 1 / SHIFT_ERROR**2
+    if per_frame > 4:
+        each[:, 4] = 1 / GAIN_SPREAD**2
+    prior = np.diag(diagonal)
+    prior[::per_frame, ::per_frame] += steps.T @ steps / burst.level_variance
+    return prior
+
+
+def _information(bursts: Sequence[Burst], size: Sequence[int]) -> tuple[Array, Array]:
+    """Inverse variance (h, w) that the data give each mode of the offset, without its neighbours: a preconditioner.
+
+    A mode that looks the same in all frames of a burst is the scene's: what counts is how its phase changes. Second,
+    the share (h, w) of the data's weight that is left where interpolation leaves noise in modes that hardly move.
+    """
+    down, across = (np.pi * np.arange(side) / side for side in size)
+    total, most = np.zeros(tuple(size)), np.zeros(tuple(size))
+    for burst in bursts:
+        same = []
+        for y in (-size[0] / 4, size[0] / 4):
+            for x in (-size[1] / 4, size[1] / 4):
+                moved = burst.canvas.motion @ np.array([x, y, 1.0])
+                shift = moved[:, :2] / moved[:, 2:] - (x, y)
+                phases = np.exp(1j * down * shift[:, 1:]), np.exp(1j * across * shift[:, :1])
+                for sign in (phases[0], np.conj(phases[0])):
+                    same.append(np.abs(np.einsum("kh,kw->hw", sign, phases[1]) / len(shift)) ** 2)
+        weight = float(burst.weights.sum(0).mean()) / burst.inflation
+        share = np.maximum(1 - np.mean(same, 0), 1e-6)
+        total += weight * share / (1 + INTERPOLATION_NOISE / share)
+        most += weight * share
+    return total, total / most
+
+
+def _fine_steps(
+    bursts: Sequence[Burst], offset: Array, gain: Array, prior: PatternPrior, information: Array, trusted: Array
+) -> Array:
+    """The offset after steps of conjugate gradients in its modes outside the low-order part."""
+    inverse = np.where(trusted > 0, 1 / prior.variance, 0.0)
+    precondition = np.where(trusted > 0, 1 / (information + 1 / prior.variance), 0.0)
+
+    def data(frames: Callable[[Burst], Array]) -> Array:
+        return np.asarray(trusted * dct(sum(each.score(frames(each)) for each in bursts) / gain))
+
+    def normal(modes: Array) -> Array:
+        pattern = (idct(modes) / gain).astype(np.float32)[None]
+        return data(lambda _: pattern) + inverse * modes
+
+    modes = dct(offset)
+    rest = data(lambda each: each.corrected(offset, gain)) - inverse * modes
+    return np.asarray(idct(modes + _conjugate_gradient(normal, rest, precondition)))
+
+
+def _conjugate_gradient(normal: Callable[[Array], Array], rest: Array, precondition: Array) -> Array:
+    """A few preconditioned steps; exact line searches, as interpolation leaves the operator a little asymmetric."""
+    found, direction, before, last = np.zeros_like(rest), np.zeros_like(rest), rest, 1.0
+    for number in range(STEPS):
+        step = precondition * rest
+        now = float((step * rest).sum())
+        turn = max(0.0, float((step * (rest - before)).sum()) / last) if number else 0.0
+        direction = step + turn * direction
+        image = normal(direction)
+        curvature, slope = float((direction * image).sum()), float((direction * rest).sum())
+        if not (curvature > 0 and slope > 0):
+            break
+        found = found + slope / curvature * direction
+        before, last, rest = rest, now, rest - slope / curvature * image
+    return found
+
+
+def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Array, Array]:
+    """Offset and gain after a step by the slope of each pixel's residuals over the scene that it saw.
+
+    The gain is one, and a part of each column, and one of each pixel; their variances are those that suit the data.
+    """
+    weight, first, second, rest, slope = (np.zeros(offset.shape) for _ in range(5))
+    for burst in bursts:
+        frames, seen = burst.compared(offset, gain)
+        weighted, missing = burst.weights / burst.inflation, frames - seen
+        weight += weighted.sum(0)
+        first += (weighted * seen).sum(0)
+        second += (weighted * seen**2).sum(0)
+        rest += (weighted * missing).sum(0)
+        slope += (weighted * missing * seen).sum(0)
+    middle = first / np.maximum(weight, np.finfo(float).tiny)
+    information = np.maximum(second - first * middle, 0.0)
+    score = slope - rest * middle + information * (gain - 1)
+    of_columns = of_pixels = GAIN_DEVIATION**2
+    for _ in range(UPDATES):
+        spread = 1 / ((information / (1 + information * of_pixels)).sum(0) + 1 / of_columns)
+        columns = spread * (score / (1 + information * of_pixels)).sum(0)
+        left = 1 / (information + 1 / of_pixels)
+        pixels = left * (score - information * columns)
+        # Robust: at edges errors of the motion look like gain.
+        of_columns = float(np.median(columns**2 + spread)) / CHI_SQUARED_MEDIAN
+        of_pixels = float(np.median(pixels**2 + left)) / CHI_SQUARED_MEDIAN
+    change = (1 + columns + pixels) / gain - 1
+    return offset - gain * change * middle, gain * (1 + change)
+
+
+def _deviation(modes: LowOrderModes, covariance: Array, fine_variance: float, size: Sequence[int]) -> Array:
+    """Posterior standard deviation (h, w) of the offset."""
+    y, x = (np.arange(side, dtype=float) for side in size)
+    low = np.empty(tuple(size))
+    for i, row in enumerate(y):
+        values = modes.at(np.full(len(x), row), x)
+        low[i] = np.einsum("pk,pk->p", values @ covariance, values)
+    return np.asarray(np.sqrt(np.maximum(low, 0) + fine_variance))

@@ -1,0 +1,171 @@
+"""Normal equations of the low-order part of an offset, with the levels, motions and gains of the frames.
+
+A point of the scene that n frames show has one brightness: it is eliminated, and what is left are differences between
+the frames. Those are averaged over blocks of the canvas, so that the system is small and is solved exactly, with its
+posterior covariance. Motion and level are unknowns beside the offset: a slope of the offset looks like levels that
+follow the motion, and only the exact posterior knows which of them the data determine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from deepir.recording.canvas import centred, weighted_mean
+
+Array = np.ndarray[Any, Any]
+
+BLOCKS = 40  # blocks along the longer side of a frame
+MIN_WEIGHT = 1e-3  # of the best seen block's, from which a block counts
+SCALES = (1, 2, 4, 8)  # blocks over which the misfit is averaged
+CLIP = 6.0  # sigmas, of a block's misfit
+
+
+@dataclass(frozen=True)
+class LowOrderModes:
+    """Cosine modes of a frame, as functions of places.
+
+    Attributes:
+        size: (h, w) of the frame, px.
+        down, across: half periods of each mode along the axes, (K,).
+        block: side, px, over which a mode is averaged.
+    """
+
+    size: tuple[int, int]
+    down: Array
+    across: Array
+    block: int
+
+    def at(self, y: Array, x: Array) -> Array:
+        """Means of the modes over blocks about places (rows and columns of the frame), (places, K)."""
+        return self._along(0, self.down, y) * self._along(1, self.across, x)
+
+    def _along(self, axis: int, modes: Array, at: Array) -> Array:
+        side, orders = self.size[axis], np.arange(modes.max() + 1)
+        angle = np.pi * orders / side
+        with np.errstate(invalid="ignore"):
+            mean = np.sin(angle * self.block / 2) / (self.block * np.sin(angle / 2))
+        mean[0] = 1.0
+        values = np.cos(angle * (at[:, None] + 0.5)) * mean * np.where(orders == 0, 1, 2**0.5) / side**0.5
+        return np.asarray(values[:, modes])
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """`matrix @ unknowns = score` of K modes and, of each frame, level; shift x and y, and turn; and gain, if unknown.
+
+    Attributes:
+        matrix, score: (K + n p, K + n p) and (K + n p,).
+        per_frame: p, number of unknowns of a frame.
+    """
+
+    matrix: Array
+    score: Array
+    per_frame: int
+    _rows: list[tuple[Array, Array, Array]]  # of each frame: design, weights, changes
+    _seen: Array
+
+    def inflation(self, unknowns: Array) -> float:
+        """By which the misfit at the scale where it is largest exceeds the noise of the samples, at least one."""
+        total, moment = np.zeros(int(self._seen.sum())), np.zeros(int(self._seen.sum()))
+        rest = []
+        modes = len(self.score) - len(self._rows) * self.per_frame
+        for k, (design, weight, change) in enumerate(self._rows):
+            mine = modes + k * self.per_frame
+            own = np.concatenate([unknowns[:modes], unknowns[mine : mine + self.per_frame]])
+            rest.append(change - design @ own)
+            total += weight
+            moment += weight * rest[-1]
+        scene = moment / np.maximum(total, np.finfo(float).tiny)
+        maps = np.zeros((len(rest), *self._seen.shape))
+        counts = np.zeros(maps.shape)
+        for each, count, (_, weight, _), values in zip(maps, counts, self._rows, rest, strict=True):
+            each[self._seen] = np.clip(weight**0.5 * (values - scene), -CLIP, CLIP)
+            count[self._seen] = weight > 0
+        return max(1.0, *(_mean_square(maps, counts, scale) for scale in SCALES))
+
+
+def _mean_square(maps: Array, counts: Array, scale: int) -> float:
+    """Of sums of standardised residuals over `scale` x `scale` blocks; one if they are independent."""
+    height, width = (side // scale for side in maps.shape[1:])
+
+    def sums(values: Array) -> Array:
+        cut = values[:, : height * scale, : width * scale]
+        return np.asarray(cut.reshape(len(values), height, scale, width, scale).sum((2, 4)))
+
+    known = sums(counts)
+    full = known > scale**2 / 2
+    return float((sums(maps)[full] ** 2 / known[full]).mean()) if full.sum() > 2 * len(maps) else 1.0
+
+
+def low_order_equations(
+    frames: Array,
+    weights: Array,
+    places: Callable[[int, Array], tuple[Array, Array]],
+    modes: LowOrderModes,
+    offset: Array | None = None,
+    *,
+    with_motion: bool,
+) -> NormalEquations:
+    """The equations that frames give.
+
+    Args:
+        frames: corrected by what is known so far, on the canvas: (n, H, W).
+        weights: inverse variances of the samples there, same shape.
+        places: of a frame's number and a mask of blocks, the rows and columns in the frame that these blocks show, px.
+        modes: of the offset.
+        offset: (h, w), of the frames, if their gains are unknown; None: they are one.
+        with_motion: whether shift and turn of each frame are unknown.
+    """
+    block = modes.block
+    scene = weighted_mean(frames, weights)
+    weight, change = block_sums(weights, block), block_sums(weights * (frames - scene), block)
+    change /= np.maximum(weight, np.finfo(float).tiny)
+    seen = weight.sum(0) > MIN_WEIGHT * weight.sum(0).max()
+    y, x, bright, gy, gx = (
+        block_sums(each, block)[seen] / block**2 for each in (*centred(scene.shape), scene, *np.gradient(scene))
+    )
+    own = [np.ones_like(y)]
+    if with_motion:
+        own += [gx, gy, (gy * x - gx * y) / (max(modes.size) / 2)]
+    per_frame, count = len(own) + (offset is not None), len(modes.down)
+    size = count + len(frames) * per_frame
+    matrix, score = np.zeros((size, size)), np.zeros(size)
+    sums, moment, total = np.zeros((len(y), size)), np.zeros(len(y)), weight.sum(0)[seen]
+    rows = []
+    for k in range(len(frames)):
+        at = places(k, seen)
+        gain = [] if offset is None else [bright + ndimage.map_coordinates(offset, at, order=1, mode="nearest")]
+        design = np.concatenate([modes.at(*at), np.stack([*own, *gain], 1)], 1)
+        mine, values = weight[k][seen], change[k][seen]
+        weighted = design * mine[:, None]
+        index = np.r_[:count, count + k * per_frame : count + (k + 1) * per_frame]
+        matrix[np.ix_(index, index)] += weighted.T @ design
+        score[index] += weighted.T @ values
+        sums[:, index] += weighted
+        moment += mine * values
+        rows.append((design, mine, values))
+    matrix -= sums.T @ (sums / total[:, None])  # the scene is eliminated
+    score -= sums.T @ (moment / total)
+    return NormalEquations((matrix + matrix.T) / 2, score, per_frame, rows, seen)
+
+
+def block_sums(values: Array, block: int) -> Array:
+    """Sums over blocks of (..., H, W), float64."""
+    height, width = (side // block for side in values.shape[-2:])
+    cut = values[..., : height * block, : width * block]
+    return np.asarray(
+        cut.reshape(*values.shape[:-2], height, block, width, block).sum((-3, -1), dtype=float)
+    )
+
+
+def low_order_modes(size: Sequence[int], radius: Array, most: float) -> tuple[LowOrderModes, Array]:
+    """Modes of a frame (h, w) whose radius (h, w) is below `most`, without the mean; and the mask (h, w) of them."""
+    chosen = (radius < most) & (radius > 0)
+    down, across = np.nonzero(chosen)
+    block = max(2, round(max(size) / BLOCKS))
+    return LowOrderModes((size[0], size[1]), down, across, block), chosen
