@@ -82,6 +82,9 @@ bench-effects: setup  ## what each effect is worth: one left out at a time
 bench-correct: setup  ## whole recordings: the pattern that is left, against methods that take recordings too
 	$(BIN)/python benchmarks/corrections.py --output docs/benchmarks/correct.md
 
+bench-recordings: setup  ## recordings of many kinds, ours and rivals, by what is known of each: hours, goes on
+	$(BIN)/python benchmarks/bench_recordings.py --workers $(WORKERS)
+
 bench-physics: setup  ## whole recordings: parallax, lag, gain control, gain, rest: what was said, against the truth
 	$(BIN)/python benchmarks/physics_choice.py --output notes/bench-physics.md
 
@@ -101,4 +104,4 @@ bench-startup: setup  ## seconds from the start of a run to its end, beside torc
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-physics bench-live bench-effects bench-gpu bench-startup clean
+.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-recordings bench-physics bench-live bench-effects bench-gpu bench-startup clean
