@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from cells import EVERYTHING, worked
-from nuc_store import Arrays, code
+from nuc_store import PACKAGE, Arrays, code
 from recordings_cases import FAMILIES, case_code, load, missing, names
 from recordings_methods import METHODS, OURS
 from recordings_tables import Row, each, line, summary
@@ -27,16 +27,19 @@ import deepir
 from deepir.errors import DeepIRError
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 
-FOLDER = Path(__file__).parent.parent / "runs" / "bench-recordings"
+ROOT = Path(__file__).resolve().parent.parent
+FIGURES = ROOT / "runs" / "bench-recordings" / "figures.csv"
 SEEDS = (0, 1, 2, 3, 4)
-#: What the figures of rivals depend on, beside the recordings.
-CODE_OF_RIVALS = (
-    "baselines/**/*.py",
-    "multiview/pattern.py",
-    "../benchmarks/rivals.py",
-    "../benchmarks/recordings_methods.py",
-)
-CODE_OF_OURS = (*EVERYTHING, "../benchmarks/recordings_methods.py")
+#: What the figures of methods depend on, beside the recordings.
+DEPENDS_ON = {
+    "ours": (*EVERYTHING, "../benchmarks/recordings_methods.py"),
+    "rivals": (
+        "baselines/**/*.py",
+        "multiview/pattern.py",
+        "../benchmarks/rivals.py",
+        "../benchmarks/recordings_methods.py",
+    ),
+}
 
 
 def main() -> None:
@@ -51,34 +54,41 @@ def main() -> None:
     parser.add_argument("--again", action="store_true", help="measure anew what is kept")
     parser.add_argument("--each", action="store_true", help="print a line for each recording and method")
     options = parser.parse_args()
+    if PACKAGE.parent != ROOT:
+        raise SystemExit(f"deepir is imported from {PACKAGE}, not from {ROOT}: set PYTHONPATH={ROOT}")
     rows = []
+    digests = {name: code(*patterns) for name, patterns in DEPENDS_ON.items()}
+    cases = {family: case_code(family) for family in options.families if not missing(family)}
     for family in options.families:
         if reason := missing(family):
             print(f"{family}: not run: {reason}", file=sys.stderr)
             continue
         seeds = options.seeds if family not in ("real", "corrected") else options.seeds[:1]
         wanted = [(name, seed) for seed in seeds for name in names(family, seed) if options.cases in name]
-        rows += measured(family, wanted, options.methods, options.workers, options.again)
+        keys = {name: cases[family] + digest for name, digest in digests.items()}
+        rows += measured(family, wanted, options.methods, keys, options.workers, options.again)
     if options.each:
         print(*each(rows), sep="\n")
     print(*summary(rows), sep="\n")
-    write_csv(rows, FOLDER / "figures.csv")
+    write_csv(rows, FIGURES)
 
 
 def measured(
-    family: str, wanted: Sequence[tuple[str, int]], methods: Sequence[str], workers: int, again: bool
+    family: str,
+    wanted: Sequence[tuple[str, int]],
+    methods: Sequence[str],
+    keys: dict[str, str],
+    workers: int,
+    again: bool,
 ) -> list[Row]:
     """A row for each recording and method; what is kept is not measured again."""
     found = {}
-    for group, patterns in ((set(OURS), CODE_OF_OURS), (set(METHODS) - set(OURS), CODE_OF_RIVALS)):
-        cells = [
-            (family, name, seed, method) for name, seed in wanted for method in methods if method in group
-        ]
-        if cells:
-            key = case_code(family) + code(*patterns)
-            found |= worked("recording-figures", cells, measure, code=key, workers=workers, fresh=again)
-    keys = [(family, name, seed, method) for method in methods for name, seed in wanted]
-    return [row_of(*key, found[key]) for key in keys]
+    for group, key in keys.items():
+        of_group = [each for each in methods if (each in OURS) == (group == "ours")]
+        cells = [(family, name, seed, method) for name, seed in wanted for method in of_group]
+        found |= worked("recording-figures", cells, measure, code=key, workers=workers, fresh=again)
+    cells = [(family, name, seed, method) for method in methods for name, seed in wanted]
+    return [row_of(*cell, found[cell]) for cell in cells]
 
 
 def measure(family: str, name: str, seed: int, method: str) -> Arrays:
