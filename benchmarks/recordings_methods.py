@@ -11,6 +11,7 @@ from rivals import OVER_TIME
 
 import deepir
 from deepir.baselines.online import last_of
+from deepir.baselines.temporal.basic import flat_and_dark_field
 from deepir.baselines.temporal.gradient_consensus import interquartile_mean
 from deepir.baselines.temporal.multiview_tv import median_offset
 from deepir.multiview.pattern import poisson
@@ -81,6 +82,10 @@ def _over_time(name: str, frames: Array, apart: int) -> Correction:
     return _of_maps(*last_of(OVER_TIME[name](frames.astype(np.float32))))
 
 
+def basic(frames: Array, apart: int) -> Correction:
+    return _of_maps(*flat_and_dark_field(frames))
+
+
 def shared_gradients(frames: Array) -> Array:
     return poisson([interquartile_mean(np.diff(frames, axis=axis)) for axis in (-1, -2)])
 
@@ -100,6 +105,7 @@ OURS: dict[str, Method] = {
 RIVALS: dict[str, Method] = {
     "multiview_tv": functools.partial(_offset, median_offset),
     "gradient_consensus": functools.partial(_offset, shared_gradients),
+    "basic": basic,
     "temporal_mean": functools.partial(_offset, temporal_mean),
     **{name: functools.partial(_over_time, name) for name in OVER_TIME},
 }
