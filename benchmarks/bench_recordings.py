@@ -11,38 +11,89 @@ from __future__ import annotations
 import argparse
 import csv
 import functools
+import hashlib
 import sys
 import time
+import types
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from cells import EVERYTHING, worked
+import recordings_drawn
+import recordings_real
+import recordings_simulated
+from cells import EVERYTHING, Cell, done, worked
 from nuc_store import PACKAGE, Arrays, code
-from recordings_cases import FAMILIES, case_code, load, missing, names
+from recordings_cases import DRAWN, Case
 from recordings_methods import METHODS, OURS
-from recordings_tables import Row, each, line, summary
+from recordings_tables import Row, line, page, summary
+from written import write
 
 import deepir
 from deepir.errors import DeepIRError
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "benchmarks" / "recordings.md"
 FIGURES = ROOT / "runs" / "bench-recordings" / "figures.csv"
+KIND = "recording-figures"  # under which figures are kept
 SEEDS = (0, 1, 2, 3, 4)
-#: What the figures of methods depend on, beside the recordings.
+#: The module that makes the recordings of each family.
+FAMILIES: dict[str, types.ModuleType] = {
+    family: module
+    for module in (recordings_drawn, recordings_simulated, recordings_real)
+    for family in module.FAMILIES
+}
+#: What the figures of ours and of rivals depend on, beside the recordings.
+OF_BOTH = ("../benchmarks/recordings_methods.py", "../benchmarks/recordings_scores.py")
 DEPENDS_ON = {
-    "ours": (*EVERYTHING, "../benchmarks/recordings_methods.py"),
-    "rivals": (
-        "baselines/**/*.py",
-        "multiview/pattern.py",
-        "../benchmarks/rivals.py",
-        "../benchmarks/recordings_methods.py",
-    ),
+    True: (*EVERYTHING, *OF_BOTH),
+    False: ("baselines/**/*.py", "multiview/pattern.py", "../benchmarks/rivals.py", *OF_BOTH),
 }
 
 
 def main() -> None:
+    options = parsed()
+    if PACKAGE.parent != ROOT:
+        raise SystemExit(f"deepir is imported from {PACKAGE}, not from {ROOT}: set PYTHONPATH={ROOT}")
+    keys = {
+        (family, ours): code(*patterns, *(f"../benchmarks/{name}" for name in module.CODE)) + drawn_code()
+        for family, module in FAMILIES.items()
+        for ours, patterns in DEPENDS_ON.items()
+    }  # before anything is measured: files may change meanwhile
+    rows: list[Row] = []
+    for family in options.families:
+        module = FAMILIES[family]
+        if reason := module.missing(family):
+            print(f"{family}: not run: {reason}", file=sys.stderr)
+            continue
+        seeds = options.seeds if module is not recordings_real else SEEDS[:1]
+        wanted = [
+            (name, seed) for seed in seeds for name in module.names(family, seed) if options.cases in name
+        ]
+        found: dict[Cell, Arrays] = {}
+        cells = [(family, name, seed, method) for method in options.methods for name, seed in wanted]
+        for ours in DEPENDS_ON:
+            some = sorted(
+                (cell for cell in cells if (cell[3] in OURS) == ours),
+                key=lambda cell: wanted.index(cell[1:3]),
+            )  # a recording is made once for all methods
+            key = keys[family, ours]
+            if options.kept:
+                found |= done(KIND, some, code=key)
+            else:
+                found |= worked(KIND, some, measure, code=key, workers=options.workers, fresh=options.again)
+        rows += [row_of(cell, found[cell]) for cell in cells if cell in found]
+    write_csv(rows, FIGURES)
+    if options.each:
+        print(*map(line, rows), sep="\n")
+    if options.page:
+        write(page(rows), "benchmarks/bench_recordings.py", PAGE)
+    else:
+        print(*summary(rows), sep="\n")
+
+
+def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -52,43 +103,20 @@ def main() -> None:
     parser.add_argument("--cases", default="", help="only recordings whose names hold this")
     parser.add_argument("--workers", type=int, default=1, help="processes, each of one thread")
     parser.add_argument("--again", action="store_true", help="measure anew what is kept")
+    parser.add_argument("--kept", action="store_true", help="run nothing: tables of what is kept")
     parser.add_argument("--each", action="store_true", help="print a line for each recording and method")
-    options = parser.parse_args()
-    if PACKAGE.parent != ROOT:
-        raise SystemExit(f"deepir is imported from {PACKAGE}, not from {ROOT}: set PYTHONPATH={ROOT}")
-    rows = []
-    digests = {name: code(*patterns) for name, patterns in DEPENDS_ON.items()}
-    cases = {family: case_code(family) for family in options.families if not missing(family)}
-    for family in options.families:
-        if reason := missing(family):
-            print(f"{family}: not run: {reason}", file=sys.stderr)
-            continue
-        seeds = options.seeds if family not in ("real", "corrected") else options.seeds[:1]
-        wanted = [(name, seed) for seed in seeds for name in names(family, seed) if options.cases in name]
-        keys = {name: cases[family] + digest for name, digest in digests.items()}
-        rows += measured(family, wanted, options.methods, keys, options.workers, options.again)
-    if options.each:
-        print(*each(rows), sep="\n")
-    print(*summary(rows), sep="\n")
-    write_csv(rows, FIGURES)
+    parser.add_argument("--page", action="store_true", help=f"write {PAGE.relative_to(ROOT)}")
+    return parser.parse_args()
 
 
-def measured(
-    family: str,
-    wanted: Sequence[tuple[str, int]],
-    methods: Sequence[str],
-    keys: dict[str, str],
-    workers: int,
-    again: bool,
-) -> list[Row]:
-    """A row for each recording and method; what is kept is not measured again."""
-    found = {}
-    for group, key in keys.items():
-        of_group = [each for each in methods if (each in OURS) == (group == "ours")]
-        cells = [(family, name, seed, method) for name, seed in wanted for method in of_group]
-        found |= worked("recording-figures", cells, measure, code=key, workers=workers, fresh=again)
-    cells = [(family, name, seed, method) for method in methods for name, seed in wanted]
-    return [row_of(*cell, found[cell]) for cell in cells]
+def drawn_code() -> str:
+    """Digest of the file that draws recordings, which is no part of the project."""
+    return hashlib.sha256(DRAWN.read_bytes()).hexdigest()[:24] if DRAWN.exists() else ""
+
+
+@functools.lru_cache(1)
+def load(family: str, name: str, seed: int) -> Case:
+    return FAMILIES[family].load(family, name, seed)
 
 
 def measure(family: str, name: str, seed: int, method: str) -> Arrays:
@@ -112,18 +140,13 @@ def measure(family: str, name: str, seed: int, method: str) -> Arrays:
     ) as error:  # one failure must not end hours of work: it is counted, and its words are kept
         figures, words = {}, {"status": f"failed: {type(error).__name__}: {error}", "kept": ""}
     arrays = {key: np.asarray(value) for key, value in (figures | words).items()}
-    print(line(row_of(family, name, seed, method, arrays)), flush=True)
+    print(line(row_of((family, name, seed, method), arrays)), flush=True)
     return arrays
 
 
-def row_of(family: str, name: str, seed: int, method: str, arrays: Arrays) -> Row:
-    return {
-        "family": family,
-        "name": name,
-        "seed": seed,
-        "method": method,
-        **{key: value.item() for key, value in arrays.items()},
-    }
+def row_of(cell: Cell, arrays: Arrays) -> Row:
+    keys = ("family", "name", "seed", "method")
+    return dict(zip(keys, cell, strict=True)) | {key: value.item() for key, value in arrays.items()}
 
 
 @functools.cache

@@ -30,12 +30,14 @@ class Correction:
         bad_pixels: (h, w) bool; None where the method seeks none.
         deviation: (h, w), stated standard deviation of the offset; None where nothing is stated.
         kept: What was corrected, in words.
+        maps: Gain and offset (h, w) of other frames of the camera.
     """
 
     correct: Callable[[Array, int], Array]
     bad_pixels: Array | None = None
     deviation: Array | None = None
     kept: str = ""
+    maps: tuple[Array | float, Array] | None = None
 
 
 Method = Callable[[Array, int], Correction]  # of frames, and the frames between two of a burst of one scene
@@ -46,7 +48,8 @@ def correct(frames: Array, apart: int) -> Correction:
     found = deepir.correct(frames)
     parts = f", {len(found.segments)} segments" if len(found.segments) > 1 else ""
     deviation = getattr(found.estimate, "offset_deviation", None)
-    return Correction(found.correct, found.maps.bad_pixels, deviation, found.estimate.kept + parts)
+    maps = found.maps.gain, found.maps.offset
+    return Correction(found.correct, found.maps.bad_pixels, deviation, found.estimate.kept + parts, maps)
 
 
 def burst(problem: str, frames: Array, apart: int) -> Correction:
@@ -71,7 +74,7 @@ def _run(problem: str, frames: Array, used: list[int]) -> Correction:
 def _of_maps(
     gain: Array | float, offset: Array, bad: Array | None = None, deviation: Array | None = None
 ) -> Correction:
-    return Correction(lambda frame, number: (frame - offset) / gain, bad, deviation)
+    return Correction(lambda frame, number: (frame - offset) / gain, bad, deviation, maps=(gain, offset))
 
 
 def _offset(estimate: Callable[[Array], Array], frames: Array, apart: int) -> Correction:

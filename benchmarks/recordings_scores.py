@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from deepir.multiview.held_out_pattern import CorrectionScorer
+
 Array = np.ndarray
 Figures = dict[str, float]
 
@@ -97,3 +99,22 @@ def taken_off(frames: Array, corrected: Array) -> Figures:
         "fine": fine,
         "unevenness": unevenness(pattern) if pattern.std() > 0 else float("nan"),
     }
+
+
+def held_out(frames: Array, maps: tuple[Array | float, Array] | None) -> Figures:
+    """Pattern that frames (N, h, w), which no estimate used, keep along their displacements, over the raw one.
+
+    Fine pattern and slow one; and the nats by which the corrected frames are more likely than the raw ones.
+    """
+    if maps is None:
+        return {}
+    one = np.ones(frames.shape[1:])
+    raw, found = (one, 0 * one), (one * maps[0], maps[1])
+    pairs = [(k, k + len(frames) // 2) for k in range(len(frames) // 2)]
+    scorer = CorrectionScorer(frames, np.ones(frames.shape, bool), pairs, [raw, found])
+    before, after = scorer.score(*raw), scorer.score(*found)
+    if before is None or after is None:
+        return {}
+    gained = before.nats - after.nats + float(np.nan_to_num(before.detail_nats - after.detail_nats))
+    fine = after.detail / before.detail if before.detail > 0 else float("nan")
+    return {"held-out fine": fine, "held-out slow": after.change / before.change, "held-out nats": gained}

@@ -2,88 +2,169 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-Row = dict[str, Any]  # family, name, seed, method, status, seconds, and figures
+Row = dict[str, Any]  # family, name, seed, method, status, kept, and figures
 
-#: Above this share of what was there, and below the raw likeness by more than this, a recording is made worse.
+#: Share of the pattern, above which a recording is made worse; and loss of likeness from which it is.
 WORSE_PATTERN, WORSE_LIKENESS = 1.01, 0.001
-#: Largest low-order part, over the scene's deviation, that may be taken off a camera that is corrected already.
+#: Low-order part, over the scene's deviation, from which too much is taken off a camera that is corrected already.
 WORSE_TAKEN = 0.05
-WITHOUT_TRUTH = "corrected"
+OURS = "correct"
+ABOUT = {
+    "hand-held": "Windows of real pictures, moved by hand, under drawn patterns.",
+    "agc": "The same, each frame stretched to 8 bits by a gain control.",
+    "drive": "Pieces of a real drive, half as fine, under drawn patterns.",
+    "simulated": "240 frames of 320 x 240 px: drive, walk, pan, drone; raw, shaded, after a shutter, lossy.",
+    "real": "A drive with an uncooled Lynred camera, whole and in pieces. Likeness is that with calibrated frames.",
+    "corrected": "Films that their makers have corrected. What is taken off is relative to the scene's deviation.",
+}
+INTRODUCTION = """# Whole recordings
+
+`make bench-recordings`. Figures are medians, with the worst in brackets. **Low** and **fine**: what is left of the
+low-order and of the fine pattern, over what was there. One is nothing done, and more is harm. **Likeness**: median
+correlation of corrected with true frames. `worse`: recordings with more low-order pattern, more fine pattern, or less
+likeness than the raw ones. A method that refuses a recording leaves it as it is; only the others count.
+
+**Limit**: the Cramér-Rao limit of low, at known displacements. `nuc` and `flow` take ten frames of one place,
+`multiview_nuc` ten of the whole recording. Rivals have their defaults."""
+CORRECTED = """**Unevenness**: 90th percentile over median of the detail's deviation in blocks. A sensor's is about 1.3,
+that of a scene's edges more. **Kept**: fine and slow pattern that held-out frames keep, over the raw one.
+"""
+#: Heading and contents of the columns: of films with a truth, and of cameras that are corrected already.
+Column = tuple[str, Callable[[Sequence[Row]], str]]
+
+
+def page(rows: Sequence[Row]) -> Iterator[str]:
+    """Lines of markdown."""
+    yield INTRODUCTION
+    yield from summary(rows)
 
 
 def summary(rows: Sequence[Row]) -> Iterator[str]:
-    """A table for each family, its methods in the order of the rows."""
+    """A table for each family, and who is best."""
     for family in dict.fromkeys(row["family"] for row in rows):
-        of_family = [row for row in rows if row["family"] == family]
-        recordings = {(row["name"], row["seed"]) for row in of_family}
-        yield f"\n## {family}: {len(recordings)} recordings\n"
-        if family == WITHOUT_TRUTH:
-            yield "| method | refused | low > 5 % | low | fine | unevenness | bad pixels, % | s | CPU s |"
-            yield "|---|---|---|---|---|---|---|---|---|"
-        else:
-            yield (
-                "| method | refused | worse: low | fine | likeness | low | fine | likeness | raw likeness | "
-                "bad, false, % | s | CPU s |"
-            )
-            yield "|---|---|---|---|---|---|---|---|---|---|---|---|"
-        for method in dict.fromkeys(row["method"] for row in of_family):
-            yield _summary_row(method, [row for row in of_family if row["method"] == method])
+        some = [row for row in rows if row["family"] == family]
+        count = len({(row["name"], row["seed"]) for row in some})
+        yield f"\n## {family.capitalize()}: {count} recording{'s' if count > 1 else ''}\n"
+        yield f"{ABOUT[family]}\n"
+        if family == "corrected":
+            yield CORRECTED
+        yield from _table(some, OF_CORRECTED if family == "corrected" else OF_TRUTH)
+        if family != "corrected" and len({row["method"] for row in some}) > 1:
+            yield f"\n{' '.join(winners(some))}"
 
 
-def _summary_row(method: str, rows: Sequence[Row]) -> str:
-    found = [row for row in rows if row["status"] == "done"]
-    failed = sum(row["status"].startswith("failed") for row in rows)
-    refused = f"{len(rows) - len(found)}" + (f" ({failed} failed)" if failed else "")
-    if not found:
-        return f"| {method} | {refused} |"
-    seconds = [_median(found, key, ".2g") for key in ("seconds", "CPU seconds")]
-    if "unevenness" in found[0]:
-        cells = [str(sum(row["low"] > WORSE_TAKEN for row in found))]
-        cells += [_spread(found, key, max) for key in ("low", "fine", "unevenness")]
-        cells += [_spread(found, "bad", max, 100)]
-    else:
-        cells = [str(sum(row[part] > WORSE_PATTERN for row in found)) for part in ("low", "fine")]
-        cells += [str(sum(row["likeness"] < row["raw likeness"] - WORSE_LIKENESS for row in found))]
-        cells += [_spread(found, "low", max), _spread(found, "fine", max), _spread(found, "likeness", min)]
-        cells += [_median(found, "raw likeness", ".3f"), _spread(found, "bad, false", max, 100)]
-    return f"| {method} | {refused} | {' | '.join(cells + seconds)} |"
-
-
-def _values(rows: Sequence[Row], key: str) -> list[float]:
-    return [row[key] for row in rows if key in row and np.isfinite(row[key])]
-
-
-def _median(rows: Sequence[Row], key: str, form: str) -> str:
-    values = _values(rows, key)
-    return format(float(np.median(values)), form) if values else ""
-
-
-def _spread(rows: Sequence[Row], key: str, worst: Any, factor: float = 1.0) -> str:
-    """Median, and in brackets the worst."""
-    values = [factor * value for value in _values(rows, key)]
-    return f"{np.median(values):.3f} ({worst(values):.2f})" if values else ""
-
-
-def each(rows: Sequence[Row]) -> Iterator[str]:
-    """A line for each recording and method."""
-    for row in rows:
-        yield line(row)
+def winners(rows: Sequence[Row]) -> Iterator[str]:
+    """Sentences: the best median of each figure, and which rivals are ahead of `correct`, on the same recordings."""
+    for figure, sign in (("low", 1), ("fine", 1), ("likeness", -1)):
+        medians = {method: float(np.median(_values(some, figure))) for method, some in _by_method(rows)}
+        best = min(medians, key=lambda method: sign * medians[method])
+        sentence = f"Best {figure}: `{best}` ({medians[best]:.3f})"
+        ahead = sorted(
+            (each for each in medians if sign * medians[each] < sign * medians.get(OURS, np.nan)),
+            key=lambda each: sign * medians[each],
+        )
+        yield sentence + (
+            f"; ahead of `{OURS}`: {', '.join(f'`{each}`' for each in ahead)}." if ahead else "."
+        )
 
 
 def line(row: Row) -> str:
-    figures = [f"{key} {row[key]:.3f}" for key in ("low", "fine") if key in row]
-    if "likeness" in row:
-        figures.append(f"likeness {row['raw likeness']:.3f} to {row['likeness']:.3f}")
-    for key in ("unevenness", "bad", "bad, false", "bad, found", "covers 68", "covers 95", "sigmas"):
-        figures += [f"{key} {row[key]:.4g}"] if key in row else []
+    """The figures of one method on one recording."""
     what = f"{row['family']} {row['seed']}: {row['name']}: {row['method']}"
     if row["status"] != "done":
         return f"{what}: {row['status']}"
-    return (
-        f"{what}: {', '.join(figures)}; {row['seconds']:.2f} s, CPU {row['CPU seconds']:.2f} s; {row['kept']}"
-    )
+    figures = {key: value for key, value in row.items() if isinstance(value, float)}
+    seconds, cpu = figures.pop("seconds"), figures.pop("CPU seconds")
+    before = figures.pop("raw likeness", None)
+    shown = [f"{key} {value:.4g}" for key, value in figures.items()]
+    shown += [] if before is None else [f"raw likeness {before:.4g}"]
+    return f"{what}: {', '.join(shown)}; {seconds:.2f} s, CPU {cpu:.2f} s; {row['kept']}"
+
+
+def _table(rows: Sequence[Row], columns: Sequence[Column]) -> Iterator[str]:
+    yield f"| method | {' | '.join(name for name, _ in columns)} |"
+    yield "|---|" + "---|" * len(columns)
+    for method in dict.fromkeys(row["method"] for row in rows):
+        some = [row for row in rows if row["method"] == method]
+        found = [row for row in some if row["status"] == "done"]
+        cells = [_refused(some), *(content(found) if found else "" for _, content in columns[1:])]
+        yield f"| {method} | {' | '.join(cells)} |"
+
+
+def _by_method(rows: Iterable[Row]) -> Iterator[tuple[str, list[Row]]]:
+    done = [row for row in rows if row["status"] == "done"]
+    for method in dict.fromkeys(row["method"] for row in done):
+        yield method, [row for row in done if row["method"] == method]
+
+
+def _refused(rows: Sequence[Row]) -> str:
+    failed = sum(row["status"].startswith("failed") for row in rows)
+    refused = sum(row["status"].startswith("refused") for row in rows)
+    return str(refused) + (f", {failed} failed" if failed else "")
+
+
+def _worse(rows: Sequence[Row]) -> str:
+    pattern = [sum(row[part] > WORSE_PATTERN for row in rows) for part in ("low", "fine")]
+    likeness = sum(row["likeness"] < row["raw likeness"] - WORSE_LIKENESS for row in rows)
+    return f"{pattern[0]}, {pattern[1]}, {likeness} of {len(rows)}"
+
+
+def _taken(rows: Sequence[Row]) -> str:
+    return f"{sum(row['low'] > WORSE_TAKEN for row in rows)} of {len(rows)}"
+
+
+def _values(rows: Sequence[Row], key: str) -> list[float]:
+    return [row[key] for row in rows if np.isfinite(row.get(key, np.nan))]
+
+
+def _median(key: str, form: str) -> Callable[[Sequence[Row]], str]:
+    def cell(rows: Sequence[Row]) -> str:
+        values = _values(rows, key)
+        return format(float(np.median(values)), form) if values else ""
+
+    return cell
+
+
+def _spread(key: str, worst: Callable[[list[float]], float], factor: float = 1.0) -> Callable[..., str]:
+    def cell(rows: Sequence[Row]) -> str:
+        values = [factor * value for value in _values(rows, key)]
+        return f"{np.median(values):.3f} ({worst(values):.2f})" if values else ""
+
+    return cell
+
+
+def _covered(rows: Sequence[Row]) -> str:
+    shares = [_median(f"covers {share}", ".0%")(rows) for share in (68, 95)]
+    return ", ".join(shares) if all(shares) else ""
+
+
+SECONDS = [("s", _median("seconds", ".2g")), ("CPU s", _median("CPU seconds", ".2g"))]
+OF_TRUTH: list[Column] = [
+    ("refused", _refused),
+    ("worse: low, fine, likeness", _worse),
+    ("low", _spread("low", max)),
+    ("limit", _median("limit", ".3f")),
+    ("fine", _spread("fine", max)),
+    ("likeness", _spread("likeness", min)),
+    ("raw", _median("raw likeness", ".3f")),
+    ("false bad, %", _spread("bad, false", max, 100)),
+    ("found", _median("bad, found", ".0%")),
+    ("1, 2 sigmas cover", _covered),
+    *SECONDS,
+]
+OF_CORRECTED: list[Column] = [
+    ("refused", _refused),
+    ("low > 5 %", _taken),
+    ("low", _spread("low", max)),
+    ("fine", _spread("fine", max)),
+    ("unevenness", _spread("unevenness", max)),
+    ("kept: fine", _spread("held-out fine", max)),
+    ("slow", _spread("held-out slow", max)),
+    ("bad, %", _spread("bad", max, 100)),
+    *SECONDS,
+]
