@@ -11,6 +11,7 @@ import functools
 from collections.abc import Iterator
 
 import numpy as np
+from nuc_store import kept
 from recordings_cases import APART, DATA, Case, absent
 from recordings_methods import Correction
 from recordings_scores import (
@@ -30,7 +31,9 @@ Array = np.ndarray
 
 FAMILIES = ("real", "corrected")
 CODE = ("recordings_real.py",)
+LENGTH = 600  # frames of the drive
 PIECES = (50, 100, 200)  # frames
+ROUNDS = 12  # of least squares and median that find a true pattern
 MOST_JUDGED = 100  # frames
 BONNET = 420  # row of the A65's frames below which its car is seen
 LEPTONS = {"lepton": "lepton_tlinear_82x120x160.npz", "lepton, CPTV": "v2.cptv"}
@@ -52,10 +55,9 @@ def load(family: str, name: str, seed: int) -> Case:
 
 def _pieces() -> Iterator[str]:
     if (DATA / "lynred_car").is_dir():
-        length = len(lynred()[0])
-        yield f"lynred 0:{length}"
+        yield f"lynred 0:{LENGTH}"
         for size in PIECES:
-            for first in range(0, length - size + 1, size):
+            for first in range(0, LENGTH - size + 1, size):
                 yield f"lynred {first}:{first + size}"
 
 
@@ -88,14 +90,17 @@ def lynred() -> tuple[Array, Array]:
 
 @functools.cache
 def lynred_pattern() -> Array:
-    return true_pattern(*lynred())
+    """Its true pattern; kept, as it takes a minute."""
+    return kept("recordings", ["lynred's pattern", ROUNDS], lambda: {"pattern": true_pattern(*lynred())})[
+        "pattern"
+    ]
 
 
-def true_pattern(raw: Array, calibrated: Array, rounds: int = 12) -> Array:
+def true_pattern(raw: Array, calibrated: Array) -> Array:
     """F of `raw = s calibrated + l + F`, by turns of least squares for s and l and the median over the frames."""
     some = np.arange(0, len(raw), 5)
     pattern = np.zeros(raw.shape[1:])
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         rest = []
         for y, x in zip(raw[some], calibrated[some], strict=True):
             slope, level = np.polyfit(x.ravel()[::7].astype(float), (y - pattern).ravel()[::7], 1)
