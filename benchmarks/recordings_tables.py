@@ -59,18 +59,23 @@ def summary(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def winners(rows: Sequence[Row]) -> Iterator[str]:
-    """Sentences: the best median of each figure, and which rivals are ahead of `correct`, on the same recordings."""
-    for figure, sign in (("low", 1), ("fine", 1), ("likeness", -1)):
-        medians = {method: float(np.median(_values(some, figure))) for method, some in _by_method(rows)}
+    """Sentences: the best median of each figure, and the methods ahead of `correct` where both found something."""
+    found: dict[str, dict[tuple[str, int], Row]] = {}
+    for row in rows:
+        if row["status"] == "done":
+            found.setdefault(row["method"], {})[row["name"], row["seed"]] = row
+    for figure, sign in (("low", 1), ("fine", 1), ("likeness", -1)) if found else ():
+        medians = {method: _median_of(some.values(), figure) for method, some in found.items()}
         best = min(medians, key=lambda method: sign * medians[method])
-        sentence = f"Best {figure}: `{best}` ({medians[best]:.3f})"
-        ahead = sorted(
-            (each for each in medians if sign * medians[each] < sign * medians.get(OURS, np.nan)),
-            key=lambda each: sign * medians[each],
-        )
-        yield sentence + (
-            f"; ahead of `{OURS}`: {', '.join(f'`{each}`' for each in ahead)}." if ahead else "."
-        )
+        ours = found.get(OURS, {})
+        ahead = []
+        for method, some in found.items():
+            both = [each for each in some if each in ours]
+            here, there = (_median_of([of[each] for each in both], figure) for of in (some, ours))
+            if method != OURS and sign * here < sign * there:
+                ahead.append(f"`{method}`")
+        beside = f"; ahead of `{OURS}`: {', '.join(ahead)}" if ahead else ""
+        yield f"Best {figure}: `{best}` ({medians[best]:.3f}){beside}."
 
 
 def line(row: Row) -> str:
@@ -96,10 +101,9 @@ def _table(rows: Sequence[Row], columns: Sequence[Column]) -> Iterator[str]:
         yield f"| {method} | {' | '.join(cells)} |"
 
 
-def _by_method(rows: Iterable[Row]) -> Iterator[tuple[str, list[Row]]]:
-    done = [row for row in rows if row["status"] == "done"]
-    for method in dict.fromkeys(row["method"] for row in done):
-        yield method, [row for row in done if row["method"] == method]
+def _median_of(rows: Iterable[Row], figure: str) -> float:
+    values = [row[figure] for row in rows]
+    return float(np.median(values)) if values else float("nan")
 
 
 def _refused(rows: Sequence[Row]) -> str:
