@@ -14,6 +14,7 @@ from deepir.baselines.online import last_of
 from deepir.baselines.temporal.basic import flat_and_dark_field
 from deepir.baselines.temporal.gradient_consensus import interquartile_mean
 from deepir.baselines.temporal.multiview_tv import median_offset
+from deepir.calibration import CorrectionMaps
 from deepir.multiview.pattern import poisson
 
 Array = np.ndarray
@@ -67,14 +68,18 @@ def spread_burst(problem: str, frames: Array, apart: int) -> Correction:
 
 def _run(problem: str, frames: Array, used: list[int]) -> Correction:
     result = deepir.run(problem, frames=frames, data={"frames": used})
+    maps = CorrectionMaps(result.gain, result.offset, result.bad_pixels)
     deviation = getattr(result, "offset_deviation", None)
-    return _of_maps(result.gain, result.offset, result.bad_pixels, deviation)
+    return Correction(
+        lambda frame, number: maps.correct(frame),
+        result.bad_pixels,
+        deviation,
+        maps=(result.gain, result.offset),
+    )
 
 
-def _of_maps(
-    gain: Array | float, offset: Array, bad: Array | None = None, deviation: Array | None = None
-) -> Correction:
-    return Correction(lambda frame, number: (frame - offset) / gain, bad, deviation, maps=(gain, offset))
+def _of_maps(gain: Array | float, offset: Array) -> Correction:
+    return Correction(lambda frame, number: (frame - offset) / gain, maps=(gain, offset))
 
 
 def _offset(estimate: Callable[[Array], Array], frames: Array, apart: int) -> Correction:

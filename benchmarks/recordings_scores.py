@@ -43,10 +43,9 @@ def mean_error(corrected: Array, scene: Array, gains: Array | None = None) -> Ar
     return total / len(scene)
 
 
-def likeness(frames: Array, scene: Array) -> float:
-    """Median correlation of frames (N, h, w) with the true ones."""
-    inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    return float(np.median([alike(a[inner], b[inner]) for a, b in zip(frames, scene, strict=True)]))
+def likeness(frames: Array, scene: Array, known: Array) -> float:
+    """Median correlation of frames (N, h, w) with the true ones, over the pixels (h, w) that are known."""
+    return float(np.median([alike(a[known], b[known]) for a, b in zip(frames, scene, strict=True)]))
 
 
 def alike(first: Array, second: Array) -> float:

@@ -39,7 +39,8 @@ def load(family: str, name: str, seed: int) -> Case:
     kind, _, camera = name.partition(", ")
     frames, some = _recording(replace(CAMERA, kind=kind, **CAMERAS[camera]), seed)
     truth = some.truth
-    pattern, before = residual_map(some.frames, some), likeness(some.frames, truth.scene)
+    pattern, good = residual_map(some.frames, some), ~truth.bad_pixels
+    before = likeness(some.frames, truth.scene, good)
 
     def judge(corrected: np.ndarray, correction: Correction) -> Figures:
         error = residual_map(corrected, some)  # in sigmas of the noise
@@ -48,7 +49,7 @@ def load(family: str, name: str, seed: int) -> Case:
             deviation = deviation / (truth.noise * np.median(truth.agc_gain))
         return {
             **left_over(error, pattern),
-            "likeness": likeness(corrected, truth.scene),
+            "likeness": likeness(corrected, truth.scene, good),
             "raw likeness": before,
             "sigmas": float(np.nanstd(error)),
             **covered(error, deviation),
