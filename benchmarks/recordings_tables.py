@@ -49,7 +49,9 @@ def summary(rows: Sequence[Row]) -> Iterator[str]:
     for family in dict.fromkeys(row["family"] for row in rows):
         some = [row for row in rows if row["family"] == family]
         count = len({(row["name"], row["seed"]) for row in some})
-        yield f"\n## {family.capitalize()}: {count} recording{'s' if count > 1 else ''}\n"
+        seeds = ", ".join(map(str, sorted({row["seed"] for row in some})))
+        title = family.upper() if family == "agc" else family.capitalize()
+        yield f"\n## {title}: {count} recording{'s' if count > 1 else ''}, seeds {seeds}\n"
         yield f"{ABOUT[family]}\n"
         if family == "corrected":
             yield CORRECTED
