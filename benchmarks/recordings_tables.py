@@ -29,8 +29,9 @@ low-order and of the fine pattern, over what was there. One is nothing done, and
 correlation of corrected with true frames. `worse`: recordings with more low-order pattern, more fine pattern, or less
 likeness than the raw ones. A method that refuses a recording leaves it as it is; only the others count.
 
-**Limit**: the Cramér-Rao limit of low, at known displacements. `nuc` and `flow` take ten frames of one place,
-`multiview_nuc` ten of the whole recording. Rivals have their defaults."""
+**Limit**: the Cramér-Rao limit of low, at known displacements, of an offset whose cells of 8 px are all free. Methods
+that expect a smooth offset can be better. `nuc` and `flow` take ten frames of one place, `multiview_nuc` ten of the
+whole recording. Rivals have their defaults."""
 CORRECTED = """**Unevenness**: 90th percentile over median of the detail's deviation in blocks. A sensor's is about 1.3,
 that of a scene's edges more. **Kept**: fine and slow pattern that held-out frames keep, over the raw one.
 """
