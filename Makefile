@@ -79,15 +79,14 @@ bench-live: setup  ## live correction: delay, memory, quality over time: half an
 bench-effects: setup  ## what each effect is worth: one left out at a time
 	$(BIN)/python benchmarks/effects.py --output notes/bench-effects.md
 
-bench-correct: setup  ## whole recordings: the pattern that is left, against methods that take recordings too
-	$(BIN)/python benchmarks/corrections.py --output docs/benchmarks/correct.md
+bench-recordings: setup  ## recordings of many kinds, ours and rivals, by what is known of each: hours, goes on
+	$(BIN)/python benchmarks/bench_recordings.py --workers $(WORKERS) --page
 
 bench-physics: setup  ## whole recordings: parallax, lag, gain control, gain, rest: what was said, against the truth
 	$(BIN)/python benchmarks/physics_choice.py --output notes/bench-physics.md
 
-bench-real: setup  ## real data, from the folder that DEEPIR_DATA names
+bench-real: setup  ## real bursts, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
-	$(BIN)/python benchmarks/recordings.py --output notes/bench-real.md
 
 bench-gpu: setup  ## seconds and quality of whole solves on a GPU, where there is one
 	$(BIN)/python benchmarks/gpu.py
@@ -101,4 +100,4 @@ bench-startup: setup  ## seconds from the start of a run to its end, beside torc
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-correct bench-physics bench-live bench-effects bench-gpu bench-startup clean
+.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-recordings bench-physics bench-live bench-effects bench-gpu bench-startup clean

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 from golden import error_db
-from recordings import DATA, SKIP, alike
+from recordings_cases import DATA
+from recordings_scores import alike
 from written import write
 
 import deepir
@@ -49,6 +50,7 @@ BURSTS: dict[str, dict[str, Any]] = {
 STRETCHED = {"AGC": 0.15, "gain drift": 0.004}
 SEEDS = (31,)
 DRIVE = [range(30, 90, 6)]  # frames of the real drive
+SKIP = 17  # frames between those that likeness is taken of
 
 
 def main() -> None:

@@ -16,7 +16,9 @@ import matplotlib
 import numpy as np
 import psutil
 from live_stream import Moment, Stream
-from recordings import DATA, alike, calibrated_drive
+from recordings_cases import DATA
+from recordings_real import calibrated_drive
+from recordings_scores import alike
 from rivals import OVER_TIME
 from written import write
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.io
 import tifffile
 
-#: The files that the tests write; `recordings` is a module here too.
+#: The files that the tests write.
 recordings = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[1] / "tests" / "recordings.py")))
 SIDE = 4000  # px, of a frame of zeros that a compressor packs into 20 kB
 Made = tuple[dict[str, bytes], dict[str, str]]
