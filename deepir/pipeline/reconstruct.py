@@ -114,7 +114,7 @@ def _evened(burst: Burst, problem: Problem, taken: np.ndarray) -> Burst:
 def _small_motion(problem: Problem, recipe: Recipe) -> list[str]:
     """Messages on a motion, as it was last estimated, that leaves scene and pattern hard to separate."""
     name = problem.motion_unknown()
-    if not (recipe.motion and name):
+    if not (recipe.motion and name) or len(problem.data) == 1:
         return []
     motion = homographies(problem.values()[name]).double().cpu()
     return motion_messages(motion, (problem.data.shape[-2], problem.data.shape[-1]))
