@@ -9,8 +9,9 @@ help:  ## show this list
 setup: .venv/.done  ## make .venv with the tested versions
 
 .venv/.done: pyproject.toml constraints.txt
+	@echo "deepir and its tools are installed into .venv; this takes some minutes, once"
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,compare,docs,hdf5,video,live]'
+	$(BIN)/python -m pip install --constraint constraints.txt --editable '.[dev,compare,docs,hdf5,video,live]'
 	@touch $@
 
 demo: setup  ## correct a simulated burst; results and pictures in runs/demo/

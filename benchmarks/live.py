@@ -22,7 +22,7 @@ from recordings_scores import alike
 from rivals import OVER_TIME
 from written import write
 
-from deepir.live.corrector import Corrector
+from deepir import Corrector
 from deepir.live.estimation import SynchronousEstimator
 from deepir.live.playback import play
 from deepir.live.sources import Paced

@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from deepir.api import run
     from deepir.errors import DeepIRError
     from deepir.io import read_frames
+    from deepir.live.corrector import Corrector
     from deepir.problem import Problem
     from deepir.recording.correct import correct
     from deepir.result import Result
 
 # Looked up on first use: `import deepir` and `deepir --help` do without torch.
 _HOMES = {
+    "Corrector": "live.corrector",
     "DeepIRError": "errors",
     "Problem": "problem",
     "Result": "result",
@@ -31,10 +33,14 @@ _HOMES = {
     "read_frames": "io",
     "run": "api",
 }
-__all__ = ["DeepIRError", "Problem", "Result", "correct", "read_frames", "run"]
+__all__ = ["Corrector", "DeepIRError", "Problem", "Result", "correct", "read_frames", "run"]
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'deepir' has no attribute {name!r}")
     return getattr(importlib.import_module(f"deepir.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

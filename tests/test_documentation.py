@@ -197,6 +197,12 @@ def test_the_citation_names_this_version_and_the_paper():
     assert paper["authors"][0]["family-names"] == "Saragadam"
 
 
+def test_the_readme_begins_with_the_demo_and_the_tests_and_ci_runs_these():
+    _, first = blocks(ROOT / "README.md")[0]
+    assert [line.partition("#")[0].strip() for line in first.splitlines()] == ["make demo", "make test"]
+    assert (ROOT / ".ci/run").read_text().splitlines()[-1] == "make test"
+
+
 def test_the_picture_is_small():
     assert 20_000 < (ROOT / "docs/images/demo.png").stat().st_size < 300_000
 

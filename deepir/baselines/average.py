@@ -16,7 +16,7 @@ from deepir.config import Config
 from deepir.operators.homography import homographies
 from deepir.optim.held_out import held_out_error, hold_out
 from deepir.pipeline.prior_refinement import registered_average
-from deepir.pipeline.register import register_frames
+from deepir.pipeline.register import motion_messages, register_frames
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 
@@ -113,7 +113,11 @@ def register_burst(burst: Burst, config: Config) -> Registration:
     Returns:
         Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
     """
-    return register_frames(burst, config, lookup("problem", config.problem, "problem")())
+    recipe = lookup("problem", config.problem, "problem")()
+    motion, used, messages = register_frames(burst, config, recipe)
+    if recipe.motion and motion is not None:
+        messages += motion_messages(motion[torch.from_numpy(used)], burst.size)
+    return motion, used, messages
 
 
 def average_frames(

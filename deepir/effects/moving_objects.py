@@ -239,7 +239,11 @@ class MovingObjectsMask(Effect):
         problem.precision.mul_(~problem.moving)
 
     def initialise(self, problem: Problem) -> None:
-        problem.precision.add_(OBJECT_WEIGHT * median_sigma(problem.precision) ** -2 * problem.moving)
+        # A pixel that was given up beside the object stays so.
+        alive = (problem.precision > 0).any(0) | problem.moving.all(0)
+        problem.precision.add_(
+            OBJECT_WEIGHT * median_sigma(problem.precision) ** -2 * (problem.moving & alive)
+        )
 
     def detect(self, problem: Problem) -> bool:
         found = detect_moving_objects(problem, settled=False)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepir.arrays.noise_level import ROUNDING_SIGMA, quantisation_step, sample_noise
 from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, subsample
-from deepir.effects.bad_pixels import misfitting_pixels, neighbourhood_doubt
+from deepir.effects.bad_pixels import misfitting_pixels, neighbourhood_doubt, with_scene_error
 from deepir.effects.effect import Effect
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.problem import NoiseModel, Problem
@@ -51,7 +51,9 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         bounds = (
             usable if problem.saturation is None else usable | (problem.saturation != 0)
         )  # which misfit nothing
-        usable &= ~misfitting_pixels(misfit, bounds)
+        light = problem.flux(values) if offset else prediction
+        own = with_scene_error(misfit, light, usable & ~problem.moving, signal)
+        usable &= ~misfitting_pixels(own, bounds)
     for k, variance_k in enumerate(signal):
         doubt = neighbourhood_doubt(misfit[k : k + 1], usable[k : k + 1])[0]
         doubt.add_(misfit[k], alpha=CAUCHY_SCALE**-2).add_(1).mul_(variance_k)

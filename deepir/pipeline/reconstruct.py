@@ -19,6 +19,7 @@ from deepir.effects.gain_drift import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.uncertainty import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
+from deepir.operators.homography import homographies
 from deepir.optim.held_out import hold_out
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress, solve
@@ -26,10 +27,11 @@ from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
 from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
 from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
-from deepir.pipeline.register import register_frames
+from deepir.pipeline.register import motion_messages, register_frames
 from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.pipeline.schedule import network_message, plan
 from deepir.problem import Problem
+from deepir.problems.recipe import Recipe
 from deepir.registry import register
 from deepir.result import Result
 
@@ -75,7 +77,9 @@ def joint(
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     complete = config.solver.max_iterations is None  # a solve cut short leaves more than drift
     picture = scene_in_pattern_message(problem)
-    messages += recipe.warnings(problem, complete=complete) + picture
+    messages = (
+        _small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture
+    )
     if complete:
         messages += residual_correlation_message(problem)
     found = given & ~problem.alive()
@@ -104,6 +108,16 @@ def _evened(burst: Burst, problem: Problem, taken: np.ndarray) -> Burst:
     frames = burst.frames.copy()
     frames[taken] = (problem.data + problem.reference)[:, 0].cpu().numpy()
     return dataclasses.replace(burst, frames=frames)
+
+
+@torch.no_grad()
+def _small_motion(problem: Problem, recipe: Recipe) -> list[str]:
+    """Messages on a motion, as it was last estimated, that leaves scene and pattern hard to separate."""
+    name = problem.motion_unknown()
+    if not (recipe.motion and name) or len(problem.data) == 1:
+        return []
+    motion = homographies(problem.values()[name]).double().cpu()
+    return motion_messages(motion, (problem.data.shape[-2], problem.data.shape[-1]))
 
 
 def _demand_scene(problem: Problem) -> None:

@@ -1,4 +1,4 @@
-"""The motion that a problem starts from: registered frames, and what to say of how they move."""
+"""The motion that a problem starts from: registered frames; and what to say of how frames move."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def register_frames(
             )
         ]
     if recipe.motion:
-        messages += _demand_motion(motion[kept], burst)
+        _demand_motion(motion[kept], burst)
     return motion, used, messages
 
 
@@ -92,8 +92,8 @@ def _motion_model(config: Config) -> str | None:
     return None
 
 
-def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
-    """A message for each axis along which the burst moves little; `DataError` if it stands still."""
+def _demand_motion(motion: Tensor, burst: Burst) -> None:
+    """Raise `DataError` if the burst stands still."""
     at = _places(motion, burst.size)
     moved = (at - at[0]).abs().amax()
     if moved < MAX_STILL_MOTION:
@@ -103,16 +103,22 @@ def _demand_motion(motion: Tensor, burst: Burst) -> list[str]:
             "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
             "data.mask"
         )
+
+
+def motion_messages(motion: Tensor, size: tuple[int, int]) -> list[str]:
+    """What motions (N, 3, 3) of frames (h, w) leave open: a message for each axis along which they are small, or if
+    they are along a line.
+    """
     few: list[str] = [
         Message(
             "motion-small",
             f"the frames move by only {float(span):.1f} px along {axis}: the {lines}' fixed pattern is hard to "
             "separate from the scene. Move the camera between frames, by 3 to 10 px in x and in y",
         )
-        for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, burst.size), strict=True)
+        for axis, lines, span in zip("xy", ("columns", "rows"), _spans(motion, size), strict=True)
         if span < MIN_MOTION_SPAN
     ]
-    return few or _along_a_line(at)
+    return few or _along_a_line(_places(motion, size))
 
 
 def _places(motion: Tensor, size: tuple[int, int]) -> Tensor:

@@ -102,7 +102,11 @@ class Recipe:
 
     def weigh_prior(self, problem: Problem) -> None:
         """The same for a prior that is fitted once the sensor is known, see `scene.fit`."""
-        self.weigh(problem)
+        penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
+        if any(penalty.weighed_by_noise for penalty in penalties):
+            weigh_scene(problem)
+        else:
+            self.weigh(problem)
 
     def metrics(self, problem: Problem) -> dict[str, float]:
         """What `metrics.json` holds of the solved problem, beside what all problems have."""

@@ -72,6 +72,8 @@ def register(
     """
     check_arguments(frames, model, ignore)
     frames = frames.detach().cpu()
+    if not frames.is_floating_point():
+        frames = frames.float()
     missing = None if valid is None or valid.all() else ~valid.cpu()
     if missing is not None:
         frames = inpaint_mean(frames, missing, torch.ones(frames.shape[1:]))

@@ -29,6 +29,13 @@ def test_importing_deepir_does_not_import_torch():
     assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
 
 
+def test_deepir_has_its_public_names_and_no_others():
+    code = "import sys, deepir; print(dir(deepir), {'torch', 'numpy'} & set(sys.modules))"
+    names = ["Corrector", "DeepIRError", "Problem", "Result", "__version__", "correct", "read_frames", "run"]
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == f"{names} set()\n"
+    assert all(getattr(package, name) for name in names)
+
+
 def test_a_burst_is_described_and_a_run_analysed_without_torch(folder):
     moved = simulate(None, Settings(n_frames=3, shape=(40, 48)), seed=0)
     moved.save("moved.npz")

@@ -56,6 +56,17 @@ def test_a_walker_is_found_though_his_ways_overlap(speed):
     assert found[~sim.truth.moving].mean() < 0.02
 
 
+def test_stuck_pixels_that_he_covers_in_one_frame_are_found():
+    sim = simulate(camera() / 255, dataclasses.replace(TONES, walker_speed=8.0, **WALKER), seed=13)
+    covered = sim.truth.moving[0] & ~sim.truth.moving[1:].any(0)
+    stuck = np.argwhere(covered)[::17]
+    assert len(stuck) > 5
+    sim.frames[:, *stuck.T] = 2.0
+    problem = after_the_first_round(sim)
+    assert problem.moving[0, 0, *stuck.T].any()
+    assert not problem.alive()[*stuck.T].any()
+
+
 def test_who_walks_through_five_frames_costs_little():
     """Left to the robust weights, he cost the first of these bursts 7 dB."""
     costs = []

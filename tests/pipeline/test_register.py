@@ -1,8 +1,13 @@
 """What is said of how frames move."""
 
+import dataclasses
+
 import torch
 
+import deepir
 from deepir.pipeline.register import _along_a_line, _places, _spans
+from deepir.registration import register
+from deepir.simulate import Settings, simulate
 
 
 def test_a_burst_that_moves_along_a_slanted_line_is_warned_of():
@@ -28,6 +33,23 @@ def test_what_turns_about_a_corner_moves_elsewhere():
     turned[1, 0, 1], turned[1, 1, 0] = -0.05, 0.05
     turned[1, :2, 2] = -turned[1, :2, :2] @ torch.tensor([80.0, 60.0]).double() + torch.tensor([80.0, 60.0])
     assert _spans(turned, (120, 160)).min() > 5
+
+
+def test_small_motion_is_that_of_the_result_not_of_the_registration(monkeypatch):
+    camera = Settings(n_frames=4, shape=(48, 56), counts=True, max_shift=2.8, motion="shift")
+    frames = simulate(None, camera, seed=2).frames  # they move by 3.3 px along x, 4.2 px along y
+
+    def too_small(frames, **options):
+        found = register(frames, **options)
+        return dataclasses.replace(found, motion=found.motion.lerp(torch.eye(3).double(), 0.3))
+
+    monkeypatch.setattr("deepir.pipeline.register.register", too_small)
+    registered, refined = (
+        " ".join(deepir.run("nuc", f"method={method}", frames=frames, threads=1).messages)
+        for method in ("average", "joint")
+    )
+    assert "the frames move by only 2.4 px along x" in registered
+    assert "the frames move by only" not in refined
 
 
 def shifted(by):

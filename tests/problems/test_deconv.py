@@ -77,6 +77,15 @@ def test_a_width_that_is_found_is_as_good_as_the_true_one(sim, known):
     assert np.array_equal(found.gain, np.ones((80, 96)))
 
 
+def test_plug_and_play_is_better_than_total_variation():
+    sim = camera(data.camera()[:430, :500] / 255, shape=(96, 128), psf_sigma=1.0)
+    psf = "physics.blur.psf={type: gaussian, sigma: 1, fixed: true}"
+    total_variation, pnp = (
+        deepir.run("deconv", psf, f"prior={prior}", frames=sim.frames, threads=1) for prior in ("tv", "pnp")
+    )
+    assert psnr(pnp.scene, sim) > psnr(total_variation.scene, sim) + 0.3
+
+
 def test_a_frame_that_is_sharp_is_reported_so():
     picture = data.camera()[:430, :500] / 255
     found = deepir.run(

@@ -165,3 +165,10 @@ def test_wrong_arguments_are_named():
         register(torch.zeros(2, 1, 8, 8))
     with pytest.raises(DataError, match="bad-pixel mask"):
         register(torch.zeros(2, 8, 8), ignore=torch.zeros(8, 9, dtype=torch.bool))
+
+
+def test_frames_of_integers_register_as_the_same_frames_of_floats():
+    counts = (8000 + 4000 * burst("camera", [move(), move(0.0, 3.0, -2.0), move(0.0, -4.0, 1.0)])).round()
+    wanted = register(counts).motion
+    for kind in (torch.uint16, torch.int32):
+        assert torch.equal(register(counts.to(kind)).motion, wanted)

@@ -28,6 +28,8 @@ class Penalty(nn.Module):
     acts_on_pixels: ClassVar[bool] = False
     #: log2 smoothness of the scene above which the default weight grows; inf: never.
     smooth_scene_threshold: ClassVar[float] = math.inf
+    #: Whether noise alone determines its weight, whatever cross-validation finds for another penalty.
+    weighed_by_noise: bool = False
 
     def __init__(self, *, weight: float | None = None) -> None:
         super().__init__()

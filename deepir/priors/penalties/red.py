@@ -29,7 +29,7 @@ class RED(Penalty):
         strength: Standard deviation passed to the denoiser, relative to that of the noise of the value.
         first: Strength in the first stage, from which it decreases by a fifth per stage; `strength` if None. A
             stronger start helps where the data determine little (Zhang et al. 2021, "Plug-and-play image restoration
-            with deep denoiser prior").
+            with deep denoiser prior"); the noise then determines the weight, too.
         trust: Default weight, in inverse variances passed to the denoiser.
 
     Raises:
@@ -53,6 +53,7 @@ class RED(Penalty):
         trust: float = 0.98,
     ) -> None:
         super().__init__(weight=weight)
+        self.weighed_by_noise = first is not None
         for name, value in (("strength", strength), ("first", first), ("trust", trust)):
             if value is not None and not 0 < value < float("inf"):
                 raise ValueError(f"{name} must be a positive number, not {value}")
