@@ -107,7 +107,9 @@ def _demand_near(level: float, data: Tensor, where: str) -> None:
         )
 
 
-def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field, dict[str, Penalty]]:
+def build_scene(
+    given: Mapping[str, Any], shape: tuple[int, ...], device: torch.device | None = None
+) -> tuple[Field, dict[str, Penalty]]:
     """The scene's field and its penalties, from the configuration's `scene`."""
     settings = complete({key: value for key, value in given.items() if key != "shared"}, None, "scene")
     allowed = ("average", "tv") if settings.get("fit") else ("average",)
@@ -116,8 +118,9 @@ def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field
             f"scene.init = {settings['init']!r}: a scene starts at the registered 'average', or, with a 'fit' of its "
             "own, at the result of 'tv'"
         )
-    field = make_field(settings, shape, 0.0, shape[-2:], 1.0, "scene", shape.__eq__)
-    return field, make_penalties(settings, "scene", shape)
+    field = make_field(settings, shape, 0.0, shape[-2:], 1.0, "scene", shape.__eq__).to(device)
+    penalties = make_penalties(settings, "scene", shape)
+    return field, {name: penalty.to(device) for name, penalty in penalties.items()}
 
 
 def _scenes(config: Config, n_frames: int) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deepir.problem import Problem
+from deepir.joint_problem import AnyProblem
 from deepir.problems.recipe import Recipe
 from deepir.registry import register
 
@@ -22,6 +22,6 @@ class Generic(Recipe):
         "outliers",
     )
 
-    def initialise(self, problem: Problem, seed: int) -> None:
+    def initialise(self, problem: AnyProblem, seed: int) -> None:
         """All samples are fitted."""
         self.start(problem)
