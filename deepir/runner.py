@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import platform
 import sys
@@ -17,6 +18,7 @@ import torch
 
 import deepir
 from deepir import burst as bursts
+from deepir.build.data_sets import build_data_sets, data_sets
 from deepir.build.problem import build
 from deepir.comparison import compare_to_truth
 from deepir.config import Config
@@ -64,6 +66,10 @@ def prepare(
             seed=config.seed,
             ordered=definition.ordered,
         )
+        others = {
+            name: bursts.load(each.data, needs=1, seed=config.seed) for name, each in config.datasets.items()
+        }
+        data = dataclasses.replace(data, datasets=others)
         check_components(config, data)
     return data
 
@@ -74,9 +80,12 @@ def check_components(config: Config, data: bursts.Burst) -> None:
     Raises:
         ConfigError: A component is wrong, or the problem lacks a stage that it needs.
     """
-    still = torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
-    problem, _ = build(config, data, still)
     recipe = make_recipe(config)
+    if config.datasets:
+        still = {name: _at_rest(each) for name, _, each in data_sets(config, data)}
+        plan(build_data_sets(config, data, still)[0], recipe, config)
+        return
+    problem, _ = build(config, data, _at_rest(data))
     if data.bands and config.problem not in PROBLEMS:
         raise DataError(
             f"{data.source}: frames of {1 + len(data.bands)} bands; problem '{config.problem}' takes one band, "
@@ -88,6 +97,10 @@ def check_components(config: Config, data: bursts.Burst) -> None:
                 f"physics: problem '{config.problem}' needs a stage '{name}'; or take problem=generic"
             )
     plan(problem, recipe, config)
+
+
+def _at_rest(data: bursts.Burst) -> torch.Tensor:
+    return torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
 
 
 def execute(

@@ -16,7 +16,7 @@ from deepir.registry import lookup
 
 #: Arguments that the problem or the run supplies, never a configuration.
 CONTEXT_ARGUMENTS = frozenset(
-    {"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"}
+    {"shape", "neutral", "size", "canvas", "origin", "ratio", "anchored", "members", "fps", "instants"}
     | {"burst", "config", "callbacks", "checkpoint"}
     | {"problem", "group", "evaluate"}
 )

@@ -1,0 +1,132 @@
+"""Several data sets solved as one problem: registered, built, started, solved."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.build.data_sets import FIRST, build_data_sets, data_sets
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.errors import DataError
+from deepir.joint_problem import JointProblem
+from deepir.messages import Message
+from deepir.operators.geometry import Geometry
+from deepir.operators.homography import homographies
+from deepir.optim.held_out import has_held_out, hold_out
+from deepir.optim.position import Checkpoint
+from deepir.optim.solve import solve
+from deepir.pipeline.collect import make_result
+from deepir.pipeline.given_noise import given_noise
+from deepir.pipeline.recipe import make_recipe
+from deepir.pipeline.register import motion_model, register_frames
+from deepir.pipeline.schedule import network_message, plan
+from deepir.registration import register
+from deepir.result import Result
+
+
+def solve_data_sets(
+    burst: Burst, config: Config, *, callbacks: Sequence[Any] = (), checkpoint: Checkpoint | None = None
+) -> Result:
+    """The result of the first data set; what the others have of their own is in `extra`, by its unknown's name."""
+    recipe = make_recipe(config)
+    motions: dict[str, Tensor | None] = {}
+    kept, messages, used = {}, [], {}
+    for name, own, frames in data_sets(config, burst):
+        motion, used[name], found = register_frames(frames, own, recipe)
+        motions[name] = None if motion is None else motion[used[name]]
+        kept[name] = _of_frames(frames, used[name])
+        messages += [_within(name, line) for line in found]
+    others = {name: each for name, each in kept.items() if name != FIRST}
+    several = dataclasses.replace(kept[FIRST], datasets=others)
+
+    def built() -> tuple[JointProblem, dict[str, Geometry]]:
+        problem, places = build_data_sets(config, several, motions)
+        problem = problem.to(config.device)
+        for each, (_, own, _) in zip(problem.data_sets, data_sets(config, several), strict=True):
+            given_noise(each, own)
+        recipe.initialise(problem, config.seed)
+        return problem, places
+
+    problem, places = built()
+    relative = relative_motions(problem, config, several)
+    if relative:
+        for name, motion in relative.items():
+            before = motions[name]
+            motions[name] = motion if before is None else motion @ before
+        problem, places = built()
+    stages = plan(problem, recipe, config)
+    if config.scene.get("fit") and not has_held_out(problem):
+        hold_out(problem, config.seed)
+    messages += network_message(problem, stages)
+    solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
+    messages += recipe.warnings(problem, complete=config.solver.max_iterations is None)
+    first = problem.first
+    result = make_result(
+        first, places[FIRST], solution, burst, used[FIRST], used[FIRST], messages, float("nan")
+    )
+    for name, place in list(places.items())[1:]:
+        add_unknowns(result, problem, name, place)
+    return result
+
+
+def _within(name: str, message: str) -> str:
+    """A message with the name of its data set, but for the first."""
+    where = f"data set '{name}'"
+    if name == FIRST:
+        return message
+    return message.within(where) if isinstance(message, Message) else f"{where}: {message}"
+
+
+def _of_frames(burst: Burst, used: np.ndarray) -> Burst:
+    clipped = None if burst.clipped is None else burst.clipped[used]
+    return dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used], clipped=clipped)
+
+
+@torch.no_grad()
+def relative_motions(problem: JointProblem, config: Config, burst: Burst) -> dict[str, Tensor]:
+    """Where frame 0 of each further data set lies in a scene that it shares, (1, 3, 3), px of its detector.
+
+    Its frame is registered with what it would see of the scene as the first data set shows it, unless its motion
+    starts elsewhere.
+
+    Raises:
+        DataError: A frame does not register.
+    """
+    found = {}
+    for each, (name, own, frames) in zip(problem.data_sets, data_sets(config, burst), strict=True):
+        model = motion_model(own)
+        if name == FIRST or model is None or problem.names_in(each)["scene"] != "scene":
+            continue
+        seen = torch.cat([each.predict(each.values())[:1], each.data[:1]])[:, 0].cpu()
+        pair = register(seen, model=model, ignore=torch.from_numpy(frames.bad_pixels))
+        if not pair.used.all():
+            raise DataError(
+                f"datasets.{name}: its first frame does not register with the scene of the first data set: give its "
+                "motion's init, or scene: own if it shows another scene"
+            )
+        found[name] = pair.motion[1:]
+    return found
+
+
+@torch.no_grad()
+def add_unknowns(result: Result, problem: JointProblem, name: str, place: Geometry) -> None:
+    """Add a further data set's own unknowns to `extra`; its scene lies on the grid of its frame 0."""
+    each: Any = problem.others[name]
+    values = each.values()
+    for own, known in problem.names_in(each).items():
+        if not known.startswith(f"{name}_"):
+            continue
+        value = values[own]
+        if own == "scene":
+            found = place.crop(each.operator.to_pixels(value))
+        elif own == each.motion_unknown():
+            found = homographies(value)
+        else:
+            found = value.squeeze()
+        result.extra[known] = found.cpu().numpy()
