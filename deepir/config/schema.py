@@ -144,3 +144,9 @@ class Config(_Strict):
     seed: int = Field(0, ge=0, lt=2**63)
     device: str = "cpu"
     threads: int | None = Field(None, ge=1, le=1024)
+
+    def sources(self) -> dict[str, Data]:
+        """The data of all data sets, by where they stand."""
+        return {"data": self.data} | {
+            f"datasets.{name}.data": each.data for name, each in self.datasets.items()
+        }

@@ -26,6 +26,7 @@ from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import motion_model, register_frames
 from deepir.pipeline.schedule import network_message, plan
+from deepir.problem import Problem
 from deepir.registration import register
 from deepir.result import Result
 
@@ -60,6 +61,9 @@ def solve_data_sets(
             before = motions[name]
             motions[name] = motion if before is None else motion @ before
         problem, places = built()
+    for each in problem.data_sets[1:]:
+        if problem.names_in(each)["scene"] == "scene":
+            start_radiometry(each)
     stages = plan(problem, recipe, config)
     if config.scene.get("fit") and not has_held_out(problem):
         hold_out(problem, config.seed)
@@ -104,6 +108,7 @@ def relative_motions(problem: JointProblem, config: Config, burst: Burst) -> dic
         if name == FIRST or model is None or problem.names_in(each)["scene"] != "scene":
             continue
         seen = torch.cat([each.predict(each.values())[:1], each.data[:1]])[:, 0].cpu()
+        seen = (seen - seen.mean((1, 2), keepdim=True)) / seen.std((1, 2), keepdim=True)  # of other units
         pair = register(seen, model=model, ignore=torch.from_numpy(frames.bad_pixels))
         if not pair.used.all():
             raise DataError(
@@ -112,6 +117,28 @@ def relative_motions(problem: JointProblem, config: Config, burst: Burst) -> dic
             )
         found[name] = pair.motion[1:]
     return found
+
+
+@torch.no_grad()
+def start_radiometry(data_set: Problem) -> None:
+    """Start gain and offset of a camera in units of its own by least squares of its data on the scene's flux.
+
+    Those that have parts about one and zero stay there: they are in the units of the scene.
+    """
+    if not data_set.sensor_unknowns():
+        return
+    fields = [data_set.fields[data_set.sensor_unknowns()[slot]] for slot in ("gain", "offset")]
+    free = [
+        field for field in fields if not field.parts() and any(p.requires_grad for p in field.parameters())
+    ]
+    if len(free) < 2:
+        return
+    used = data_set.precision > 0
+    flux = data_set.flux(data_set.values())[used].double()
+    data = data_set.data[used].double()
+    slope = ((flux - flux.mean()) * (data - data.mean())).mean() / flux.var(correction=0)
+    for field, value in zip(fields, (slope, data.mean() - slope * flux.mean()), strict=True):
+        field.init_from(value.to(data_set.data).expand(field.shape))
 
 
 @torch.no_grad()

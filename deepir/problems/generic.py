@@ -11,6 +11,7 @@ from deepir.registry import register
 class Generic(Recipe):
     """Any operator and any unknowns: all are estimated together; gain and offset in closed form where they have one."""
 
+    several = True
     effect_names = (
         "saturation",
         "bad_pixels",

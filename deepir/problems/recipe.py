@@ -33,6 +33,8 @@ class Recipe:
     ordered: ClassVar[bool] = False
     #: Whether gain and offset correct the frames as they are, so that frames beside the burst can judge them.
     judged: ClassVar[bool] = False
+    #: Whether it solves several data sets together.
+    several: ClassVar[bool] = False
     #: Weight of the scene's penalties while the sensor is estimated, relative to that of the scene's own stage.
     sensor_weight: ClassVar[float] = 1.0
     #: Operators that the physics must have.
