@@ -18,11 +18,12 @@ import torch
 
 import deepir
 from deepir import burst as bursts
-from deepir.build.data_sets import build_data_sets, data_sets
+from deepir.build.data_sets import FIRST, build_data_sets, data_sets
 from deepir.build.problem import build
 from deepir.comparison import compare_to_truth
 from deepir.config import Config, Data
 from deepir.errors import ConfigError, DataError, DeepIRError
+from deepir.joint_problem import JointProblem
 from deepir.kernels import memory, threads
 from deepir.messages import labelled
 from deepir.metrics import roughness
@@ -93,8 +94,12 @@ def check_components(config: Config, data: bursts.Burst) -> None:
     if config.datasets:
         _check_several(config, data, recipe)
         still = {name: _at_rest(each) for name, _, each in data_sets(config, data)}
-        plan(build_data_sets(config, data, still)[0], recipe, config)
+        problems, _ = build_data_sets(config, data, still)
+        plan(JointProblem(problems.pop(FIRST), problems), recipe, config)
         return
+    if recipe.checked_frames is not None:
+        few = slice(recipe.checked_frames)
+        data = dataclasses.replace(data, frames=data.frames[few], valid=data.valid[few], clipped=None)
     problem, _ = build(config, data, _at_rest(data))
     if data.bands and config.problem not in PROBLEMS:
         raise DataError(

@@ -11,7 +11,6 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.fields.base import Field
-from deepir.joint_problem import JointProblem
 from deepir.operators import Warp
 from deepir.operators.geometry import Canvas, Geometry
 from deepir.problem import Problem
@@ -30,8 +29,8 @@ def data_sets(config: Config, burst: Burst) -> Iterator[tuple[str, Config, Burst
 
 def build_data_sets(
     config: Config, burst: Burst, motions: Mapping[str, Tensor | None]
-) -> tuple[JointProblem, dict[str, Geometry]]:
-    """The problem that `config.datasets` describes, its fields at their starts.
+) -> tuple[dict[str, Problem], dict[str, Geometry]]:
+    """The data sets that `config.datasets` describes, their fields at their starts.
 
     Args:
         config: Already checked by `deepir.config.load`.
@@ -39,7 +38,7 @@ def build_data_sets(
         motions: (N, 3, 3) of each data set, as `deepir.build.problem.build` takes it.
 
     Returns:
-        The problem, and where each data set's frame 0 lies in its scene.
+        The data sets by name, and where the frame 0 of each lies in its scene.
 
     Raises:
         ConfigError: See `deepir.build.problem.build`; or a data set names an unknown that there is not.
@@ -62,8 +61,7 @@ def build_data_sets(
         problems[name] = problem
         prefix = f"{name}_" if name else ""
         known = {prefix + key: field for key, field in problem.fields.items()} | known
-    first = problems.pop(FIRST)
-    return JointProblem(first, problems), places
+    return problems, places
 
 
 def _built(

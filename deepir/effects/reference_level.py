@@ -44,7 +44,8 @@ def take_reference_level(problem: Problem) -> bool:
     level = _likeliest(problem, EVIDENCE_MARGIN)
     if level is None or abs(level) < MIN_DEVIATIONS * float(problem.data[problem.precision > 0].std()):
         return False
-    problem.measure_from(level)
+    for each in (problem, *problem.same_sensor):
+        each.measure_from(level)
     return True
 
 
@@ -53,9 +54,10 @@ def refine_reference_level(problem: Problem) -> None:
     """Improve a reference level other than zero by the fit of a later round, which goes on from where it is."""
     level = _likeliest(problem, REFINEMENT_MARGIN) if problem.reference else None
     if level is not None:
-        scene = problem.fields["scene"]
-        scene.init_from(scene() - (level - float(problem.reference)))
-        problem.measure_from(level)
+        for each in (problem, *problem.same_sensor):
+            scene = each.fields["scene"]
+            scene.init_from(scene() - (level - float(each.reference)))
+            each.measure_from(level)
         update_parts(problem)
 
 
@@ -106,7 +108,7 @@ def _follows_level(problem: Problem, values: Values) -> bool:
 class ReferenceLevel(Effect):
     """The level of the data at which gain and offset are independent of each other."""
 
-    compares_frames = True
+    compares_frames = of_sensor = True
 
     def update(self, problem: Problem, *, settled: bool) -> bool:
         if settled:

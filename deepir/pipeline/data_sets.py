@@ -47,12 +47,10 @@ def solve_data_sets(
     several = dataclasses.replace(kept[FIRST], datasets=others)
 
     def built() -> tuple[JointProblem, dict[str, Geometry]]:
-        problem, places = build_data_sets(config, several, motions)
-        problem = problem.to(config.device)
-        for each, (_, own, _) in zip(problem.data_sets, data_sets(config, several), strict=True):
-            given_noise(each, own)
-        recipe.initialise(problem, config.seed)
-        return problem, places
+        problems, places = build_data_sets(config, several, motions)
+        for name, own, _ in data_sets(config, several):
+            given_noise(problems[name].to(config.device), own)
+        return recipe.join(problems, config.seed), places
 
     problem, places = built()
     relative = relative_motions(problem, config, several)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
 
 from deepir.effects.effect import Effect
 from deepir.estimation.penalty_weights import weigh_scene
+from deepir.joint_problem import JointProblem
 from deepir.optim.held_out import hold_out
+from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
 from deepir.registry import lookup
 from deepir.schedule import Schedule, Stage, Step
@@ -35,6 +37,8 @@ class Recipe:
     judged: ClassVar[bool] = False
     #: Whether it solves several data sets together.
     several: ClassVar[bool] = False
+    #: Frames that are enough to check a configuration; None: all.
+    checked_frames: ClassVar[int | None] = None
     #: Weight of the scene's penalties while the sensor is estimated, relative to that of the scene's own stage.
     sensor_weight: ClassVar[float] = 1.0
     #: Operators that the physics must have.
@@ -56,6 +60,14 @@ class Recipe:
         self.start(problem)
         hold_out(problem, seed)
 
+    def join(self, problems: Mapping[str, Problem], seed: int) -> JointProblem:
+        """One problem of several data sets, of which each is initialised by itself; the first has the name ""."""
+        joint = JointProblem(problems[""], {name: each for name, each in problems.items() if name})
+        for k, each in enumerate(_each_by_itself(joint)):
+            self.initialise(each, seed + k)
+        self.weigh(joint, self.sensor_weight)
+        return joint
+
     def plan(self, problem: Any) -> Schedule:
         """The stages of the solve: a function of the problem alone."""
         closed = tuple(problem.closed_form())
@@ -65,26 +77,23 @@ class Recipe:
 
     def start(self, problem: Any) -> None:
         """The initial estimate, under the sensor's weight of the scene's penalties."""
-        for each in reversed(problem.data_sets):  # what several show starts at what the first shows of it
+        for each in _each_by_itself(problem):
             initial_estimate(each, self.effects)
         self.weigh(problem, self.sensor_weight)
 
     @torch.no_grad()
     def restart(self, problem: Any) -> None:
         """Start scene and pattern anew, with the masks and the levels that were found."""
-        for name in problem.closed_form():
-            for part in problem.fields[name].parts():
-                part.assign(torch.zeros_like(part.values))
-                if not part.sigma_is_fixed:
-                    part.sigma.zero_()
+        _forget_pattern(problem)
         self.start(problem)
 
     def update(self, problem: Any, *, settled: bool = True) -> None:
         """Hyperparameters and masks from the last round; a new start where an effect asks for one."""
         again = [
             effect.update(each, settled=settled)
-            for each in problem.data_sets
+            for i, each in enumerate(problem.data_sets)
             for effect in self.between_rounds()
+            if not (effect.of_sensor and set(each.same_sensor) & set(problem.data_sets[:i]))
         ]
         self.weigh(problem, self.sensor_weight)
         if any(again):
@@ -127,3 +136,25 @@ class Recipe:
             for line in effect.messages(each, complete=complete)
         ]
         return [*self.messages, *dict.fromkeys(found)]
+
+
+def _each_by_itself(problem: Any) -> Iterator[Problem]:
+    """The data sets, the first one last: what several show starts as that shows it.
+
+    While one is at hand it knows nothing of the others, nor of the pattern that they found.
+    """
+    for k, each in enumerate(reversed(problem.data_sets)):
+        others, each.same_sensor = each.same_sensor, ()
+        if k > 0:
+            _forget_pattern(each)
+        yield each
+        each.same_sensor = others
+
+
+@torch.no_grad()
+def _forget_pattern(problem: Any) -> None:
+    for name in problem.closed_form():
+        for part in problem.fields[name].parts():
+            part.assign(torch.zeros_like(part.values))
+            if not part.sigma_is_fixed:
+                part.sigma.zero_()
