@@ -54,9 +54,10 @@ def refine_reference_level(problem: Problem) -> None:
     """Improve a reference level other than zero by the fit of a later round, which goes on from where it is."""
     level = _likeliest(problem, REFINEMENT_MARGIN) if problem.reference else None
     if level is not None:
+        change = level - float(problem.reference)
+        for scene in dict.fromkeys(each.fields["scene"] for each in (problem, *problem.same_sensor)):
+            scene.init_from(scene() - change)
         for each in (problem, *problem.same_sensor):
-            scene = each.fields["scene"]
-            scene.init_from(scene() - (level - float(each.reference)))
             each.measure_from(level)
         update_parts(problem)
 
@@ -108,7 +109,8 @@ def _follows_level(problem: Problem, values: Values) -> bool:
 class ReferenceLevel(Effect):
     """The level of the data at which gain and offset are independent of each other."""
 
-    compares_frames = of_sensor = True
+    compares_frames = True
+    of_sensor = True
 
     def update(self, problem: Problem, *, settled: bool) -> bool:
         if settled:

@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from deepir.fields.gaussian_field import GaussianField
 from deepir.joint_problem import AnyProblem
-from deepir.optim.preconditioner import BlockPreconditioner, Preconditioner
+from deepir.optim.block_preconditioner import BlockPreconditioner
+from deepir.optim.preconditioner import Preconditioner
 from deepir.problem import Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]

@@ -11,8 +11,8 @@ from torch import Tensor
 from deepir.joint_problem import AnyProblem
 from deepir.operators import Warp
 from deepir.optim import Optimiser, free_parameters
+from deepir.optim.block_preconditioner import make_block_preconditioner
 from deepir.optim.degrees_of_freedom import degrees_of_freedom, is_joint_with_motion
-from deepir.optim.preconditioner import make_preconditioner
 from deepir.problem import Values
 from deepir.registry import lookup
 from deepir.schedule import Stage, Step
@@ -66,7 +66,7 @@ def optimisers_of(problem: AnyProblem, stage: Stage) -> list[tuple[Optimiser, St
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, _ in found:
         if optimiser.preconditioned:
-            optimiser.preconditioner = make_preconditioner(
+            optimiser.preconditioner = make_block_preconditioner(
                 problem, optimiser.parameters, eliminated, high_frequencies_only=stage.fine
             )
     return found

@@ -29,7 +29,6 @@ from deepir.fields.dense_motion import Flow
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise
 from deepir.fields.motion import Motion
-from deepir.joint_problem import AnyProblem
 from deepir.operators import Lag, Sensor
 from deepir.optim.fourier_hessian import (
     N_MOTION_POSITIONS,
@@ -137,55 +136,14 @@ def leaf_fields(problem: Problem) -> Iterator[Field]:
         yield from (module for module in field.modules() if isinstance(module, Field))
 
 
-class BlockPreconditioner:
-    """Those of data sets that have no moving unknown in common, each on its own parameters.
-
-    Args:
-        blocks: The preconditioner of each data set, and its parameters, which are in its order.
-        parameters: All that the optimiser moves.
-    """
-
-    def __init__(
-        self,
-        blocks: Sequence[tuple[Preconditioner, Sequence[nn.Parameter]]],
-        parameters: Sequence[nn.Parameter],
-    ) -> None:
-        self.sizes = [p.numel() for p in parameters]
-        at = {id(p): i for i, p in enumerate(parameters)}
-        self.blocks = [(one, [at[id(p)] for p in mine]) for one, mine in blocks]
-
-    @property
-    def tensors(self) -> dict[str, Tensor]:
-        """Those of all blocks."""
-        each = enumerate(one for one, _ in self.blocks)
-        return {f"{i}.{name}": tensor for i, one in each for name, tensor in one.tensors.items()}
-
-    @tensors.setter
-    def tensors(self, found: dict[str, Tensor]) -> None:
-        for i, (one, _) in enumerate(self.blocks):
-            one.tensors = {name: found[f"{i}.{name}"] for name in one.tensors}
-
-    def solve(self, slope: Tensor) -> Tensor:
-        """The approximate inverse Hessian times a flat gradient."""
-        given, found = slope.split(self.sizes), torch.empty_like(slope)
-        into = found.split(self.sizes)
-        for one, at in self.blocks:
-            mine = one.solve(torch.cat([given[i] for i in at])).split([self.sizes[i] for i in at])
-            for i, each in zip(at, mine, strict=True):
-                into[i].copy_(each)
-        return found
-
-
 def make_preconditioner(
-    problem: AnyProblem,
+    problem: Problem,
     parameters: Sequence[nn.Parameter],
     eliminated: Collection[str] = (),
     *,
     high_frequencies_only: bool = False,
-) -> Preconditioner | BlockPreconditioner | None:
+) -> Preconditioner | None:
     """Preconditioner of an optimiser, or None without a Fourier model of the problem.
-
-    Data sets have one each if every parameter belongs to one of them.
 
     Args:
         problem: Its current values are the point of expansion.
@@ -193,29 +151,6 @@ def make_preconditioner(
         eliminated: Unknowns in closed form.
         high_frequencies_only: Leave low frequencies of the scene unchanged.
     """
-    blocks, taken = [], 0
-    for each in problem.data_sets:
-        of_each = {id(p) for p in each.parameters()}
-        mine = [p for p in parameters if id(p) in of_each]
-        own = [name for name, whole in problem.names_in(each).items() if whole in eliminated]
-        one = _preconditioner(each, mine, own, high_frequencies_only=high_frequencies_only)
-        if one is None:
-            return None
-        blocks.append((one, mine))
-        taken += len(mine)
-    if len(blocks) == 1:
-        return blocks[0][0]
-    return BlockPreconditioner(blocks, parameters) if taken == len(parameters) else None
-
-
-def _preconditioner(
-    problem: Problem,
-    parameters: Sequence[nn.Parameter],
-    eliminated: Collection[str],
-    *,
-    high_frequencies_only: bool,
-) -> Preconditioner | None:
-    """That of one data set."""
     of_fields = {id(p) for field in problem.fields.values() for p in field.parameters()}
     of_scene = {id(p) for p in problem.fields["scene"].parameters()}
     mine = {id(p) for p in parameters}

@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from deepir.build.data_sets import FIRST
-from deepir.build.problem import build
+from deepir.build.problem import build, make_operator
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import DataError
 from deepir.joint_problem import JointProblem
-from deepir.operators.geometry import Geometry
+from deepir.operators import Warp
+from deepir.operators.geometry import Canvas, Geometry
 from deepir.optim.held_out import has_held_out, hold_out
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress, Solution, solve
@@ -80,7 +81,13 @@ def bursts(
     if count < 1 or frames < max(recipe.frames, 2):
         raise ValueError(f"count = {count}, frames = {frames}: at least one burst of two frames is needed")
     chosen = choose_bursts(burst, config, recipe, count, frames)
-    built = [build(config, each.burst, each.motion) for each in chosen]
+    size = burst.size
+    operators = [make_operator(config, size, len(each.numbers), each.motion)[0] for each in chosen]
+    warps = [stage for each in operators for _, stage in each.named()[:1] if isinstance(stage, Warp)]
+    canvas = (
+        Canvas.around(warps) if warps else None
+    )  # of one size: what the scenes have in common is told apart
+    built = [build(config, each.burst, each.motion, canvas=canvas) for each in chosen]
     names = [FIRST, *(f"burst{k}" for k in range(1, len(chosen)))]
     problems = {name: problem.to(config.device) for name, (problem, _) in zip(names, built, strict=True)}
     messages = [line for each in chosen for line in each.messages]
