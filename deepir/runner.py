@@ -92,6 +92,7 @@ def check_components(config: Config, data: bursts.Burst) -> None:
     """
     recipe = make_recipe(config)
     if config.datasets:
+        data = dataclasses.replace(data, datasets=dict.fromkeys(config.datasets, data) | {**data.datasets})
         _check_several(config, data, recipe)
         still = {name: _at_rest(each) for name, _, each in data_sets(config, data)}
         problems, _ = build_data_sets(config, data, still)

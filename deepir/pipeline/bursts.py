@@ -16,7 +16,7 @@ from deepir.build.data_sets import FIRST
 from deepir.build.problem import build, make_operator
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.errors import DataError
+from deepir.errors import ConfigError, DataError
 from deepir.joint_problem import JointProblem
 from deepir.operators import Warp
 from deepir.operators.geometry import Canvas, Geometry
@@ -74,12 +74,14 @@ def bursts(
         checkpoint: Where the solver saves its state.
 
     Raises:
-        ValueError: `count` or `frames` is too small.
+        ConfigError: `count` or `frames` is too small.
         DataError: No burst registers.
     """
     recipe = make_recipe(config)
     if count < 1 or frames < max(recipe.frames, 2):
-        raise ValueError(f"count = {count}, frames = {frames}: at least one burst of two frames is needed")
+        raise ConfigError(
+            f"method.count = {count}, method.frames = {frames}: at least one burst of two frames is needed"
+        )
     chosen = choose_bursts(burst, config, recipe, count, frames)
     size = burst.size
     operators = [make_operator(config, size, len(each.numbers), each.motion)[0] for each in chosen]
@@ -183,6 +185,7 @@ def _collected(
         mine = dataclasses.replace(solution, values=own)
         results.append(make_result(each, place, mine, frames, used, used, [], math.nan))
     whole = results[0]
+    of_camera = set.intersection(*(set(joint.names_in(each).values()) for each in joint.data_sets))
     n_frames = len(burst.frames)
     motion, level = np.full((n_frames, 3, 3), np.nan), np.zeros(n_frames, np.float32)
     for part, result in zip(chosen, results, strict=True):
@@ -195,7 +198,7 @@ def _collected(
         frames_used=np.isfinite(motion).all((1, 2)),
         bad_pixels=burst.bad_pixels,
         messages=list(dict.fromkeys([*messages, *(line for each in results for line in each.messages)])),
-        extra={},
+        extra={name: each for name, each in whole.extra.items() if name in of_camera},
         uncertainty={name: each for name, each in whole.uncertainty.items() if name != "scene"},
         metrics=whole.metrics | {"bursts": [part.numbers.tolist() for part in chosen]},
     )
