@@ -44,15 +44,19 @@ def take_reference_level(problem: Problem) -> bool:
     level = _likeliest(problem, EVIDENCE_MARGIN)
     if level is None or abs(level) < MIN_DEVIATIONS * float(problem.data[problem.precision > 0].std()):
         return False
-    for each in (problem, *problem.same_sensor):
-        each.measure_from(level)
+    problem.measure_from(level)
     return True
 
 
 @torch.no_grad()
 def refine_reference_level(problem: Problem) -> None:
-    """Improve a reference level other than zero by the fit of a later round, which goes on from where it is."""
-    level = _likeliest(problem, REFINEMENT_MARGIN) if problem.reference else None
+    """Improve a reference level other than zero by the fit of a later round, which goes on from where it is.
+
+    Data sets of one sensor have one level, and go on from where they are when it is first taken, too.
+    """
+    level = None
+    if problem.reference or problem.same_sensor:
+        level = _likeliest(problem, REFINEMENT_MARGIN if problem.reference else EVIDENCE_MARGIN)
     if level is not None:
         change = level - float(problem.reference)
         for scene in dict.fromkeys(each.fields["scene"] for each in (problem, *problem.same_sensor)):
@@ -113,7 +117,7 @@ class ReferenceLevel(Effect):
     of_sensor = True
 
     def update(self, problem: Problem, *, settled: bool) -> bool:
-        if settled:
+        if settled or problem.same_sensor:
             refine_reference_level(problem)
             return False
         return take_reference_level(problem)

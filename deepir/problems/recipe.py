@@ -63,7 +63,7 @@ class Recipe:
     def join(self, problems: Mapping[str, Problem], seed: int) -> JointProblem:
         """One problem of several data sets, of which each is initialised by itself; the first has the name ""."""
         joint = JointProblem(problems[""], {name: each for name, each in problems.items() if name})
-        for k, each in enumerate(_each_by_itself(joint)):
+        for k, each in enumerate(each_by_itself(joint)):
             self.initialise(each, seed + k)
         self.weigh(joint, self.sensor_weight)
         return joint
@@ -77,7 +77,7 @@ class Recipe:
 
     def start(self, problem: Any) -> None:
         """The initial estimate, under the sensor's weight of the scene's penalties."""
-        for each in _each_by_itself(problem):
+        for each in each_by_itself(problem):
             initial_estimate(each, self.effects)
         self.weigh(problem, self.sensor_weight)
 
@@ -138,7 +138,7 @@ class Recipe:
         return [*self.messages, *dict.fromkeys(found)]
 
 
-def _each_by_itself(problem: Any) -> Iterator[Problem]:
+def each_by_itself(problem: Any) -> Iterator[Problem]:
     """The data sets, the first one last: what several show starts as that shows it.
 
     While one is at hand it knows nothing of the others, nor of the pattern that they found.
