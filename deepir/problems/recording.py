@@ -16,7 +16,7 @@ from deepir.schedule import Schedule
 class Recording(NUC):
     """Gain and offset from several bursts of a recording; a scene, a motion and levels for each of them.
 
-    Its rounds are those of `nuc`. Each burst takes the first one by itself, so that their scenes are near the truth when
+    Its rounds are those of `nuc`. Each burst takes the first one by itself, so that scenes are near the truth when
     they meet; from then on all bursts share the sensor, see `deepir.joint_problem`.
     """
 
