@@ -20,14 +20,13 @@ from deepir.errors import ConfigError, DataError
 from deepir.joint_problem import JointProblem
 from deepir.operators import Warp
 from deepir.operators.geometry import Canvas, Geometry
-from deepir.optim.held_out import has_held_out, hold_out
 from deepir.optim.position import Checkpoint
-from deepir.optim.solve import Progress, Solution, solve
+from deepir.optim.solve import Progress, Solution
 from deepir.pipeline.collect import make_result
+from deepir.pipeline.data_sets import solve_jointly
 from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
-from deepir.pipeline.register import register_frames
-from deepir.pipeline.schedule import network_message, plan
+from deepir.pipeline.register import motion_model, register_frames
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
 from deepir.registry import register
@@ -74,7 +73,7 @@ def bursts(
         checkpoint: Where the solver saves its state.
 
     Raises:
-        ConfigError: `count` or `frames` is too small.
+        ConfigError: `count` or `frames` is too small, or the problem or its physics are not of this kind.
         DataError: No burst registers.
     """
     recipe = make_recipe(config)
@@ -82,13 +81,17 @@ def bursts(
         raise ConfigError(
             f"method.count = {count}, method.frames = {frames}: at least one burst of two frames is needed"
         )
+    if not recipe.several or motion_model(config) is None:
+        raise ConfigError(
+            "method 'bursts' needs a problem of several data sets, and a motion that starts at 'register': take "
+            "problem=recording, or problem=generic with a stage 'warp'"
+        )
     chosen = choose_bursts(burst, config, recipe, count, frames)
     size = burst.size
     operators = [make_operator(config, size, len(each.numbers), each.motion)[0] for each in chosen]
     warps = [stage for each in operators for _, stage in each.named()[:1] if isinstance(stage, Warp)]
-    canvas = (
-        Canvas.around(warps) if warps else None
-    )  # of one size: what the scenes have in common is told apart
+    # Scenes of one size, so that what they have in common is told apart.
+    canvas = Canvas.around(warps) if warps else None
     built = [build(config, each.burst, each.motion, canvas=canvas) for each in chosen]
     names = [FIRST, *(f"burst{k}" for k in range(1, len(chosen)))]
     problems = {name: problem.to(config.device) for name, (problem, _) in zip(names, built, strict=True)}
@@ -98,16 +101,11 @@ def bursts(
         share_camera(problems[FIRST], each)
     alive = [each.alive() for each in problems.values()]
     joint = recipe.join(problems, config.seed)
-    stages = plan(joint, recipe, config)
-    if config.scene.get("fit") and not has_held_out(joint):
-        hold_out(joint, config.seed)
-    messages += network_message(joint, stages)
-    solution = solve(joint, stages, callbacks=callbacks, checkpoint=checkpoint)
-    messages += recipe.warnings(joint, complete=config.solver.max_iterations is None)
+    solution, found = solve_jointly(joint, recipe, config, callbacks, checkpoint)
     lost = torch.stack([was & ~each.alive() for was, each in zip(alive, joint.data_sets, strict=True)])
     bad = burst.bad_pixels | (lost.double().mean(0) > 0.5).cpu().numpy()
     known = dataclasses.replace(burst, bad_pixels=bad)
-    return _collected(joint, solution, known, chosen, [place for _, place in built], messages)
+    return _collected(joint, solution, known, chosen, [place for _, place in built], messages + found)
 
 
 def choose_bursts(

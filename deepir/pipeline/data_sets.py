@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,13 +21,14 @@ from deepir.operators.geometry import Geometry
 from deepir.operators.homography import homographies
 from deepir.optim.held_out import has_held_out, hold_out
 from deepir.optim.position import Checkpoint
-from deepir.optim.solve import solve
+from deepir.optim.solve import Solution, solve
 from deepir.pipeline.collect import make_result
 from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import motion_model, register_frames
 from deepir.pipeline.schedule import network_message, plan
 from deepir.problem import Problem
+from deepir.problems.recipe import Recipe
 from deepir.registration import register
 from deepir.result import Result
 
@@ -53,28 +55,37 @@ def solve_data_sets(
         return recipe.join(problems, config.seed), places
 
     problem, places = built()
-    relative = relative_motions(problem, config, several)
-    if relative:
+    if relative := relative_motions(problem, config, several):
         for name, motion in relative.items():
-            before = motions[name]
-            motions[name] = motion if before is None else motion @ before
+            motions[name] = motion if (before := motions[name]) is None else motion @ before
         problem, places = built()
     for each in problem.data_sets[1:]:
         if problem.names_in(each)["scene"] == "scene":
             start_radiometry(each)
+    solution, found = solve_jointly(problem, recipe, config, callbacks, checkpoint)
+    frames_used, place = used[FIRST], places.pop(FIRST)
+    result = make_result(
+        problem.first, place, solution, burst, frames_used, frames_used, messages + found, math.nan
+    )
+    for name, place in places.items():
+        add_unknowns(result, problem, name, place)
+    return result
+
+
+def solve_jointly(
+    problem: JointProblem,
+    recipe: Recipe,
+    config: Config,
+    callbacks: Sequence[Any],
+    checkpoint: Checkpoint | None,
+) -> tuple[Solution, list[str]]:
+    """Run the plan of a problem that is started; the solution, and messages on it."""
     stages = plan(problem, recipe, config)
     if config.scene.get("fit") and not has_held_out(problem):
         hold_out(problem, config.seed)
-    messages += network_message(problem, stages)
+    messages = network_message(problem, stages)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
-    messages += recipe.warnings(problem, complete=config.solver.max_iterations is None)
-    first = problem.first
-    result = make_result(
-        first, places[FIRST], solution, burst, used[FIRST], used[FIRST], messages, float("nan")
-    )
-    for name, place in list(places.items())[1:]:
-        add_unknowns(result, problem, name, place)
-    return result
+    return solution, messages + recipe.warnings(problem, complete=config.solver.max_iterations is None)
 
 
 def _within(name: str, message: str) -> str:

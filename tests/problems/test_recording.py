@@ -94,6 +94,7 @@ def test_the_prior_is_swapped_in_one_line(film, prior):
         ("method.count=0", r"at least one burst of two frames"),
         ("method.frames=1", r"at least one burst of two frames"),
         ("method.bursts=3", r"no option 'bursts'"),
+        ("problem=nuc", r"needs a problem of several data sets"),
     ],
 )
 def test_a_wrong_choice_is_refused(film, change, message):
