@@ -66,8 +66,7 @@ class BlockPreconditioner:
 
     def _of_one_sensor(self, slopes: Sequence[Sequence[Tensor]]) -> list[list[Tensor]]:
         """The scenes' mean and the levels of frames behind a free pattern, all else behind a known one."""
-        scenes = [mine[each.free.scene] for each, mine in zip(self.blocks, slopes, strict=True)]
-        mean = torch.stack(scenes).mean(0)
+        mean = self._mean(slopes)
         common, rest = [], []
         for each, mine in zip(self.blocks, slopes, strict=True):
             assert each.known is not None
@@ -78,12 +77,17 @@ class BlockPreconditioner:
             rest.append(
                 _solved(each.known, [one - low[i] if i in low else one for i, one in enumerate(mine)])
             )
-        shared = torch.stack(
-            [one[each.free.scene] for each, one in zip(self.blocks, common, strict=True)]
-        ).mean(0)
-        for each, one in zip(self.blocks, common, strict=True):
+        shared, extra = self._mean(common), self._mean(rest)
+        for each, one, other in zip(self.blocks, common, rest, strict=True):
             one[each.free.scene] = shared
+            other[each.free.scene] = other[each.free.scene] - extra
         return [[a + b for a, b in zip(*both, strict=True)] for both in zip(common, rest, strict=True)]
+
+    def _mean(self, parts: Sequence[Sequence[Tensor]]) -> Tensor:
+        """The mean of the scenes."""
+        return torch.stack([one[each.free.scene] for each, one in zip(self.blocks, parts, strict=True)]).mean(
+            0
+        )
 
 
 def _solved(preconditioner: Preconditioner, slopes: Sequence[Tensor]) -> list[Tensor]:
@@ -110,13 +114,12 @@ def make_block_preconditioner(
         mine = [p for p in each.parameters() if id(p) in numbers]
         mine.sort(key=lambda p: numbers[id(p)])
         own = [name for name, whole in problem.names_in(each).items() if whole in eliminated]
-
-        def of(names: Collection[str], each=each, mine=mine) -> Preconditioner | None:  # type: ignore[no-untyped-def]
-            return make_preconditioner(each, mine, names, high_frequencies_only=high_frequencies_only)
-
-        if (free := of(own)) is None:
+        free = make_preconditioner(each, mine, own, high_frequencies_only=high_frequencies_only)
+        if free is None:
             return None
-        known = of(()) if own and each.same_sensor else None
+        known = None
+        if own and each.same_sensor:
+            known = make_preconditioner(each, mine, (), high_frequencies_only=high_frequencies_only)
         blocks.append(_Block([numbers[id(p)] for p in mine], free, known))
     if len(blocks) == 1:
         return blocks[0].free
