@@ -52,6 +52,7 @@ class Burst:
         messages: Warnings on what was left out.
         bands: The other bands of frames of several, each like the first.
         motion: (N, 3, 3), known pull homographies, px, NaN for frames that are left out; None: it is registered.
+        datasets: Further data sets of the problem, by name.
     """
 
     frames: Array
@@ -67,6 +68,7 @@ class Burst:
     messages: tuple[str, ...] = ()
     bands: tuple[Burst, ...] = ()
     motion: Array | None = None
+    datasets: Mapping[str, Burst] = field(default_factory=dict)
 
     @property
     def size(self) -> tuple[int, int]:

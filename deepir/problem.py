@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -19,6 +19,8 @@ from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 from deepir.registered_average import RegisteredAverage
 
 Values = dict[str, Tensor]
+#: Flux, data and precision of samples, (N, 1, h, w), and the levels of their frames, (N,).
+Samples = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Problem(nn.Module):
     smoothness_exponent: Tensor
     #: Sum of squared residuals under a weak prior, in variances of the noise, (); inf until it is known.
     reference_misfit: Tensor
+    #: Other data sets that show the same gain and offset, see `deepir.joint_problem`.
+    same_sensor: tuple[Problem, ...] = ()
 
     def __init__(
         self,
@@ -102,6 +106,20 @@ class Problem(nn.Module):
         self.register_buffer("gains_are_equal", torch.tensor(False))
         self.register_buffer("smoothness_exponent", torch.tensor(0.0))
         self.register_buffer("reference_misfit", torch.tensor(torch.inf, dtype=torch.float64))
+
+    @property
+    def data_sets(self) -> tuple[Problem, ...]:
+        """The problem itself: see `deepir.joint_problem` for several."""
+        return (self,)
+
+    @property
+    def scenes(self) -> dict[str, tuple[Problem, ...]]:
+        """Unknowns that are scenes, and the data sets that show each."""
+        return {"scene": (self,)}
+
+    def names_in(self, data_set: Problem) -> dict[str, str]:
+        """Names of the unknowns in a data set, and in the whole problem: the same."""
+        return {name: name for name in self.fields}
 
     def slot(self, kind: type[Operator], slot: str) -> str:
         """The name of a slot of the first stage of a kind; "" if there is none."""
@@ -212,15 +230,26 @@ class Problem(nn.Module):
 
     def misfit(self, values: Values, eliminated: Collection[str], precision: Tensor) -> Tensor:
         """Negative log-likelihood of the data, in nats; the `data` term of `losses`."""
-        name, last = self.operator.named()[-1]
-        if not isinstance(last, Sensor):
+        if not isinstance(self.operator.named()[-1][1], Sensor):
             return self.fidelity(self.predict(values), self.data, precision)
         flux = self.flux(values)
-        found = self._eliminate(values, eliminated, flux.detach(), precision) if eliminated else None
+        if not eliminated:
+            return self.sensor_misfit(values, flux, precision)
+        found = self.eliminate_from([self.samples(values, eliminated, flux, precision)], values, eliminated)
+        return self.sensor_misfit(values, flux, precision, found.log_det_gradient())
+
+    def sensor_misfit(
+        self,
+        values: Values,
+        flux: Tensor,
+        precision: Tensor,
+        log_det: tuple[Tensor, Tensor, Tensor] | None = None,
+    ) -> Tensor:
+        """The same given the flux on a sensor that is the last stage; see `sensor_least_squares` for `log_det`."""
+        name, last = self.operator.named()[-1]
         slots = slots_of(self._slot_values(values), name)
         moves = slots["gain"].requires_grad or slots["offset"].requires_grad
         if isinstance(self.fidelity, Gaussian) and not moves:
-            log_det = None if found is None else found.log_det_gradient()
             sensor = (slots["gain"], slots["offset"], slots["level"])
             return sensor_least_squares(flux, self.data, precision, sensor, log_det)
         return self.fidelity(last(flux, **slots), self.data, precision)
@@ -290,29 +319,48 @@ class Problem(nn.Module):
         Returns the posterior variance of each part, by unknown, see `deepir.closed_form.variable_projection`. `flux`
         and `precision` spare their computation where they are known.
         """
-        flux = self.flux(values) if flux is None else flux
-        precision = self.fitted() if precision is None else precision
-        found = self._eliminate(values, group, flux, precision)
+        found = self._solved(values, group, flux, self.fitted() if precision is None else precision)
         return dict(zip(list(self.sensor_unknowns().values())[:2], found.posterior_variances(), strict=True))
 
     @torch.no_grad()
     def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Elimination:
         """Posterior of gain and offset given the others, from the samples that are fitted."""
-        return self._eliminate(values, group, self.flux(values) if flux is None else flux, self.fitted())
+        return self._solved(values, group, flux, self.fitted())
+
+    def _solved(
+        self, values: Values, group: Collection[str], flux: Tensor | None, precision: Tensor
+    ) -> Elimination:
+        """From the samples of this data set, and from those of all that show the same sensor."""
+        samples = [self.samples(values, group, self.flux(values) if flux is None else flux, precision)]
+        slots = [slot for slot, name in self.sensor_unknowns().items() if name in group]
+        for other in self.same_sensor:
+            theirs, names = other.values(), [other.sensor_unknowns()[slot] for slot in slots]
+            samples.append(other.samples(theirs, names, other.flux(theirs), other.fitted()))
+        return self.eliminate_from(samples, values, group)
 
     @torch.no_grad()
-    def _eliminate(
-        self, values: Values, group: Collection[str], flux: Tensor, precision: Tensor
-    ) -> Elimination:
+    def samples(self, values: Values, group: Collection[str], flux: Tensor, precision: Tensor) -> Samples:
+        """What the unknowns of `group` are to explain: the data less what is known of gain and offset."""
         gain, offset, level = self.sensor_unknowns().values()
         data = self.data if gain in group else self.data - values[gain] * flux
         if offset not in group and values[offset].any():
             data = data - values[offset]
         if (levels := values[level]).numel() > len(levels):  # of lines
             data, levels = data - levels, torch.zeros_like(levels[..., 0, 0])
+        return flux.detach(), data, precision, levels.flatten()
+
+    @torch.no_grad()
+    def eliminate_from(
+        self, samples: Sequence[Samples], values: Values, group: Collection[str]
+    ) -> Elimination:
+        """Set the unknowns of `group` to their optimum given the `samples` of one or several data sets."""
+        gain, offset = list(self.sensor_unknowns().values())[:2]
+        flux, data, precision, level = (
+            each[0] if len(each) == 1 else torch.cat(each) for each in zip(*samples, strict=True)
+        )
         parts = [self.fields[each].parts() if each in group else () for each in (gain, offset)]
         neutral = [self.fields[each].neutral if each in group else 0.0 for each in (gain, offset)]
-        found = eliminate(flux, data, precision, *parts, level=levels, neutral=(neutral[0], neutral[1]))
+        found = eliminate(flux, data, precision, *parts, level=level, neutral=(neutral[0], neutral[1]))
         both = zip((gain, offset), found.values, strict=True)
         values.update({name: value[None, None] for name, value in both if name in group})
         return found

@@ -28,6 +28,7 @@ COMPONENT_MODULES = {
     "problem": ["deepir.problems"],
     "effect": ["deepir.effects"],
     "method": [
+        "deepir.pipeline.bursts",
         "deepir.pipeline.reconstruct",
         "deepir.pipeline.whole_recording",
         "deepir.baselines",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import platform
 import sys
@@ -17,10 +18,12 @@ import torch
 
 import deepir
 from deepir import burst as bursts
+from deepir.build.data_sets import FIRST, build_data_sets, data_sets
 from deepir.build.problem import build
 from deepir.comparison import compare_to_truth
-from deepir.config import Config
-from deepir.errors import ConfigError, DataError
+from deepir.config import Config, Data
+from deepir.errors import ConfigError, DataError, DeepIRError
+from deepir.joint_problem import JointProblem
 from deepir.kernels import memory, threads
 from deepir.messages import labelled
 from deepir.metrics import roughness
@@ -31,6 +34,7 @@ from deepir.pipeline.frame_order import demand_order
 from deepir.pipeline.method import chosen
 from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.schedule import plan
+from deepir.problems.recipe import Recipe
 from deepir.registry import lookup
 from deepir.result import Result
 
@@ -64,8 +68,20 @@ def prepare(
             seed=config.seed,
             ordered=definition.ordered,
         )
+        others = {name: _further(name, each.data, config) for name, each in config.datasets.items()}
+        data = dataclasses.replace(data, datasets=others)
         check_components(config, data)
     return data
+
+
+def _further(name: str, data: Data, config: Config) -> bursts.Burst:
+    """The frames of a further data set; errors name it."""
+    if data.path is None and data.simulate is None:
+        raise DataError(f"datasets.{name}.data.path is missing: give the file of this data set")
+    try:
+        return bursts.load(data, seed=config.seed)
+    except DeepIRError as error:
+        raise type(error)(f"datasets.{name}: {error}") from error
 
 
 def check_components(config: Config, data: bursts.Burst) -> None:
@@ -74,9 +90,18 @@ def check_components(config: Config, data: bursts.Burst) -> None:
     Raises:
         ConfigError: A component is wrong, or the problem lacks a stage that it needs.
     """
-    still = torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
-    problem, _ = build(config, data, still)
     recipe = make_recipe(config)
+    if config.datasets:
+        data = dataclasses.replace(data, datasets=dict.fromkeys(config.datasets, data) | {**data.datasets})
+        _check_several(config, data, recipe)
+        still = {name: _at_rest(each) for name, _, each in data_sets(config, data)}
+        problems, _ = build_data_sets(config, data, still)
+        plan(JointProblem(problems.pop(FIRST), problems), recipe, config)
+        return
+    if recipe.checked_frames is not None:
+        few = slice(recipe.checked_frames)
+        data = dataclasses.replace(data, frames=data.frames[few], valid=data.valid[few], clipped=None)
+    problem, _ = build(config, data, _at_rest(data))
     if data.bands and config.problem not in PROBLEMS:
         raise DataError(
             f"{data.source}: frames of {1 + len(data.bands)} bands; problem '{config.problem}' takes one band, "
@@ -88,6 +113,24 @@ def check_components(config: Config, data: bursts.Burst) -> None:
                 f"physics: problem '{config.problem}' needs a stage '{name}'; or take problem=generic"
             )
     plan(problem, recipe, config)
+
+
+def _check_several(config: Config, data: bursts.Burst, recipe: Recipe) -> None:
+    """Raise `ConfigError` where problem, method or names do not go with several data sets."""
+    if wrong := next((name for name in config.datasets if not name.isidentifier()), None):
+        raise ConfigError(f"datasets.{wrong}: a data set's name is a word of letters, digits and _")
+    if not recipe.several:
+        raise ConfigError(f"datasets: problem '{config.problem}' takes one data set; take problem=generic")
+    if (method := chosen(config)[0]) != "joint":
+        raise ConfigError(f"datasets: method '{method}' takes one data set; take method=joint")
+    if data.bands or any(each.bands for each in data.datasets.values()):
+        raise DataError(
+            "datasets: frames of several bands; give each band as a data set, frames[:, 0] and so on"
+        )
+
+
+def _at_rest(data: bursts.Burst) -> torch.Tensor:
+    return torch.eye(3, dtype=torch.float64).repeat(len(data.frames), 1, 1)
 
 
 def execute(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-
-from deepir.problem import Problem
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -31,15 +30,15 @@ class Stage:
     name: str
     steps: tuple[Step, ...]
     iterations: int = 100
-    prepare: Callable[[Problem], None] | None = None
+    prepare: Callable[[Any], None] | None = None
     use_held_out: bool = False
     #: What is slow of the scene stays as it was found; see `deepir.optim.preconditioner`.
     fine: bool = False
     tolerance: float = 1e-5  # stop when ten iterations gain less than this, in nats for each sample
     #: Asked when the stage comes, before all else: it is left out if there is no need.
-    needed: Callable[[Problem], bool] | None = None
+    needed: Callable[[Any], bool] | None = None
     #: Called before `prepare` to put a field in another's place; and again when a later solve goes on from here.
-    change: Callable[[Problem], None] | None = None
+    change: Callable[[Any], None] | None = None
 
 
 class Schedule(list[Stage]):

@@ -121,7 +121,8 @@ def schema_keys(schema, prefix=""):
         only_a_group = isinstance(field.default, BaseModel) or field.default_factory is not None
         if not only_a_group:
             found[prefix + name] = ... if field.is_required() else field.default
-        for model in _models(field.annotation):
+        again = prefix.startswith("datasets.")  # their data and noise have the keys of the first one's
+        for model in [] if again else _models(field.annotation):
             found |= schema_keys(model, f"{prefix}{name}.")
     return found
 

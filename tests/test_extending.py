@@ -302,3 +302,11 @@ def test_an_effect_of_a_plugin_has_a_switch(lens, vignetted):
     assert not any("flash" in message for message in without.messages)
     taken = deepir.run("nuc", "effects.flash.min_rise=1.5", *short, frames=flashed)
     assert any("flash" in message for message in taken.messages)
+
+
+def test_an_operator_between_warp_and_sensor_is_one_for_all_bursts_of_a_recording(lens, vignetted):
+    frames = np.concatenate([vignetted[0], vignetted[0][::-1]])
+    changes = ("physics.falloff={strength: uniform, before: sensor}", "method.count=2", "method.frames=5")
+    result = deepir.run("recording", *QUICK, *changes, "prior=tv", frames=frames)
+    assert result.scene.shape == (2, 48, 64)
+    assert result.extra["strength"] == pytest.approx(0.1, abs=0.1)

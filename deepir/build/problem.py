@@ -9,7 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.build.unknowns import complete, demand_sense, make_field, make_penalties, start_field
+from deepir.build.unknowns import (
+    complete,
+    demand_sense,
+    make_field,
+    make_penalties,
+    shared_field,
+    start_field,
+)
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.config.components import make, options_schema
@@ -17,7 +24,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity
 from deepir.operators import Chain, Operator, Sensor, Warp
-from deepir.operators.geometry import Geometry, footprint, locate_first_frame
+from deepir.operators.geometry import Canvas, Geometry, footprint, locate_first_frame
 from deepir.operators.trajectory import Trajectory
 from deepir.priors.penalties.base import Penalty
 from deepir.problem import Problem
@@ -29,19 +36,29 @@ PIXELS_WITH_TV = {"type": "pixels", "penalties": {"tv": "auto"}}
 NO_PHYSICS: dict[str, dict[str, Any] | None] = {"identity": None}
 
 
-def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[Problem, Geometry]:
+def build(
+    config: Config,
+    burst: Burst,
+    motion: Tensor | None = None,
+    *,
+    known: Mapping[str, Field] | None = None,
+    canvas: Canvas | None = None,
+) -> tuple[Problem, Geometry]:
     """The problem that `config` describes, its fields at their starts.
 
     Args:
         config: Already checked by `deepir.config.load`.
         burst: The frames that are used.
         motion: (N, 3, 3) float64, registered pull homographies in detector px; None: no motion.
+        known: Unknowns of other data sets, by which slots may be called; with a `scene`, that is the scene, too.
+        canvas: Of a scene that other data sets show, too.
 
     Raises:
         ConfigError: A component, option or slot is unknown or does not fit; the message gives its path.
     """
     n_frames = len(burst.frames)
-    operator, slots, geometry = _operator(config, burst.size, n_frames, motion)
+    operator, slots, geometry = make_operator(config, burst.size, n_frames, motion, canvas)
+    known, anchored = known or {}, "scene" not in (known or {})
     scene_shape = (_scenes(config, n_frames), 1, *operator.in_size(burst.size))
     shapes = operator.slots(scene_shape, n_frames)
     names = _unknowns(list(shapes))
@@ -56,26 +73,31 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
                 f"{where}: it belongs to the detector, {burst.size[0]} x {burst.size[1]} px; "
                 f"stages that change the size go before '{stage}'"
             )
-        settings = complete(slots[stage].get(own), neutral, where)
-        size = getattr(operator.stages[stage], "size", burst.size)
         fits = partial(dict(operator.named())[stage].fits, own, shape)
-        fields[names[slot]] = make_field(settings, shape, neutral or 0.0, size, geometry.ratio, where, fits)
+        given = slots[stage].get(own)
+        if isinstance(given, Mapping) and "unknown" in given:
+            fields[names[slot]] = shared_field(str(given["unknown"]), known, where, fits)
+            continue
+        settings = complete(given, neutral, where)
+        size = getattr(operator.stages[stage], "size", burst.size)
+        place = (settings, shape, neutral or 0.0, size, geometry.ratio, where, fits)
+        fields[names[slot]] = make_field(*place, anchored=anchored)
         penalties[names[slot]] = make_penalties(settings, where, shape)
         start_field(fields[names[slot]], settings, motion, geometry, where)
-        demand_sense(own, fields[names[slot]], where)
+        demand_sense(own, fields[names[slot]], where, anchored=anchored)
     scene = PIXELS_WITH_TV if config.scene.get("fit") else config.scene
-    fields["scene"], penalties["scene"] = build_scene(scene, scene_shape)
+    if anchored:
+        fields["scene"], penalties["scene"] = build_scene(scene, scene_shape)
+    elif known["scene"].shape == scene_shape:
+        fields["scene"] = known["scene"]
+    else:
+        raise ConfigError(
+            f"physics: the scene that is shared has {known['scene'].shape[-2:]} px, and these stages want "
+            f"{scene_shape[-2:]}: begin with a stage 'warp' in each of the data sets, or give scene: own"
+        )
 
     data = torch.from_numpy(burst.frames)[:, None]
     usable = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None]
-    fidelity = config.fidelity if isinstance(config.fidelity, dict) else {"type": config.fidelity}
-    kind = str(fidelity.get("type", "gaussian"))
-    options = {k: v for k, v in fidelity.items() if k != "type"}
-    compared: Fidelity = make("fidelity", kind, options, "fidelity")
-    try:
-        compared.check_data(data, usable)
-    except ValueError as error:
-        raise ConfigError(f"fidelity: {error}") from error
     bounded = burst.clipped is not None and config.effects.get("saturation") is not False
     problem = Problem(
         operator,
@@ -84,7 +106,7 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
         usable.to(data),
         slots=names,
         penalties={name: each for name, each in penalties.items() if each},
-        fidelity=compared,
+        fidelity=_fidelity(config, data, usable),
         saturation=torch.from_numpy(burst.clipped)[:, None] if bounded else None,
         agc=burst.stretched,
     )
@@ -97,6 +119,18 @@ def build(config: Config, burst: Burst, motion: Tensor | None = None) -> tuple[P
     return problem, geometry
 
 
+def _fidelity(config: Config, data: Tensor, usable: Tensor) -> Fidelity:
+    """How prediction and data are compared."""
+    given = config.fidelity if isinstance(config.fidelity, dict) else {"type": config.fidelity}
+    options = {k: v for k, v in given.items() if k != "type"}
+    found: Fidelity = make("fidelity", str(given.get("type", "gaussian")), options, "fidelity")
+    try:
+        found.check_data(data, usable)
+    except ValueError as error:
+        raise ConfigError(f"fidelity: {error}") from error
+    return found
+
+
 def _demand_near(level: float, data: Tensor, where: str) -> None:
     """Raise `ConfigError` for a level that is further from the data than zero is, by more than they span."""
     low, high = min(0.0, float(data.min())), max(0.0, float(data.max()))
@@ -107,7 +141,9 @@ def _demand_near(level: float, data: Tensor, where: str) -> None:
         )
 
 
-def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field, dict[str, Penalty]]:
+def build_scene(
+    given: Mapping[str, Any], shape: tuple[int, ...], device: torch.device | None = None
+) -> tuple[Field, dict[str, Penalty]]:
     """The scene's field and its penalties, from the configuration's `scene`."""
     settings = complete({key: value for key, value in given.items() if key != "shared"}, None, "scene")
     allowed = ("average", "tv") if settings.get("fit") else ("average",)
@@ -116,8 +152,9 @@ def build_scene(given: Mapping[str, Any], shape: tuple[int, ...]) -> tuple[Field
             f"scene.init = {settings['init']!r}: a scene starts at the registered 'average', or, with a 'fit' of its "
             "own, at the result of 'tv'"
         )
-    field = make_field(settings, shape, 0.0, shape[-2:], 1.0, "scene", shape.__eq__)
-    return field, make_penalties(settings, "scene", shape)
+    field = make_field(settings, shape, 0.0, shape[-2:], 1.0, "scene", shape.__eq__).to(device)
+    penalties = make_penalties(settings, "scene", shape)
+    return field, {name: penalty.to(device) for name, penalty in penalties.items()}
 
 
 def _scenes(config: Config, n_frames: int) -> int:
@@ -128,14 +165,14 @@ def _scenes(config: Config, n_frames: int) -> int:
     return 1 if shared else n_frames
 
 
-def _operator(
-    config: Config, size: tuple[int, int], n_frames: int, motion: Tensor | None
+def make_operator(
+    config: Config, size: tuple[int, int], n_frames: int, motion: Tensor | None, shared: Canvas | None = None
 ) -> tuple[Chain, dict[str, dict[str, Any]], Geometry]:
     """The chain, the slots' configurations by stage, and the geometry; sizes are found from the data backwards."""
     stages: dict[str, Operator] = {}
     slots: dict[str, dict[str, Any]] = {}
     out, twice = size, (2 * size[0], 2 * size[1])
-    origin, instants = (0, 0), Trajectory()
+    instants, origin = Trajectory(), (0.0, 0.0)
     for name, settings in reversed((config.physics or NO_PHYSICS).items()):
         where = f"physics.{name}"
         if "." in name:
@@ -145,7 +182,10 @@ def _operator(
         options = {k: v for k, v in (settings or {}).items() if k in known}
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
         ratio = (twice[0] - out[0]) / size[0]
-        canvas, origin = footprint(None if motion is None else instants.interpolate(motion), out, ratio)
+        if shared is None:
+            canvas, origin = footprint(None if motion is None else instants.interpolate(motion), out, ratio)
+        else:
+            canvas, origin = shared.size, shared.origin(out)
         place = {"size": out, "canvas": canvas, "origin": origin}
         stage = make("operator", kind, options, where, **place, instants=instants, fps=config.data.fps)
         stages[name] = stage

@@ -18,7 +18,7 @@ from deepir.operators.geometry import Geometry, rescale_motion
 from deepir.priors.penalties.base import Penalty
 
 #: What a slot's configuration may hold beside its field's own options.
-SLOT_KEYS = ("type", "init", "fixed", "penalties", "fit")
+SLOT_KEYS = ("type", "init", "fixed", "penalties", "fit", "unknown")
 
 
 def complete(given: Any, neutral: float | None, where: str) -> dict[str, Any]:
@@ -46,11 +46,16 @@ def make_field(
     ratio: float,
     where: str,
     fits: Callable[[tuple[int, ...]], bool],
+    *,
+    anchored: bool = True,
 ) -> Field:
-    """The field that a slot's complete `settings` name; a sum where they name several, `column+pixel`."""
+    """The field that a slot's complete `settings` name; a sum where they name several, `column+pixel`.
+
+    A motion is `anchored` if frame 0 defines where the scene is.
+    """
     options = {k: v for k, v in settings.items() if k not in SLOT_KEYS}
     kind = str(settings["type"])
-    context = {"shape": shape, "neutral": neutral, "size": size, "ratio": ratio}
+    context = {"shape": shape, "neutral": neutral, "size": size, "ratio": ratio, "anchored": anchored}
     if "+" not in kind:
         field = _fitting(kind, options, where, context, fits)
     else:
@@ -66,6 +71,19 @@ def make_field(
     if fixed:
         field.requires_grad_(False)
     return field
+
+
+def shared_field(
+    name: str, known: Mapping[str, Field], where: str, fits: Callable[[tuple[int, ...]], bool]
+) -> Field:
+    """The field of an unknown of another data set; `ConfigError` if there is none, or none that fits."""
+    if name not in known:
+        raise ConfigError(
+            f"{where}.unknown: no unknown '{name}' in the data sets before; {nearest(name, known)}"
+        )
+    if not fits(tuple(known[name].shape)):
+        raise ConfigError(f"{where}.unknown: '{name}' is {known[name].shape}, which does not fit here")
+    return known[name]
 
 
 @torch.no_grad()
@@ -104,7 +122,7 @@ def make_penalties(settings: Mapping[str, Any], where: str, shape: tuple[int, ..
 
 
 @torch.no_grad()
-def demand_sense(slot: str, field: Field, where: str) -> None:
+def demand_sense(slot: str, field: Field, where: str, *, anchored: bool = True) -> None:
     """Raise `ConfigError` for a start that docs/reference/conventions.md rules out."""
     value = field()
     if slot == "gain" and not value.mean() > 0:
@@ -114,7 +132,7 @@ def demand_sense(slot: str, field: Field, where: str) -> None:
             f"{where}: a time constant, in ms, is not negative, and one that is to be found starts above zero: "
             f"{where}.init=10"
         )
-    matrices = slot == "motion" and value.shape[1:] == (3, 3)
+    matrices = anchored and slot == "motion" and value.shape[1:] == (3, 3)
     if matrices and not torch.allclose(value[0], torch.eye(3).to(value), atol=1e-4):
         raise ConfigError(f"{where}: the first frame's motion is the identity, not {value[0].tolist()}")
 

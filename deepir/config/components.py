@@ -16,7 +16,7 @@ from deepir.registry import lookup
 
 #: Arguments that the problem or the run supplies, never a configuration.
 CONTEXT_ARGUMENTS = frozenset(
-    {"shape", "neutral", "size", "canvas", "origin", "ratio", "members", "fps", "instants"}
+    {"shape", "neutral", "size", "canvas", "origin", "ratio", "anchored", "members", "fps", "instants"}
     | {"burst", "config", "callbacks", "checkpoint"}
     | {"problem", "group", "evaluate"}
 )
@@ -65,7 +65,7 @@ def options_schema(component: Any) -> type[BaseModel]:
         for name, p in _arguments(component).items()
         if name not in CONTEXT_ARGUMENTS
     }
-    return create_model(component.__name__, __config__=ConfigDict(extra="forbid"), **fields)
+    return create_model(f"{component.__name__} options", __config__=ConfigDict(extra="forbid"), **fields)
 
 
 @functools.cache

@@ -69,6 +69,15 @@ class Noise(_Strict):
     photons: float | None = Field(None, ge=1e-15)  # photons for each unit of data; None: no photon noise
 
 
+class DataSet(_Strict):
+    """A further data set of a problem: another camera, another burst, a flat, see `deepir.joint_problem`."""
+
+    data: Data = Data()
+    physics: dict[str, dict[str, Any] | None] | None = None  # None: those of the first data set
+    scene: Literal["shared", "own"] = "shared"  # with the first data set
+    noise: Literal["auto"] | Noise = "auto"
+
+
 class StepConfig(_Strict):
     """A step of a stage, see `deepir.schedule.Step`."""
 
@@ -126,6 +135,8 @@ class Config(_Strict):
     fidelity: str | dict[str, Any] = "gaussian"
     noise: Literal["auto"] | Noise = "auto"
     data: Data = Data()
+    #: Further data sets by name; their slots may name an unknown of those before: `{unknown: gain}`.
+    datasets: dict[str, DataSet] = {}
     #: Effects by name: false leaves one out; a mapping sets its options.
     effects: dict[str, bool | dict[str, Any] | None] = {}
     solver: Solver = Field(default_factory=Solver)
@@ -133,3 +144,9 @@ class Config(_Strict):
     seed: int = Field(0, ge=0, lt=2**63)
     device: str = "cpu"
     threads: int | None = Field(None, ge=1, le=1024)
+
+    def sources(self) -> dict[str, Data]:
+        """The data of all data sets, by where they stand."""
+        return {"data": self.data} | {
+            f"datasets.{name}.data": each.data for name, each in self.datasets.items()
+        }

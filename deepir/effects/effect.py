@@ -50,6 +50,8 @@ class Effect:
 
     #: Whether it compares frames at one place of the scene: not where each pixel has a motion of its own.
     compares_frames: ClassVar[bool] = False
+    #: Whether it updates what data sets of one sensor have in common, so that the first of them will do.
+    of_sensor: ClassVar[bool] = False
 
     def prepare(self, problem: Problem) -> None:
         """Before the scene has a start: what the frames alone show."""

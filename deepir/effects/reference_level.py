@@ -50,12 +50,19 @@ def take_reference_level(problem: Problem) -> bool:
 
 @torch.no_grad()
 def refine_reference_level(problem: Problem) -> None:
-    """Improve a reference level other than zero by the fit of a later round, which goes on from where it is."""
-    level = _likeliest(problem, REFINEMENT_MARGIN) if problem.reference else None
+    """Improve a reference level other than zero by the fit of a later round, which goes on from where it is.
+
+    Data sets of one sensor have one level, and go on from where they are when it is first taken, too.
+    """
+    level = None
+    if problem.reference or problem.same_sensor:
+        level = _likeliest(problem, REFINEMENT_MARGIN if problem.reference else EVIDENCE_MARGIN)
     if level is not None:
-        scene = problem.fields["scene"]
-        scene.init_from(scene() - (level - float(problem.reference)))
-        problem.measure_from(level)
+        change = level - float(problem.reference)
+        for scene in dict.fromkeys(each.fields["scene"] for each in (problem, *problem.same_sensor)):
+            scene.init_from(scene() - change)
+        for each in (problem, *problem.same_sensor):
+            each.measure_from(level)
         update_parts(problem)
 
 
@@ -107,9 +114,10 @@ class ReferenceLevel(Effect):
     """The level of the data at which gain and offset are independent of each other."""
 
     compares_frames = True
+    of_sensor = True
 
     def update(self, problem: Problem, *, settled: bool) -> bool:
-        if settled:
+        if settled or problem.same_sensor:
             refine_reference_level(problem)
             return False
         return take_reference_level(problem)

@@ -72,19 +72,20 @@ def pattern_to_noise(problem: Problem) -> float:
 
 @torch.no_grad()
 def keep_gauge(problem: Problem) -> None:
-    """Carry what gain and offset have in common over to the scene: their parts are to be about one and zero.
+    """Carry what gain and offset have in common over to the scenes: their parts are to be about one and zero.
 
     The data do not change with it, so nothing but the priors holds it, and it drifts.
     """
     values, closed = problem.values(), problem.closed_form()
     unknowns = problem.sensor_unknowns()
     gain, offset = unknowns.get("gain"), unknowns.get("offset")
-    scene = values["scene"]
-    if gain in closed:
-        scene = scene * values[gain].mean()
-    if offset in closed:
-        scene = scene + values[offset].mean()
-    problem.fields["scene"].init_from(scene)
+    for field in dict.fromkeys(each.fields["scene"] for each in (problem, *problem.same_sensor)):
+        scene = field()
+        if gain in closed:
+            scene = scene * values[gain].mean()
+        if offset in closed:
+            scene = scene + values[offset].mean()
+        field.init_from(scene)
 
 
 @torch.no_grad()
@@ -138,6 +139,8 @@ def _all_parts(problem: Problem, slot: str) -> list[GaussianMap]:
 @dataclass(frozen=True)
 class SensorPattern(Effect):
     """The standard deviations of the parts of gain and offset, by marginal likelihood."""
+
+    of_sensor = True
 
     def reject(self, estimate: InitialEstimate) -> None:
         if estimate.step == 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -55,6 +56,30 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
         scene.init_from(scene() + evidence.low_order_scene(smooth, drift).to(problem.data))
 
 
+@torch.no_grad()
+def estimate_shared_shading(data_sets: Sequence[Problem]) -> None:
+    """Set the standard deviations of one sensor's shading, by the evidence of all data sets, and of their drifts."""
+    unknowns = {each: low_order_unknowns(each) for each in data_sets if len(each.data) >= MIN_FRAMES}
+    shadings = [part for parts, _, _ in unknowns.values() for part in parts]
+    if not shadings:
+        for each in data_sets:
+            estimate_low_order(each)
+        return
+    evidence = {each: LowOrderEvidence(each, each.closed_form()) for each in unknowns}
+    strength = max(each.contrast for each in evidence.values()) * torch.logspace(
+        -4.5, 0.5, 41, dtype=torch.float64
+    )
+    strength = torch.cat((strength.new_zeros(1), strength))
+    profiles = {each: one.profile(strength, drift=bool(unknowns[each][2])) for each, one in evidence.items()}
+    asked = max(one.min_log_bayes_factor for one in evidence.values()) * (strength > 0)
+    best = int((sum(nats for nats, _ in profiles.values()) + asked).argmin())
+    for part in shadings:
+        part.sigma.fill_(float(strength[best]))
+    for each, (_, drifts) in profiles.items():
+        for field in unknowns[each][2]:
+            field.sigma.fill_(float(drifts[best]))
+
+
 def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpansion], list[Drift]]:
     """Shadings of the offset and drifts whose strengths are to be found, and stray flux; none without a warp."""
     first, *others = (stage for _, stage in problem.operator.named())
@@ -95,11 +120,16 @@ def stray_flux_fields(problem: Problem) -> list[BasisExpansion]:
 class LowOrderParts(Effect):
     """Shading of the offset, stray flux and drift of the level: whether there are any, and how strong they are."""
 
+    of_sensor = True
+
     def initialise(self, problem: Problem) -> None:
         estimate_low_order(problem, start=True)
 
     def update(self, problem: Problem, *, settled: bool) -> bool:
-        estimate_low_order(problem)
+        if problem.same_sensor:
+            estimate_shared_shading((problem, *problem.same_sensor))
+        else:
+            estimate_low_order(problem)
         return False
 
     @torch.no_grad()

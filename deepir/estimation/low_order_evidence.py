@@ -150,6 +150,14 @@ class LowOrderEvidence:
                 found = drifting
         return found[0], found[1]
 
+    def profile(self, smooth: Tensor, *, drift: bool) -> tuple[Tensor, Tensor]:
+        """Nats (K,) of strengths of the shading (K,), each with the likeliest drift, and that drift (K,)."""
+        levels = self.contrast * torch.logspace(-4.5, 0.5, 21, dtype=torch.float64)
+        levels = torch.cat((levels.new_zeros(1), levels)) if drift else levels.new_zeros(1)
+        nats = self.nats(torch.cartesian_prod(smooth, levels).reshape(-1, 2)).view(len(smooth), -1).cpu()
+        best = (nats + MIN_LOG_BAYES_FACTOR * (levels > 0)).min(1)
+        return best.values, levels[best.indices]
+
     def _scene_change(self, one: Sequence[float], other: Sequence[float]) -> float:
         """How far apart scenes are at two strengths (shading, drift), in standard deviations of the data."""
         return float((self.low_order_scene(*one) - self.low_order_scene(*other)).std()) / self.contrast

@@ -12,6 +12,7 @@ import math
 
 import torch
 
+from deepir.joint_problem import AnyProblem
 from deepir.problem import Problem
 
 #: Excess of the squared residual over pure noise from which a scene is oversmoothed, noise variances per pixel.
@@ -28,8 +29,12 @@ def store_reference_misfit(problem: Problem) -> None:
     problem.reference_misfit.copy_(_squared_residual(problem))
 
 
-def is_oversmoothed(problem: Problem) -> bool:
-    """Whether the prior has removed more than noise from the scene; False if the test does not apply."""
+def is_oversmoothed(problem: AnyProblem) -> bool:
+    """Whether the prior has removed more than noise from a scene; False if the test does not apply."""
+    return any(map(_is_oversmoothed, problem.data_sets))
+
+
+def _is_oversmoothed(problem: Problem) -> bool:
     flat = _flat_fraction(problem)
     if not flat > MIN_FLAT_FRACTION:
         return False
@@ -37,10 +42,11 @@ def is_oversmoothed(problem: Problem) -> bool:
     return taken - flat > MAX_EXCESS_MISFIT
 
 
-def reduce_weight(problem: Problem) -> None:
-    """Multiply the weights of the scene's penalties by `WEIGHT_REDUCTION`."""
-    for penalty in problem.penalties["scene"].values():
-        penalty.weight.mul_(WEIGHT_REDUCTION)
+def reduce_weight(problem: AnyProblem) -> None:
+    """Multiply the weights of the penalties by `WEIGHT_REDUCTION` where a scene is oversmoothed."""
+    for each in filter(_is_oversmoothed, problem.data_sets):
+        for penalty in each.penalties["scene"].values():
+            penalty.weight.mul_(WEIGHT_REDUCTION)
 
 
 @torch.no_grad()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -20,7 +20,7 @@ RIGID_TOLERANCE = 1e-3
 
 
 class Motion(Field):
-    """Parametric motion: homographies (N, 3, 3) from frame to scene, px; frame 0 is the identity.
+    """Parametric motion: homographies (N, 3, 3) from frame to scene, px; frame 0 is the identity if it is `anchored`.
 
     Parameters are displacements at the edge of the frame.
 
@@ -29,31 +29,45 @@ class Motion(Field):
         neutral: Unused.
         size: (h, w) of a frame, scene px.
         ratio: Scene px per detector px.
+        anchored: Whether frame 0 defines where the scene is; else it is an unknown as the others are.
     """
 
     n_parameters: ClassVar[int]
 
     def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
+        self,
+        shape: Shape,
+        neutral: float = 0.0,
+        *,
+        size: tuple[int, int],
+        ratio: float = 1.0,
+        anchored: bool = True,
     ) -> None:
         super().__init__(shape, neutral)
+        self.n_fixed = int(anchored)
         self.radius = math.hypot(*size) / 2
         self.n_samples_affected = size[0] * size[1]
         self.preconditioning_scale = PARAMETER_SCALE * ratio / math.sqrt(self.n_samples_affected)
-        self.values = nn.Parameter(torch.zeros(shape[0] - 1, self.n_parameters))
+        self.values = nn.Parameter(torch.zeros(shape[0] - self.n_fixed, self.n_parameters))
 
     def forward(self) -> Tensor:
         """Identity for frame 0, then the parameters' homographies."""
         moved = self.matrices(self.preconditioning_scale * self.values)
+        if not self.n_fixed:
+            return moved
         first = torch.eye(3, dtype=moved.dtype, device=moved.device)[None]
         return torch.cat((first, moved))
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Represent homographies (N, 3, 3) relative to frame 0, projected onto the model."""
+        self.values.copy_(self.parameters_of(self.free_motions(value)) / self.preconditioning_scale)
+
+    def free_motions(self, value: Tensor) -> Tensor:
+        """Those of homographies (N, 3, 3) that are unknowns, relative to frame 0 where that is anchored."""
         value = value.double()
-        relative = torch.linalg.solve(value[:1], value[1:])
-        self.values.copy_(self.parameters_of(relative / relative[:, 2:, 2:]) / self.preconditioning_scale)
+        relative = torch.linalg.solve(value[:1], value[1:]) if self.n_fixed else value
+        return relative / relative[:, 2:, 2:]
 
     def matrices(self, p: Tensor) -> Tensor:
         """(N - 1, n_parameters) parameters in px -> (N - 1, 3, 3)."""
@@ -141,18 +155,14 @@ class Auto(Homography):
     model = "auto"
     uses_homography: Tensor
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0
-    ) -> None:
-        super().__init__(shape, neutral, size=size, ratio=ratio)
+    def __init__(self, shape: Shape, neutral: float = 0.0, **context: Any) -> None:
+        super().__init__(shape, neutral, **context)
         self.register_buffer("uses_homography", torch.tensor(False))
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Represent homographies (N, 3, 3) relative to frame 0, and select the model."""
-        value = value.double()
-        relative = torch.linalg.solve(value[:1], value[1:])
-        relative = relative / relative[:, 2:, 2:]
+        relative = self.free_motions(value)
         bend = (relative - nearest_rigid(relative)).abs()
         bend[:, :, :2] *= self.radius
         bend[:, 2] *= self.radius
@@ -162,7 +172,7 @@ class Auto(Homography):
     @torch.no_grad()
     def switch_to_homography(self) -> None:
         """Switch from rigid motion to homographies at the present value."""
-        now = self()[1:].double()
+        now = self()[self.n_fixed :].double()
         self.uses_homography.fill_(True)
         self.values.copy_(self.parameters_of(now) / self.preconditioning_scale)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,6 +72,29 @@ def footprint(
         for v, side in zip(high, reversed(size), strict=True)
     )
     return (_fast_fft_length(y0 + y1 + 1), _fast_fft_length(x0 + x1 + 1)), (y0, x0)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """The array of a scene that several data sets show: its size (H, W), and (y, x) of the first frames' centre, px."""
+
+    size: tuple[int, int]
+    centre: tuple[float, float]
+
+    @classmethod
+    def around(cls, warps: Sequence[Warp]) -> Canvas:
+        """One that holds those of all warps, their frames concentric; the first one's pixels lie on its grid."""
+        sides, centre = [], []
+        for axis in (0, 1):
+            before = [warp.origin[axis] + warp.size[axis] / 2 for warp in warps]
+            behind = [warp.canvas[axis] - middle for warp, middle in zip(warps, before, strict=True)]
+            centre.append(before[0] + math.ceil(max(before) - before[0]))
+            sides.append(_fast_fft_length(math.ceil(centre[-1] + max(behind))))
+        return cls((sides[0], sides[1]), (centre[0], centre[1]))
+
+    def origin(self, size: tuple[int, int]) -> tuple[float, float]:
+        """Index (y, x) of the first pixel of a frame of (h, w)."""
+        return self.centre[0] - size[0] / 2, self.centre[1] - size[1] / 2
 
 
 def _fast_fft_length(side: int) -> int:

@@ -38,7 +38,7 @@ class Warp(Operator):
         self,
         size: tuple[int, int],
         canvas: tuple[int, int],
-        origin: tuple[int, int],
+        origin: tuple[float, float],
         instants: Trajectory = EVERY_FRAME,
     ) -> None:
         """`size` = (h, w), `canvas` = (Hc, Wc), `origin` = canvas index (y, x) of frame 0's first pixel.

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from deepir.joint_problem import AnyProblem
 from deepir.optim.base import Evaluate, Optimiser, Rate, free_parameters
 from deepir.optim.held_out import held_out_error
-from deepir.problem import Problem
 from deepir.registry import register
 
 #: Iterations between two evaluations of the held-out error.
@@ -28,7 +28,7 @@ class Adam(Optimiser):
     descends = False
 
     def __init__(
-        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
+        self, problem: AnyProblem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
         super().__init__(problem, group, evaluate, lr=lr, average=average)
         rates = lr if isinstance(lr, Mapping) else dict.fromkeys(group, lr)

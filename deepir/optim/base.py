@@ -9,15 +9,17 @@ import torch
 from torch import Tensor, nn
 
 from deepir.fields.gaussian_field import GaussianField
+from deepir.joint_problem import AnyProblem
+from deepir.optim.block_preconditioner import BlockPreconditioner
 from deepir.optim.preconditioner import Preconditioner
-from deepir.problem import Problem, Values
+from deepir.problem import Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
 #: Learning rate: one number, or one for each unknown.
 Rate = float | Mapping[str, float]
 
 
-def free_parameters(problem: Problem, group: Sequence[str]) -> list[nn.Parameter]:
+def free_parameters(problem: AnyProblem, group: Sequence[str]) -> list[nn.Parameter]:
     """Trainable parameters of the fields of a group and of their penalties; not those of fields with zero sigma."""
     penalties = problem.penalties
     fields = [module for name in group for module in problem.fields[name].modules()]
@@ -41,14 +43,14 @@ class Optimiser:
     preconditioned: ClassVar[bool] = False
 
     def __init__(
-        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
+        self, problem: AnyProblem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
         self.problem, self.average = problem, average
         self.group, self.evaluate, self.lr = tuple(group), evaluate, lr
         self.parameters = free_parameters(problem, group)
         self.value, self.done, self._count = float("nan"), False, 0
         #: Approximate inverse Hessian, for optimisers that use one.
-        self.preconditioner: Preconditioner | None = None
+        self.preconditioner: Preconditioner | BlockPreconditioner | None = None
 
     def step(self, *, fresh: bool) -> None:
         """One iteration; sets `value`, and `done` on convergence. `fresh`: other unknowns changed since the last."""

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from deepir.joint_problem import AnyProblem
 from deepir.optim.base import Evaluate, Optimiser, Rate
-from deepir.problem import Problem
 from deepir.registry import register
 
 #: Pairs of steps and gradient changes that are kept.
@@ -39,7 +39,7 @@ class LBFGS(Optimiser):
     preconditioned = True
 
     def __init__(
-        self, problem: Problem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
+        self, problem: AnyProblem, group: Sequence[str], evaluate: Evaluate, *, lr: Rate, average: float = 0.0
     ) -> None:
         super().__init__(problem, group, evaluate, lr=lr, average=average)
         self.x = self._flat(self.parameters)

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 from torch import Tensor
 
 from deepir.errors import DataError
+from deepir.joint_problem import AnyProblem
 from deepir.optim import Optimiser
 from deepir.optim.objective import optimisers_of
-from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 
 
@@ -40,7 +40,7 @@ class Position:
 
 
 def save_state(
-    problem: Problem, optimisers: list[tuple[Optimiser, Step]], position: Position, checkpoint: Checkpoint
+    problem: AnyProblem, optimisers: list[tuple[Optimiser, Step]], position: Position, checkpoint: Checkpoint
 ) -> None:
     """Save position, unknowns and optimisers to a checkpoint."""
     tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
@@ -50,7 +50,7 @@ def save_state(
 
 
 def restore_state(
-    problem: Problem, plan: Sequence[Stage], checkpoint: Checkpoint
+    problem: AnyProblem, plan: Sequence[Stage], checkpoint: Checkpoint
 ) -> tuple[Position, list[tuple[Optimiser, Step]] | None]:
     """Put the problem where it was kept: the position and, within a stage, its optimisers.
 
@@ -64,7 +64,7 @@ def restore_state(
             if stage.change is not None:
                 stage.change(problem)
         for name, value in problem.state_dict().items():
-            if name != "data" or f"problem.{name}" in tensors:
+            if not _is_data(name) or f"problem.{name}" in tensors:
                 value.copy_(tensors[f"problem.{name}"])
         if position.stage >= len(plan):
             return position, None
@@ -92,8 +92,12 @@ def _checked(position: Position) -> Position:
     return position
 
 
-def _state(problem: Problem) -> Mapping[str, Tensor]:
+def _state(problem: AnyProblem) -> Mapping[str, Tensor]:
     """Parameters and buffers; the data, which a resumed run reads again, only if they have changed on the way."""
     kept = problem.state_dict().items()
-    changed = bool((problem.contrast != 1).any()) or bool(problem.reference != 0)
-    return {name: value.detach() for name, value in kept if name != "data" or changed}
+    changed = any(bool((each.contrast != 1).any()) or bool(each.reference != 0) for each in problem.data_sets)
+    return {name: value.detach() for name, value in kept if changed or not _is_data(name)}
+
+
+def _is_data(name: str) -> bool:
+    return name.rpartition(".")[2] == "data"

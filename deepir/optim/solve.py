@@ -12,13 +12,14 @@ import torch
 from torch import Tensor
 
 from deepir.errors import SolverError
+from deepir.joint_problem import AnyProblem
 from deepir.kernels import threads
 from deepir.optim import Optimiser
 from deepir.optim.active_set import activate_bounds, deactivate_bounds
-from deepir.optim.held_out import held_out_error
+from deepir.optim.held_out import has_held_out, held_out_error
 from deepir.optim.objective import objective, optimisers_of
 from deepir.optim.position import Checkpoint, Position, restore_state, save_state
-from deepir.problem import Problem, Values
+from deepir.problem import Values
 from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
@@ -58,7 +59,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
+    problem: AnyProblem,
     plan: Sequence[Stage],
     *,
     callbacks: Sequence[Callable[[Progress], None]] = (),
@@ -109,7 +110,7 @@ def solve(
         if any(step.method == "eliminate" for step in stage.steps):
             with torch.no_grad():
                 objective(problem, stage)(())  # they follow the others' last step
-        if position.iteration and not stage.use_held_out and problem.held_out.any():
+        if position.iteration and not stage.use_held_out and has_held_out(problem):
             position.history[-1]["held_out"] = held_out_error(problem)
         deactivate_bounds(problem)
         position.stage, position.iteration, optimisers = position.stage + 1, 0, None
@@ -119,7 +120,7 @@ def solve(
 
 
 def _run(
-    problem: Problem,
+    problem: AnyProblem,
     plan: Sequence[Stage],
     optimisers: list[tuple[Optimiser, Step]],
     position: Position,
@@ -148,7 +149,7 @@ def _run(
 
 
 def _iterate(
-    problem: Problem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], position: Position
+    problem: AnyProblem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], position: Position
 ) -> None:
     """One step of each group, and its row of the history."""
     alternate = len(optimisers) > 1
@@ -163,22 +164,22 @@ def _iterate(
     if (
         position.iteration % HELD_OUT_REPORT_INTERVAL == 0
         and not stage.use_held_out
-        and problem.held_out.any()
+        and has_held_out(problem)
     ):
         row["held_out"] = held_out_error(problem)
     position.history.append(row)
 
 
-def _has_converged(position: Position, stage: Stage, problem: Problem) -> bool:
+def _has_converged(position: Position, stage: Stage, problem: AnyProblem) -> bool:
     """Whether the last ten iterations gained less than the tolerance, if all steps descend, as Adam's do not."""
     methods = {step.method for step in stage.steps} - {"eliminate"}
     if position.iteration <= 10 or not all(lookup("optimiser", each).descends for each in methods):
         return False
     losses = [row["loss"] for row in position.history[-position.iteration :]]
-    return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * problem.data.numel()
+    return min(losses[:-10]) - min(losses[-10:]) < stage.tolerance * _count_samples(problem)
 
 
-def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, position: Position) -> Progress:
+def _report(problem: AnyProblem, plan: Sequence[Stage], stage: Stage, position: Position) -> Progress:
     loss = position.history[-1]["loss"]
     before = sum(each.iterations for each in plan[: position.stage])
     done = (before + position.iteration) / max(sum(each.iterations for each in plan), 1)
@@ -193,11 +194,17 @@ def _report(problem: Problem, plan: Sequence[Stage], stage: Stage, position: Pos
     )
 
 
+def _count_samples(problem: AnyProblem) -> int:
+    return sum(each.data.numel() for each in problem.data_sets)
+
+
 @torch.no_grad()
-def _raise_if_diverged(problem: Problem, start: Sequence[Tensor], stage: Stage, position: Position) -> None:
+def _raise_if_diverged(
+    problem: AnyProblem, start: Sequence[Tensor], stage: Stage, position: Position
+) -> None:
     """Raise `SolverError` on divergence; an objective that only rose is reset to the start of the stage."""
     first, last = position.history[-position.iteration]["loss"], position.history[-1]["loss"]
-    if math.isfinite(last) and last <= MAX_OBJECTIVE_RATIO * max(abs(first), problem.data.numel()):
+    if math.isfinite(last) and last <= MAX_OBJECTIVE_RATIO * max(abs(first), _count_samples(problem)):
         return
     if math.isfinite(last):
         for parameter, value in zip(problem.parameters(), start, strict=True):

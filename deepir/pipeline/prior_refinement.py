@@ -22,6 +22,7 @@ from deepir.config.schema import Fit
 from deepir.estimation.oversmoothing import is_oversmoothed, reduce_weight
 from deepir.estimation.penalty_weights import weigh_scene
 from deepir.fields.pixels import Pixels
+from deepir.joint_problem import AnyProblem
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
@@ -31,21 +32,25 @@ JOINT_TOLERANCE = 0.03  # nats per scene pixel that ten iterations gain, where t
 
 
 class PriorRefinement:
-    """The scene's field and penalties of a configuration with `scene.fit`, and the stages in which they are fitted."""
+    """Field and penalties of each scene, by a `scene.fit`, and the stages in which they are fitted."""
 
-    def __init__(self, problem: Problem, config: Config) -> None:
+    def __init__(self, problem: AnyProblem, config: Config) -> None:
         self.fit = Fit(**validate(Fit, config.scene["fit"], "scene.fit"))
         self.from_average = config.scene.get("init", "average") == "average"
-        field, penalties = build_scene(config.scene, problem.fields["scene"].shape)
-        device = problem.data.device
-        self.field = field.to(device)
-        self.penalties = {name: penalty.to(device) for name, penalty in penalties.items()}
-        together = self.fit.with_sensor and isinstance(field, Pixels) and has_fourier_model(problem)
+        #: By the unknown's name.
+        self.scenes = {
+            name: build_scene(config.scene, problem.fields[name].shape, shown_by[0].data.device)
+            for name, shown_by in problem.scenes.items()
+        }
+        pixels = all(isinstance(field, Pixels) for field, _ in self.scenes.values())
+        together = self.fit.with_sensor and pixels and all(map(has_fourier_model, problem.data_sets))
+        cut_off = any(each.saturation is not None for each in problem.data_sets)
         #: Gain and offset, if these follow the scene; where samples are cut off it is not sure enough of itself.
-        self.follows = tuple(problem.closed_form()) if together and problem.saturation is None else ()
-        self.tolerance = JOINT_TOLERANCE / len(problem.data) if self.follows else Stage.tolerance
+        self.follows = tuple(problem.closed_form()) if together and not cut_off else ()
+        frames = min(len(each.data) for each in problem.data_sets)
+        self.tolerance = JOINT_TOLERANCE / frames if self.follows else Stage.tolerance
 
-    def after(self, stages: Sequence[Stage], weigh: Callable[[Problem], None] = weigh_scene) -> list[Stage]:
+    def after(self, stages: Sequence[Stage], weigh: Callable[[Any], None] = weigh_scene) -> list[Stage]:
         """The stages, and those of the prior; where it is stopped by held-out samples, none before saw them.
 
         `weigh` sets the weights of its penalties.
@@ -53,7 +58,7 @@ class PriorRefinement:
         fit, stopped = self.fit, self.fit.average > 0
         before = [dataclasses.replace(s, use_held_out=s.use_held_out and not stopped) for s in stages]
         follow = (Step(self.follows, "eliminate"),) if self.follows else ()
-        steps = (Step(("scene",), fit.method, fit.lr, average=fit.average), *follow)
+        steps = (Step(tuple(self.scenes), fit.method, fit.lr, average=fit.average), *follow)
         rounds = [f"prior {i + 1}" for i in range(fit.rounds)] if fit.rounds > 1 else ["prior"]
         mine = [
             Stage(
@@ -77,16 +82,12 @@ class PriorRefinement:
         return [*before, *mine]
 
     @torch.no_grad()
-    def enter(self, problem: Problem) -> None:
-        """Put the prior's field in the place of the one that found the sensor."""
-        self.field.init_from(self._start(problem))
-        problem.represent("scene", self.field, self.penalties)
-
-    def _start(self, problem: Problem) -> Tensor:
-        if self.from_average:
-            return registered_average(problem)
-        found: Tensor = problem.values()["scene"]
-        return found
+    def enter(self, problem: AnyProblem) -> None:
+        """Put the prior's fields in the place of those that found the sensor."""
+        for name, (field, penalties) in self.scenes.items():
+            average = registered_average(problem.scenes[name][0]) if self.from_average else None
+            field.init_from(problem.fields[name]() if average is None else average)
+            problem.represent(name, field, penalties)
 
 
 @torch.no_grad()

@@ -24,6 +24,7 @@ from deepir.optim.held_out import hold_out
 from deepir.optim.position import Checkpoint
 from deepir.optim.solve import Progress, solve
 from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
+from deepir.pipeline.data_sets import solve_data_sets
 from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
 from deepir.pipeline.given_noise import given_noise
 from deepir.pipeline.recipe import make_recipe
@@ -45,6 +46,18 @@ def joint(
     checkpoint: Checkpoint | None = None,
 ) -> Result:
     """Fields for all unknowns, fitted together (the default)."""
+    solved = solve_data_sets if config.datasets else solve_burst
+    return solved(burst, config, callbacks=callbacks, checkpoint=checkpoint)
+
+
+def solve_burst(
+    burst: Burst,
+    config: Config,
+    *,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Checkpoint | None = None,
+) -> Result:
+    """The result of one data set."""
     recipe = make_recipe(config)
     try:
         motion, used, messages = register_frames(burst, config, recipe)

@@ -31,7 +31,7 @@ def register_frames(
         DataError: Too few frames register, or the burst is still and the problem needs motion.
     """
     everything = np.ones(len(burst.frames), bool)
-    model = _motion_model(config)
+    model = motion_model(config)
     if model is None or len(burst.frames) == 1:
         return None, everything, []
     if burst.motion is not None:
@@ -80,7 +80,7 @@ def _whole(burst: Burst) -> Tensor:
     return frames if valid.all() else fill_nearest(frames[:, None], valid[:, None])[:, 0]
 
 
-def _motion_model(config: Config) -> str | None:
+def motion_model(config: Config) -> str | None:
     """The type of the first motion that starts where the frames are registered: each does, unless it says otherwise."""
     for stage in config.physics.values():
         slot = (stage or {}).get("motion")

@@ -6,15 +6,15 @@ import dataclasses
 
 from deepir.config import Config
 from deepir.errors import ConfigError, nearest
+from deepir.joint_problem import AnyProblem
 from deepir.messages import Message
 from deepir.pipeline.prior_refinement import PriorRefinement
-from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
 from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
 
-def plan(problem: Problem, recipe: Recipe, config: Config) -> list[Stage]:
+def plan(problem: AnyProblem, recipe: Recipe, config: Config) -> list[Stage]:
     """The stages of `solver.plan`, or else the problem's own; `ConfigError` where they do not fit the unknowns."""
     given, cap = config.solver.plan, config.solver.max_iterations
     refinement = PriorRefinement(problem, config) if config.scene.get("fit") else None
@@ -42,11 +42,13 @@ def plan(problem: Problem, recipe: Recipe, config: Config) -> list[Stage]:
     ]
 
 
-def network_message(problem: Problem, stages: list[Stage]) -> list[str]:
+def network_message(problem: AnyProblem, stages: list[Stage]) -> list[str]:
     """A line if a network draws the scene and moves by L-BFGS together with the sensor, for lack of `scene.fit`."""
-    scene = problem.fields["scene"]
-    moved = any("scene" in step.group and step.method == "lbfgs" for stage in stages for step in stage.steps)
-    if not (scene.is_network and moved):
+    moved = {
+        name for stage in stages for step in stage.steps if step.method == "lbfgs" for name in step.group
+    }
+    scene = next((problem.fields[name] for name in problem.scenes if name in moved), None)
+    if scene is None or not scene.is_network:
         return []
     return [
         Message(
@@ -58,7 +60,7 @@ def network_message(problem: Problem, stages: list[Stage]) -> list[str]:
     ]
 
 
-def _check_groups(problem: Problem, stage: Stage, where: str) -> None:
+def _check_groups(problem: AnyProblem, stage: Stage, where: str) -> None:
     if all(step.method == "eliminate" for step in stage.steps):
         raise ConfigError(f"{where}: a stage needs a step that is not 'eliminate'")
     for step in stage.steps:

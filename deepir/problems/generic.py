@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deepir.problem import Problem
+from deepir.joint_problem import AnyProblem
 from deepir.problems.recipe import Recipe
 from deepir.registry import register
 
@@ -11,6 +11,7 @@ from deepir.registry import register
 class Generic(Recipe):
     """Any operator and any unknowns: all are estimated together; gain and offset in closed form where they have one."""
 
+    several = True
     effect_names = (
         "saturation",
         "bad_pixels",
@@ -22,6 +23,6 @@ class Generic(Recipe):
         "outliers",
     )
 
-    def initialise(self, problem: Problem, seed: int) -> None:
+    def initialise(self, problem: AnyProblem, seed: int) -> None:
         """All samples are fitted."""
         self.start(problem)

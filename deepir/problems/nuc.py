@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 
@@ -53,20 +53,21 @@ class NUC(Recipe):
             self.restart(problem)
         hold_out(problem, seed)
 
-    def plan(self, problem: Problem) -> Schedule:
+    def plan(self, problem: Any) -> Schedule:
         """Three rounds for the sensor, those that effects ask for, and the scene on all samples."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         fixed = self.refined_last(problem)
         eliminate = (Step(closed, "eliminate"),) if closed else ()
-        fourier = has_fourier_model(problem)
+        fourier = all(map(has_fourier_model, problem.data_sets))
+        frames = min(len(each.data) for each in problem.data_sets)
         short, long, last = ITERATIONS[fourier]
         rough, fine, scene = (
-            (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / len(problem.data)) if fourier else (1e-5,) * 3
+            (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
         )
         first = (Step(tuple(name for name in free if name not in fixed)), *eliminate)
         every = (Step(free), *eliminate)
-        final = (Step(("scene",)),)
+        final = (Step(tuple(problem.scenes)),)
         schedule = Schedule(
             [
                 Stage("sensor 1", first, short, tolerance=rough),
@@ -79,19 +80,21 @@ class NUC(Recipe):
             schedule = effect.plan(problem, schedule, self)
         return schedule
 
-    def refined_last(self, problem: Problem) -> tuple[str, ...]:
+    def refined_last(self, problem: Any) -> tuple[str, ...]:
         """What is fixed until the last round: the motion, as registered, unless the pattern biases it.
 
         Not where something moves, which would draw the motion along.
         """
-        biased = not problem.moving.any() and pattern_to_noise(problem) >= DOMINANT_PATTERN
-        return () if biased else (problem.motion_unknown(),)
+        return tuple(
+            problem.names_in(each)[each.motion_unknown()]
+            for each in problem.data_sets
+            if each.moving.any() or pattern_to_noise(each) < DOMINANT_PATTERN
+        )
 
     @torch.no_grad()
-    def finish(self, problem: Problem) -> None:
+    def finish(self, problem: Any) -> None:
         """Also the weights of places: weaker where the scene has texture, stronger where it is smooth."""
         super().finish(problem)
-        adapt_weight_map(
-            problem, 0.0 if self.sensor_follows else pattern_cost_db(problem, self.sensor_weight)
-        )
-        store_reference_misfit(problem)
+        for each in problem.data_sets:
+            adapt_weight_map(each, 0.0 if self.sensor_follows else pattern_cost_db(each, self.sensor_weight))
+            store_reference_misfit(each)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
 
 import torch
 
 from deepir.effects.effect import Effect
 from deepir.estimation.penalty_weights import weigh_scene
+from deepir.joint_problem import JointProblem
 from deepir.optim.held_out import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
@@ -18,6 +19,9 @@ from deepir.schedule import Schedule, Stage, Step
 
 class Recipe:
     """How a problem is initialised, scheduled and reported.
+
+    A `problem` is a `deepir.problem.Problem`, or a `deepir.joint_problem.JointProblem` where a recipe can solve several
+    data sets.
 
     Args:
         effects: In place of those that `effect_names` names, with their default options.
@@ -31,6 +35,10 @@ class Recipe:
     ordered: ClassVar[bool] = False
     #: Whether gain and offset correct the frames as they are, so that frames beside the burst can judge them.
     judged: ClassVar[bool] = False
+    #: Whether it solves several data sets together.
+    several: ClassVar[bool] = False
+    #: Frames that are enough to check a configuration; None: all.
+    checked_frames: ClassVar[int | None] = None
     #: Weight of the scene's penalties while the sensor is estimated, relative to that of the scene's own stage.
     sensor_weight: ClassVar[float] = 1.0
     #: Operators that the physics must have.
@@ -47,36 +55,46 @@ class Recipe:
         #: Warnings of the initial estimate.
         self.messages: list[str] = []
 
-    def initialise(self, problem: Problem, seed: int) -> None:
+    def initialise(self, problem: Any, seed: int) -> None:
         """Set starts, masks and hyperparameters from the data."""
         self.start(problem)
         hold_out(problem, seed)
 
-    def plan(self, problem: Problem) -> Schedule:
+    def join(self, problems: Mapping[str, Problem], seed: int) -> JointProblem:
+        """One problem of several data sets, of which each is initialised by itself; the first has the name ""."""
+        joint = JointProblem(problems[""], {name: each for name, each in problems.items() if name})
+        for k, each in enumerate(each_by_itself(joint)):
+            self.initialise(each, seed + k)
+        self.weigh(joint, self.sensor_weight)
+        return joint
+
+    def plan(self, problem: Any) -> Schedule:
         """The stages of the solve: a function of the problem alone."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
         steps = (Step(free, "lbfgs"), *((Step(closed, "eliminate"),) if closed else ()))
         return Schedule([Stage("joint", steps, iterations=200)])
 
-    def start(self, problem: Problem) -> None:
+    def start(self, problem: Any) -> None:
         """The initial estimate, under the sensor's weight of the scene's penalties."""
-        initial_estimate(problem, self.effects)
+        for each in each_by_itself(problem):
+            initial_estimate(each, self.effects)
         self.weigh(problem, self.sensor_weight)
 
     @torch.no_grad()
-    def restart(self, problem: Problem) -> None:
+    def restart(self, problem: Any) -> None:
         """Start scene and pattern anew, with the masks and the levels that were found."""
-        for name in problem.closed_form():
-            for part in problem.fields[name].parts():
-                part.assign(torch.zeros_like(part.values))
-                if not part.sigma_is_fixed:
-                    part.sigma.zero_()
+        _forget_pattern(problem)
         self.start(problem)
 
-    def update(self, problem: Problem, *, settled: bool = True) -> None:
+    def update(self, problem: Any, *, settled: bool = True) -> None:
         """Hyperparameters and masks from the last round; a new start where an effect asks for one."""
-        again = [effect.update(problem, settled=settled) for effect in self.between_rounds()]
+        again = [
+            effect.update(each, settled=settled)
+            for i, each in enumerate(problem.data_sets)
+            for effect in self.between_rounds()
+            if not (effect.of_sensor and set(each.same_sensor) & set(problem.data_sets[:i]))
+        ]
         self.weigh(problem, self.sensor_weight)
         if any(again):
             self.restart(problem)
@@ -85,22 +103,23 @@ class Recipe:
         """The effects that are updated between the rounds."""
         return self.effects
 
-    def first_update(self, problem: Problem) -> None:
+    def first_update(self, problem: Any) -> None:
         """The same after the first round, when scene and pattern have not settled."""
         self.update(problem, settled=False)
 
-    def finish(self, problem: Problem) -> None:
+    def finish(self, problem: Any) -> None:
         """Hyperparameters and weights for the scene's own stage."""
-        for effect in self.between_rounds():
-            effect.finish(problem)
+        for each in problem.data_sets:
+            for effect in self.between_rounds():
+                effect.finish(each)
         self.weigh(problem)
 
     @staticmethod
-    def weigh(problem: Problem, factor: float = 1.0) -> None:
+    def weigh(problem: Any, factor: float = 1.0) -> None:
         """Set the weights of the scene's penalties to `factor` times their full strength."""
         weigh_scene(problem, factor)
 
-    def weigh_prior(self, problem: Problem) -> None:
+    def weigh_prior(self, problem: Any) -> None:
         """The same for a prior that is fitted once the sensor is known, see `scene.fit`."""
         penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
         if any(penalty.weighed_by_noise for penalty in penalties):
@@ -108,11 +127,38 @@ class Recipe:
         else:
             self.weigh(problem)
 
-    def metrics(self, problem: Problem) -> dict[str, float]:
+    def metrics(self, problem: Any) -> dict[str, float]:
         """What `metrics.json` holds of the solved problem, beside what all problems have."""
         return {}
 
-    def warnings(self, problem: Problem, *, complete: bool = True) -> list[str]:
+    def warnings(self, problem: Any, *, complete: bool = True) -> list[str]:
         """Warnings once the problem is solved; `complete`: the solve was not cut short."""
-        found = [line for effect in self.effects for line in effect.messages(problem, complete=complete)]
-        return [*self.messages, *found]
+        found = [
+            line
+            for each in problem.data_sets
+            for effect in self.effects
+            for line in effect.messages(each, complete=complete)
+        ]
+        return [*self.messages, *dict.fromkeys(found)]
+
+
+def each_by_itself(problem: Any) -> Iterator[Problem]:
+    """The data sets, the first one last: what several show starts as that shows it.
+
+    While one is at hand it knows nothing of the others, nor of the pattern that they found.
+    """
+    for k, each in enumerate(reversed(problem.data_sets)):
+        others, each.same_sensor = each.same_sensor, ()
+        if k > 0:
+            _forget_pattern(each)
+        yield each
+        each.same_sensor = others
+
+
+@torch.no_grad()
+def _forget_pattern(problem: Any) -> None:
+    for name in problem.closed_form():
+        for part in problem.fields[name].parts():
+            part.assign(torch.zeros_like(part.values))
+            if not part.sigma_is_fixed:
+                part.sigma.zero_()

@@ -47,7 +47,11 @@ class FileCheckpoint:
         from safetensors.torch import save_file
 
         part = self.path.with_suffix(".part")
-        contiguous = {name: tensor.detach().contiguous().cpu().clone() for name, tensor in tensors.items()}
+        # Also of one element: where that was expanded, its stride may be zero.
+        contiguous = {
+            name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
+            for name, tensor in tensors.items()
+        }
         about = {"position": json.dumps(position), "run": self.run}
         try:
             save_file(contiguous, part, metadata=about | {"sha256": _checksum(contiguous, about)})

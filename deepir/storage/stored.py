@@ -115,7 +115,7 @@ def _continued(
     if missing := [each for each in record.plugins if each not in plugins]:
         again = " ".join(f"--plugin {each}" for each in record.plugins)
         raise ConfigError(f"{path}: the run uses the plugin {missing[0]}: deepir resume {path} {again}")
-    if config.data.path is None and config.data.simulate is None:
+    if any(each.path is None and each.simulate is None for each in config.sources().values()):
         raise ConfigError(f"{path}: its frames came from memory and not from a file, so it cannot be resumed")
     data = prepare(config)
     fresh = _record(config, data, plugins)
@@ -133,7 +133,7 @@ def _record(config: Config, data: Burst, plugins: Sequence[str]) -> Record:
         versions=versions(),
         machine=machine(),
         plugins=list(plugins),
-        inputs=input_digests(config.data, data.sha256),
+        inputs=input_digests(config, [each.sha256 for each in (data, *data.datasets.values())]),
         started=time.time(),
     )
 
@@ -204,9 +204,10 @@ class _Work:
 def _identity(config: Config, data: Burst) -> str:
     """Digest of all that a solve depends on: configuration, samples and versions."""
     found = hashlib.sha256(f"{dump(config)}{versions()}".encode())
-    for array in (data.frames, data.valid, data.bad_pixels):
-        found.update(f"{array.shape} {array.dtype}".encode())
-        found.update(np.ascontiguousarray(array).data)
+    for each in (data, *data.datasets.values()):
+        for array in (each.frames, each.valid, each.bad_pixels):
+            found.update(f"{array.shape} {array.dtype}".encode())
+            found.update(np.ascontiguousarray(array).data)
     return found.hexdigest()
 
 
@@ -234,12 +235,19 @@ def pin_config(config: Config, folder: RunFolder) -> Config:
             if k != "type" and isinstance(v, str) and Path(v).exists()
         }
         method = method | files
-    data = config.data
-    paths = {key: absolute(getattr(data, key)) for key in ("path", "truth", "mask")}
-    paths["simulate"] = inside(data.simulate)
+
+    def pinned(data: Data) -> Data:
+        paths = {key: absolute(getattr(data, key)) for key in ("path", "truth", "mask")}
+        return data.model_copy(update={**paths, "simulate": inside(data.simulate)})
+
+    further = {
+        name: each.model_copy(update={"data": pinned(each.data), "physics": inside(each.physics)})
+        for name, each in config.datasets.items()
+    }
     return config.model_copy(
         update={
-            "data": data.model_copy(update=paths),
+            "data": pinned(config.data),
+            "datasets": further,
             "method": method,
             "physics": inside(config.physics),
             "scene": inside(config.scene),
@@ -250,25 +258,29 @@ def pin_config(config: Config, folder: RunFolder) -> Config:
 
 
 def _check_inputs(config: Config, folder: RunFolder) -> None:
-    for key in ("path", "truth", "mask"):
-        path = getattr(config.data, key)
-        if path is not None and Path(path).parent == folder.path and Path(path).name in RUN_FILES:
-            raise ConfigError(
-                f"data.{key}: {path} is a result that this run would replace; give another output.dir"
-            )
+    for where, data in config.sources().items():
+        for key in ("path", "truth", "mask"):
+            path = getattr(data, key)
+            if path is not None and Path(path).parent == folder.path and Path(path).name in RUN_FILES:
+                raise ConfigError(
+                    f"{where}.{key}: {path} is a result that this run would replace; give another output.dir"
+                )
 
 
-def input_digests(paths: Data, frames: str) -> dict[str, str]:
+def input_digests(config: Config, frames: Sequence[str]) -> dict[str, str]:
     """Digest of each input file.
 
     Args:
-        paths: The data of the configuration.
-        frames: Digest of the burst.
+        config: The configuration.
+        frames: Digest of the frames of each data set.
     """
-    found = {} if paths.path is None else {paths.path: frames}
-    for path in (paths.mask, paths.truth):
-        if path is not None and Path(path).is_file():
-            found[path] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    found = {}
+    for data, digest in zip(config.sources().values(), frames, strict=True):
+        if data.path is not None:
+            found[data.path] = digest
+        for path in (data.mask, data.truth):
+            if path is not None and Path(path).is_file():
+                found[path] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
     return found
 
 

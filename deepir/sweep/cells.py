@@ -154,8 +154,10 @@ def check_inputs(found: Sequence[Cell]) -> None:
     """
     for cell in found:
         if cell.state() == "finished":
-            data = cell.config.data
-            now = input_digests(data, "" if data.path is None else digest(data.path))
+            data = cell.config.sources().values()
+            now = input_digests(
+                cell.config, ["" if each.path is None else digest(each.path) for each in data]
+            )
             check_unchanged(cell.folder.record().inputs, now, cell.folder.path)
 
 

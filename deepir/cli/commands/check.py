@@ -121,6 +121,8 @@ def _configuration(name: str, settings: list[str]) -> int:
     echo(f"configuration {name} is valid; problem {config.problem}, method {chosen(config)[0]}")
     for stage, slots in config.physics.items():
         echo(f"  {stage}: {_short(slots) or 'no options'}")
+    for each, given in config.datasets.items():
+        echo(f"  data set {each}: {given.data.path or 'no data yet'}, scene {given.scene}")
     echo(f"  scene: prior {config.prior}, {_short(config.scene)}")
     for line in data:
         echo(line)

@@ -1,0 +1,202 @@
+"""The method `bursts`: some bursts of a recording, solved together: one sensor, and a scene and a motion for each."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.build.data_sets import FIRST
+from deepir.build.problem import build, make_operator
+from deepir.burst import Burst
+from deepir.config import Config
+from deepir.errors import ConfigError, DataError
+from deepir.joint_problem import JointProblem
+from deepir.operators import Warp
+from deepir.operators.geometry import Canvas, Geometry
+from deepir.optim.position import Checkpoint
+from deepir.optim.solve import Progress, Solution
+from deepir.pipeline.collect import make_result
+from deepir.pipeline.data_sets import solve_jointly
+from deepir.pipeline.given_noise import given_noise
+from deepir.pipeline.recipe import make_recipe
+from deepir.pipeline.register import motion_model, register_frames
+from deepir.problem import Problem
+from deepir.problems.recipe import Recipe
+from deepir.registry import register
+from deepir.result import Result
+
+#: Motion within a burst along each axis, as a share of the frame's shorter side, beyond which more tells little more.
+REACH = 0.1
+
+
+@dataclass(frozen=True)
+class RegisteredBurst:
+    """Frames of a recording that register: their numbers, the frames, (N, 3, 3) motion, and messages."""
+
+    numbers: np.ndarray
+    burst: Burst
+    motion: Tensor
+    messages: list[str]
+
+    @property
+    def span(self) -> float:
+        """Motion along x and y, px, as far as it counts."""
+        most = REACH * min(self.burst.size)
+        return float(np.ptp(self.motion[:, :2, 2].numpy(), axis=0).clip(max=most).sum())
+
+
+@register("method", "bursts")
+def bursts(
+    burst: Burst,
+    config: Config,
+    *,
+    count: int = 3,
+    frames: int = 8,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    checkpoint: Checkpoint | None = None,
+) -> Result:
+    """The sensor from several bursts of a recording, solved together, with a scene for each burst.
+
+    Args:
+        burst: All frames of the recording, in their order.
+        config: The configuration, of a problem that solves several data sets.
+        count: Bursts, evenly spread over the recording.
+        frames: Of each burst.
+        callbacks: Called with a `Progress` after each iteration.
+        checkpoint: Where the solver saves its state.
+
+    Raises:
+        ConfigError: `count` or `frames` is too small, or the problem or its physics are not of this kind.
+        DataError: No burst registers.
+    """
+    recipe = make_recipe(config)
+    if count < 1 or frames < max(recipe.frames, 2):
+        raise ConfigError(
+            f"method.count = {count}, method.frames = {frames}: at least one burst of two frames is needed"
+        )
+    if not recipe.several or motion_model(config) is None:
+        raise ConfigError(
+            "method 'bursts' needs a problem of several data sets, and a motion that starts at 'register': take "
+            "problem=recording, or problem=generic with a stage 'warp'"
+        )
+    chosen = choose_bursts(burst, config, recipe, count, frames)
+    size = burst.size
+    operators = [make_operator(config, size, len(each.numbers), each.motion)[0] for each in chosen]
+    warps = [stage for each in operators for _, stage in each.named()[:1] if isinstance(stage, Warp)]
+    # Scenes of one size, so that what they have in common is told apart.
+    canvas = Canvas.around(warps) if warps else None
+    built = [build(config, each.burst, each.motion, canvas=canvas) for each in chosen]
+    names = [FIRST, *(f"burst{k}" for k in range(1, len(chosen)))]
+    problems = {name: problem.to(config.device) for name, (problem, _) in zip(names, built, strict=True)}
+    messages = [line for each in chosen for line in each.messages]
+    for each in problems.values():
+        messages += given_noise(each, config)
+        share_camera(problems[FIRST], each)
+    alive = [each.alive() for each in problems.values()]
+    joint = recipe.join(problems, config.seed)
+    solution, found = solve_jointly(joint, recipe, config, callbacks, checkpoint)
+    lost = torch.stack([was & ~each.alive() for was, each in zip(alive, joint.data_sets, strict=True)])
+    bad = burst.bad_pixels | (lost.double().mean(0) > 0.5).cpu().numpy()
+    known = dataclasses.replace(burst, bad_pixels=bad)
+    return _collected(joint, solution, known, chosen, [place for _, place in built], messages + found)
+
+
+def choose_bursts(
+    burst: Burst, config: Config, recipe: Recipe, count: int, frames: int
+) -> list[RegisteredBurst]:
+    """In each of `count` equal parts of a recording, the frames about its middle that move most and register.
+
+    Raises:
+        DataError: No part has any.
+    """
+    count = max(1, min(count, len(burst.frames) // frames))
+    edges = np.linspace(0, len(burst.frames), count + 1).astype(int)
+    parts = [_best_burst(burst, config, recipe, range(*ends), frames) for ends in itertools.pairwise(edges)]
+    if found := [each for each in parts if each is not None]:
+        return found
+    raise DataError(
+        f"{burst.source}: none of {count} bursts registers: the frames do not move as a whole, or show too little. "
+        "`deepir correct` does without registration"
+    )
+
+
+def _best_burst(
+    burst: Burst, config: Config, recipe: Recipe, part: range, frames: int
+) -> RegisteredBurst | None:
+    """The spacing of the frames doubles until they move enough, or fewer register."""
+    best: RegisteredBurst | None = None
+    frames, spacing = min(frames, len(part)), 1
+    while (frames - 1) * spacing < len(part):
+        first = part.start + (len(part) - (frames - 1) * spacing) // 2
+        numbers = first + spacing * np.arange(frames)
+        spacing *= 2
+        some = _selected(burst, numbers)
+        try:
+            motion, used, messages = register_frames(some, config, recipe)
+        except DataError:
+            continue
+        assert motion is not None
+        found = RegisteredBurst(numbers[used], _selected(some, used), motion[used], messages)
+        if best is not None and len(found.numbers) * found.span <= len(best.numbers) * best.span:
+            break
+        best = found
+    return best
+
+
+def _selected(burst: Burst, which: np.ndarray) -> Burst:
+    clipped = None if burst.clipped is None else burst.clipped[which]
+    return dataclasses.replace(
+        burst, frames=burst.frames[which], valid=burst.valid[which], clipped=clipped, beside=None
+    )
+
+
+def share_camera(first: Problem, other: Problem) -> None:
+    """Let a burst have the unknowns of another that are not of the scene, and not of single frames: the camera's."""
+    shapes = other.operator.slots(other.fields["scene"].shape, len(other.data))
+    for slot, shape in shapes.items():
+        if shape[0] == 1:
+            name = other.slots[slot]
+            other.fields[name] = first.fields[name]  # type: ignore[index]
+
+
+def _collected(
+    joint: JointProblem,
+    solution: Solution,
+    burst: Burst,
+    chosen: Sequence[RegisteredBurst],
+    places: Sequence[Geometry],
+    messages: list[str],
+) -> Result:
+    """Gain and offset of the camera, and the scene of each burst on the grid of its first frame, (bursts, H, W)."""
+    results = []
+    for each, part, place in zip(joint.data_sets, chosen, places, strict=True):
+        used = np.ones(len(part.numbers), bool)
+        own = {name: solution.values[whole] for name, whole in joint.names_in(each).items()}
+        frames = dataclasses.replace(part.burst, bad_pixels=burst.bad_pixels)
+        mine = dataclasses.replace(solution, values=own)
+        results.append(make_result(each, place, mine, frames, used, used, [], math.nan))
+    whole = results[0]
+    of_camera = set.intersection(*(set(joint.names_in(each).values()) for each in joint.data_sets))
+    n_frames = len(burst.frames)
+    motion, level = np.full((n_frames, 3, 3), np.nan), np.zeros(n_frames, np.float32)
+    for part, result in zip(chosen, results, strict=True):
+        motion[part.numbers], level[part.numbers] = result.motion, result.level
+    return dataclasses.replace(
+        whole,
+        scene=np.stack([each.scene for each in results]),
+        motion=motion,
+        level=level,
+        frames_used=np.isfinite(motion).all((1, 2)),
+        bad_pixels=burst.bad_pixels,
+        messages=list(dict.fromkeys([*messages, *(line for each in results for line in each.messages)])),
+        extra={name: each for name, each in whole.extra.items() if name in of_camera},
+        uncertainty={name: each for name, each in whole.uncertainty.items() if name != "scene"},
+        metrics=whole.metrics | {"bursts": [part.numbers.tolist() for part in chosen]},
+    )
