@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from deepir.recording.parallax import PARALLAX_RATIO
 from scipy import ndimage
 from written import write
 
 import deepir
 from deepir.errors import DeepIRError
-from deepir.recording.parallax import PARALLAX_RATIO
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 from deepir.simulate.recording.camera import compress
 from deepir.simulate.recording.settings import RECORDING_KINDS

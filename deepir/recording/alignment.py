@@ -38,13 +38,16 @@ class Spectrum:
     @classmethod
     def of(cls, frame: Array) -> Spectrum:
         """Of a frame (h, w), less its low-order part."""
-        padded = fft.next_fast_len(int(PADDING * frame.shape[0])), fft.next_fast_len(
-            int(PADDING * frame.shape[1])
+        padded = (
+            fft.next_fast_len(int(PADDING * frame.shape[0])),
+            fft.next_fast_len(int(PADDING * frame.shape[1])),
         )
         window = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in frame.shape))).astype(np.float32)
         detail = frame - ndimage.gaussian_filter(frame, SHIFT_SIGMA)
-        parts = (fft.rfft2(part, padded) for part in (detail * window, detail**2 * window, window))
-        return cls(*parts, padded)
+        shown, square, whole = (
+            fft.rfft2(part, padded) for part in (detail * window, detail**2 * window, window)
+        )
+        return cls(shown, square, whole, padded)
 
 
 def find_shift(reference: Spectrum, frame: Spectrum) -> tuple[Array, float]:

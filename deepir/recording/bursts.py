@@ -47,7 +47,11 @@ def find_burst(
         return None
     kept = numbers[chosen]
     burst = Burst(
-        frames[kept], usable[kept], motion[chosen], int(np.flatnonzero(chosen == reference)[0]), gains_differ=gains_differ
+        frames[kept],
+        usable[kept],
+        motion[chosen],
+        int(np.flatnonzero(chosen == reference)[0]),
+        gains_differ=gains_differ,
     )
     return burst, kept
 

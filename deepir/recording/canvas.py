@@ -17,7 +17,9 @@ from deepir.kernels.compile import parallel_for
 
 Array = np.ndarray[Any, Any]
 
-BORDER = 3  # px at a frame's edge that are not spread onto the canvas: the spline there would need samples beyond
+BORDER = (
+    3  # px at a frame's edge that are not spread onto the canvas: the spline there would need samples beyond
+)
 MIN_SEEN = 0.99  # of the spline's weight that lies on known canvas, so that a sample counts as predicted
 
 

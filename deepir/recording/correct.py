@@ -95,7 +95,7 @@ class CorrectedRecording:
             number: In the recording; None: after it.
         """
         place = len(self) if number is None else number
-        return segment_at(self.segments, place, frame).correct(frame)
+        return segment_at(self.segments, place, frame).correct(frame, place)
 
     def save_maps(self, path: str | os.PathLike[str]) -> None:
         """Write gain, offset and bad pixels, and the offset's standard deviation where it is known, to an `.npz`.

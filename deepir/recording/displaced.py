@@ -15,9 +15,15 @@ from scipy import ndimage
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.multiview.texture_flow import Displacement, displacements, sampled
 from deepir.recording.joint_solve import LowOrderSystem, low_order_step
-from deepir.recording.low_order import LowOrderModes, NormalEquations, block_sums, low_order_equations, low_order_modes
-from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius, shared_share
+from deepir.recording.low_order import (
+    LowOrderModes,
+    NormalEquations,
+    block_sums,
+    low_order_equations,
+    low_order_modes,
+)
 from deepir.recording.noise import noise_deviation
+from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius, shared_share
 
 Array = np.ndarray[Any, Any]
 
@@ -29,9 +35,9 @@ DISPLACEMENT_ERROR = 0.4  # px, standard deviation
 MIN_KNOWN = 0.05  # share of a frame whose displacement is known, so that the frame is used
 LEVEL_STEP = 20.0  # standard deviation of the levels' steps, in sigmas of the noise
 #: Strength of the low-order part relative to that of the scenes' mean, from which it is the sensor's. Errors of
-#: displacements are common to all frames and put up to all of the scenes' mean into it: 0.4 to 1.0 in drives without
-#: a low-order part of their own, 1.6 to 2.4 with a strong one (six recordings each, of one film).
-SCENE_RATIO = 1.25
+#: displacements are common to all frames and put up to all of the scenes' mean into it: 0.2 to 0.9 in twelve drives
+#: without a low-order part of their own, 2.0 to 3.4 in twelve with a strong one (two seeds, one film).
+SCENE_RATIO = 1.35
 
 
 class DisplacedFrames:
@@ -47,11 +53,13 @@ class DisplacedFrames:
 
     def __init__(self, frames: Array, found: Sequence[Displacement], noise: float) -> None:
         self.noise, self.level_variance, self.inflation = noise, (LEVEL_STEP * noise) ** 2, 1.0
-        self.level_variances = (self.level_variance,)
+        self.level_variances: Sequence[float] = (self.level_variance,)
         self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
         rows, columns = np.indices(frames.shape[1:], float)
         self._at = [(rows, columns), *((each.y, each.x) for each in found)]
-        self._shown = np.stack([frames[0], *(sampled(f, *at) for f, at in zip(frames[1:], self._at[1:], strict=True))])
+        self._shown = np.stack(
+            [frames[0], *(sampled(f, *at) for f, at in zip(frames[1:], self._at[1:], strict=True))]
+        )
         slope = np.hypot(*np.gradient(ndimage.gaussian_filter(frames[0], 1.0)))
         variance = noise**2 + (DISPLACEMENT_ERROR * slope) ** 2
         known = np.stack([np.any([each.known for each in found], axis=0), *(each.known for each in found)])
@@ -81,20 +89,23 @@ class DisplacedFrames:
         return low_order_equations(self._shown, self._weights, places, modes, with_motion=False)
 
 
-def solve_low_order(frames: Array, usable: Array, neighbours: Sequence[Sequence[int]], start: Array) -> Array | None:
+def solve_low_order(
+    frames: Array, usable: Array, neighbours: Sequence[Sequence[int]], start: Array
+) -> Array | None:
     """The low-order part (h, w) of an offset; None if it may as well be the scenes'.
 
     Args:
         frames: (N, h, w), float32, averaged over blocks.
         usable: same shape, bool.
         neighbours: of each frame, those that may show the same things displaced.
-        start: (h, w), a pattern whose fine part is right.
+        start: (h, w), a pattern whose fine part is right, and whose low-order part is as strong as the sensor's.
     """
     size = frames.shape[1:]
     modes, low = low_order_modes(size, mode_radius(size), RADIUS)
     spectrum = dct(start.astype(float))
-    finest = mode_radius(size) > max(size) / 2
-    prior = PatternPrior(size, max(float(np.median(spectrum[finest] ** 2)) / 0.455, 1e-12))
+    prior = PatternPrior(size, 1.0)
+    # Broad: a prior by the finest modes would shrink what the displacements tell.
+    prior.start[low] = prior.strengths(spectrum, np.zeros(size), low)
     offset = start.astype(float)
     for _ in range(ROUNDS):
         rest = (frames - offset).astype(float)
@@ -112,11 +123,15 @@ def solve_low_order(frames: Array, usable: Array, neighbours: Sequence[Sequence[
 
 def _displaced(frames: Array, neighbours: Sequence[Sequence[int]]) -> list[LowOrderSystem]:
     able = [k for k, others in enumerate(neighbours) if others]
-    references = [able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(REFERENCES, len(able))).astype(int))]
+    references = [
+        able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(REFERENCES, len(able))).astype(int))
+    ]
     pairs = [
         (k, neighbours[k][i])
         for k in references
-        for i in np.unique(np.linspace(0, len(neighbours[k]) - 1, min(NEIGHBOURS, len(neighbours[k]))).astype(int))
+        for i in np.unique(
+            np.linspace(0, len(neighbours[k]) - 1, min(NEIGHBOURS, len(neighbours[k]))).astype(int)
+        )
     ]
     noise = noise_deviation(frames.astype(np.float32))
     found = [each for each in displacements(frames, pairs) if each.known.mean() > MIN_KNOWN]

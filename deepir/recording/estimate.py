@@ -68,6 +68,7 @@ class SensorEstimate:
         kept: what is corrected, in words.
         misfit: of registered frames, in variances of the noise of a sample; inf where they do not register.
         messages: for the user.
+        contrasts: numbers of frames, and their gains by an automatic gain control, relative to their mean; None: one.
     """
 
     gain: Array
@@ -78,6 +79,7 @@ class SensorEstimate:
     kept: str
     misfit: float
     messages: tuple[str, ...] = ()
+    contrasts: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,14 @@ class _Samples:
             )
         low, high = _limits(frames)
         usable = (frames > low) & (frames < high)
-        some = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
-        level = float(np.median(frames[some][usable[some]])) if usable[some].any() else 0.0
+        thin = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
+        level = float(np.median(frames[thin][usable[thin]])) if usable[thin].any() else 0.0
         frames = np.where(usable, frames, np.float32(level)) - np.float32(level)
         middle = len(frames) // 2
-        halves = shared_pattern(frames[:middle], usable[:middle]), shared_pattern(frames[middle:], usable[middle:])
+        halves = (
+            shared_pattern(frames[:middle], usable[:middle]),
+            shared_pattern(frames[middle:], usable[middle:]),
+        )
         pattern = (halves[0] + halves[1]) / 2
         rounding = rounding_deviation(keyframes.frames[0])
         some = some_frames(frames) - pattern
@@ -146,6 +151,7 @@ def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = Non
             _one_way(burst, samples.frames.shape[1:]),
             (np.where(samples.usable[numbers], shown, expected), expected),
             misfit,
+            (keyframes.numbers[numbers], burst.gains) if burst.gains_differ else None,
         )
     _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
     return _of_displaced(samples, keyframes, former)
@@ -162,8 +168,10 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
     return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), "fine offset")
 
 
-def _registered(samples: _Samples, *, gains_differ: bool) -> tuple[SensorSolution, Burst, Array, float] | None:
-    """The sensor by frames that register, these, their numbers, and their misfit; None where too few do, or the model does not fit them."""
+def _registered(
+    samples: _Samples, *, gains_differ: bool
+) -> tuple[SensorSolution, Burst, Array, float] | None:
+    """The sensor by frames that register, these, their numbers and misfit; None where too few do, or do not fit."""
     frames, usable = samples.frames, samples.known
     factor = max(1, min(frames.shape[1:]) // SHORT_SIDE)
     small, known = _averaged(frames, usable, factor)
@@ -187,15 +195,14 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> tuple[SensorSolutio
     return solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS), full, numbers, misfit
 
 
-def _of_displaced(
-    samples: _Samples, keyframes: Keyframes, former: CorrectionMaps | None
-) -> SensorEstimate:
+def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMaps | None) -> SensorEstimate:
     """The sensor of a camera that moves among near things."""
     size = samples.frames.shape[1:]
     factor = max(1, min(size) // SHORT_SIDE)
     small, known = _averaged(samples.frames, samples.known, factor)
-    start = _averaged(samples.pattern[None], ~samples.bad[None], factor)[0][0]
-    offset = fine_part(*samples.halves)
+    offset, pattern = fine_part(*samples.halves), samples.pattern
+    whole = offset + pattern - fine_part(pattern, pattern)
+    start = _averaged(whole[None].astype(np.float32), ~samples.bad[None], factor)[0][0]
     low = solve_low_order(small, known, keyframes.neighbours, start)
     if low is not None:
         return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
@@ -217,6 +224,7 @@ def _estimate(
     messages: tuple[str, ...] = (),
     registered: tuple[Array, Array] | None = None,
     misfit: float = np.inf,
+    contrasts: tuple[Array, Array] | None = None,
 ) -> SensorEstimate:
     """The estimate, its bad pixels judged again by `registered` frames and what they should show, if there are any."""
     gain, offset, bad = solution.gain, solution.offset, samples.bad
@@ -227,7 +235,9 @@ def _estimate(
         offset = np.where(bad & ~again, offset + np.median(frames - expected, axis=0), offset)
         bad = again
     offset = offset - (0.0 if bad.all() else offset[~bad].mean())
-    return SensorEstimate(np.where(bad, 1, gain), offset, bad, samples.level, solution.deviation, kept, misfit, messages)
+    return SensorEstimate(
+        np.where(bad, 1, gain), offset, bad, samples.level, solution.deviation, kept, misfit, messages
+    )
 
 
 def _averaged(frames: Array, usable: Array, factor: int) -> tuple[Array, Array]:

@@ -20,7 +20,13 @@ from scipy import linalg, ndimage
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.recording.alignment import refined_motion
 from deepir.recording.canvas import Canvas, centred, project
-from deepir.recording.low_order import LowOrderModes, NormalEquations, block_sums, low_order_equations, low_order_modes
+from deepir.recording.low_order import (
+    LowOrderModes,
+    NormalEquations,
+    block_sums,
+    low_order_equations,
+    low_order_modes,
+)
 from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius
 
 Array = np.ndarray[Any, Any]
@@ -85,7 +91,9 @@ class Burst:
     def corrected(self, offset: Array, gain: Array) -> Array:
         """Frames (n, h, w) without pattern and level."""
         levels, gains = (np.asarray(each, np.float32)[:, None, None] for each in (self.levels, self.gains))
-        return np.asarray((self.frames / gains - levels - offset.astype(np.float32)) / gain.astype(np.float32))
+        return np.asarray(
+            (self.frames / gains - levels - offset.astype(np.float32)) / gain.astype(np.float32)
+        )
 
     def align(self, offset: Array, gain: Array, free: int) -> None:
         """Refine the motion."""
@@ -108,7 +116,9 @@ class Burst:
         if robust:
             weights = weights / (1 + _smoothed(rest**2) / (OUTLIER_SIGMAS**2 * variance))
         self.weights = weights.astype(np.float32)
-        free = LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES  # such a control sets levels too
+        free = (
+            LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES
+        )  # such a control sets levels too
         self.level_variances = (free * self.noise**2).tolist()
         y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
         self._motions = np.stack([across, down, down * x - across * y], 1)
@@ -216,7 +226,12 @@ def solve_sensor(
 
 
 def low_order_step(
-    bursts: Sequence[LowOrderSystem], modes: LowOrderModes, low: Array, prior: PatternPrior, offset: Array, gain: Array
+    bursts: Sequence[LowOrderSystem],
+    modes: LowOrderModes,
+    low: Array,
+    prior: PatternPrior,
+    offset: Array,
+    gain: Array,
 ) -> tuple[Array, Array]:
     """Change the low-order part of an offset to its posterior mean; sets its strengths, and levels and gains of frames.
 
@@ -239,8 +254,9 @@ def low_order_step(
     for k, burst in enumerate(bursts):
         if len(burst.level_variances) > 1:
             evidence = []
-            for burst.level_variance in burst.level_variances:
-                evidence.append(_fit(bursts[k : k + 1], systems[k : k + 1], prior, low, before).evidence)
+            for variance in burst.level_variances:
+                burst.level_variance = variance
+                evidence.append(_fit([burst], systems[k : k + 1], prior, low, before).evidence)
             burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
     best = _fit(bursts, systems, prior, low, before)
     for burst, system, own in zip(bursts, systems, best.reduced, strict=True):
@@ -267,7 +283,11 @@ class _Fit:
 
 
 def _fit(
-    bursts: Sequence[LowOrderSystem], systems: Sequence[NormalEquations], prior: PatternPrior, low: Array, before: Array
+    bursts: Sequence[LowOrderSystem],
+    systems: Sequence[NormalEquations],
+    prior: PatternPrior,
+    low: Array,
+    before: Array,
 ) -> _Fit:
     """Expectation maximisation of the variances, from a broad prior; the evidence is up to a constant."""
     reduced = [_nuisance(burst, system, len(before)) for burst, system in zip(bursts, systems, strict=True)]
@@ -344,9 +364,11 @@ def _information(bursts: Sequence[Burst], size: Sequence[int]) -> tuple[Array, A
             for x in (-size[1] / 4, size[1] / 4):
                 moved = burst.canvas.motion @ np.array([x, y, 1.0])
                 shift = moved[:, :2] / moved[:, 2:] - (x, y)
-                phases = np.exp(1j * down * shift[:, 1:]), np.exp(1j * across * shift[:, :1])
-                for sign in (phases[0], np.conj(phases[0])):
-                    same.append(np.abs(np.einsum("kh,kw->hw", sign, phases[1]) / len(shift)) ** 2)
+                of_rows, of_columns = np.exp(1j * down * shift[:, 1:]), np.exp(1j * across * shift[:, :1])
+                same += [
+                    np.abs(np.einsum("kh,kw->hw", phase, of_columns) / len(shift)) ** 2
+                    for phase in (of_rows, np.conj(of_rows))
+                ]
         weight = float(burst.weights.sum(0).mean()) / burst.inflation
         share = np.maximum(1 - np.mean(same, 0), 1e-6)
         total += weight * share / (1 + INTERPOLATION_NOISE / share)
@@ -355,7 +377,12 @@ def _information(bursts: Sequence[Burst], size: Sequence[int]) -> tuple[Array, A
 
 
 def _fine_steps(
-    bursts: Sequence[Burst], offset: Array, gain: Array, prior: PatternPrior, information: Array, trusted: Array
+    bursts: Sequence[Burst],
+    offset: Array,
+    gain: Array,
+    prior: PatternPrior,
+    information: Array,
+    trusted: Array,
 ) -> Array:
     """The offset after steps of conjugate gradients in its modes outside the low-order part."""
     inverse = np.where(trusted > 0, 1 / prior.variance, 0.0)

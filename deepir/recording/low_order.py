@@ -83,9 +83,9 @@ class NormalEquations:
         scene = moment / np.maximum(total, np.finfo(float).tiny)
         maps = np.zeros((len(rest), *self._seen.shape))
         counts = np.zeros(maps.shape)
-        for each, count, (_, weight, _), values in zip(maps, counts, self._rows, rest, strict=True):
-            each[self._seen] = np.clip(weight**0.5 * (values - scene), -CLIP, CLIP)
-            count[self._seen] = weight > 0
+        for k, ((_, weight, _), values) in enumerate(zip(self._rows, rest, strict=True)):
+            maps[k, self._seen] = np.clip(weight**0.5 * (values - scene), -CLIP, CLIP)
+            counts[k, self._seen] = weight > 0
         return max(1.0, *(_mean_square(maps, counts, scale) for scale in SCALES))
 
 
@@ -127,7 +127,8 @@ def low_order_equations(
     change /= np.maximum(weight, np.finfo(float).tiny)
     seen = weight.sum(0) > MIN_WEIGHT * weight.sum(0).max()
     y, x, bright, gy, gx = (
-        block_sums(each, block)[seen] / block**2 for each in (*centred(scene.shape), scene, *np.gradient(scene))
+        block_sums(each, block)[seen] / block**2
+        for each in (*centred(scene.shape), scene, *np.gradient(scene))
     )
     own = [np.ones_like(y)]
     if with_motion:
@@ -139,7 +140,9 @@ def low_order_equations(
     rows = []
     for k in range(len(frames)):
         at = places(k, seen)
-        gain = [] if offset is None else [bright + ndimage.map_coordinates(offset, at, order=1, mode="nearest")]
+        gain = (
+            [] if offset is None else [bright + ndimage.map_coordinates(offset, at, order=1, mode="nearest")]
+        )
         design = np.concatenate([modes.at(*at), np.stack([*own, *gain], 1)], 1)
         mine, values = weight[k][seen], change[k][seen]
         weighted = design * mine[:, None]
@@ -158,9 +161,7 @@ def block_sums(values: Array, block: int) -> Array:
     """Sums over blocks of (..., H, W), float64."""
     height, width = (side // block for side in values.shape[-2:])
     cut = values[..., : height * block, : width * block]
-    return np.asarray(
-        cut.reshape(*values.shape[:-2], height, block, width, block).sum((-3, -1), dtype=float)
-    )
+    return np.asarray(cut.reshape(*values.shape[:-2], height, block, width, block).sum((-3, -1), dtype=float))
 
 
 def low_order_modes(size: Sequence[int], radius: Array, most: float) -> tuple[LowOrderModes, Array]:

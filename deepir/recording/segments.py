@@ -42,9 +42,20 @@ class Segment:
     estimate: SensorEstimate | None
     refused: str = ""
 
-    def correct(self, frame: Array) -> Array:
-        """Correct a frame (h, w), in the recording's units; float32."""
-        return as_float32(frame) if self.estimate is None else self.maps.correct(frame)
+    def correct(self, frame: Array, number: int | None = None) -> Array:
+        """Correct a frame (h, w), in the recording's units; float32.
+
+        Args:
+            frame: of the recording, or after it.
+            number: in the recording; None: after it. An automatic gain control scales the pattern of each frame.
+        """
+        found = self.estimate
+        if found is None:
+            return as_float32(frame)
+        if found.contrasts is not None:
+            contrast = np.interp(self.last if number is None else number, *found.contrasts)
+            frame = as_float32(frame) - np.float32(contrast - 1) * found.offset.astype(np.float32)
+        return self.maps.correct(frame)
 
     @property
     def description(self) -> str:
@@ -61,9 +72,7 @@ class Segment:
         return CorrectionMaps(found.gain, found.offset + found.level * (1 - found.gain), found.bad_pixels)
 
 
-def estimate_segments(
-    keyframes: Keyframes, *, former: CorrectionMaps | None = None
-) -> list[Segment]:
+def estimate_segments(keyframes: Keyframes, *, former: CorrectionMaps | None = None) -> list[Segment]:
     """Find where the pattern jumps, and estimate the sensor of each part.
 
     Args:

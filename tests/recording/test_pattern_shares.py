@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.recording.pattern_shares import PARTS, contains_pattern, removes_more, shares, shrink_offset
+from deepir.recording.pattern_shares import contains_pattern, removes_more, shares
 
 
 def detail(scene):
@@ -21,18 +21,6 @@ def test_frames_hold_all_of_the_sensors_pattern_and_nothing_of_another_scene(wal
     assert found[0] == pytest.approx(1, abs=0.05)
     assert abs(found[1]) < 0.2
     assert (errors < 0.05).all()
-
-
-def test_rows_that_no_other_frame_has_are_taken_out(walk):
-    false = walk.fine + np.where(np.arange(len(walk.fine)) % 2, 30, -30)[:, None]  # rows that no frame has
-
-    shrunk, found = shrink_offset(false, ~walk.bad, walk.frames[60::8].astype(float))
-
-    assert found["rows"] < 0.2
-    assert found["columns"] > 0.9
-    assert found["pixels"] > 0.9
-    assert list(found) == list(PARTS)
-    assert np.std((shrunk - walk.fine)[~walk.bad]) < 0.3 * np.std((false - walk.fine)[~walk.bad])
 
 
 def test_a_correction_that_does_not_fit_is_known_from_one_frame(walk):

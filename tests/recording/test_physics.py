@@ -1,15 +1,13 @@
-"""What a recording tells of parallax and thermal lag, by scenes that move as is known."""
+"""What a recording tells of thermal lag, by scenes that move as is known."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 from skimage import data
 
-from deepir.multiview.texture_flow import displacements
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.findings import findings_lines
 from deepir.recording.neighbours import LENGTH, MAX_RUNS, OFFSETS, NeighbouringFrames
-from deepir.recording.parallax import PARALLAX_RATIO, parallax_ratio
 from deepir.recording.thermal_lag import ThermalLag, thermal_lag
 
 SIZE = (96, 128)
@@ -58,32 +56,6 @@ def test_lag_is_not_judged_by_few_frames():
     assert thermal_lag(runs_of(shaken(0.3, 12))) is None
 
 
-def displaced(near):
-    """Frames whose lower rows move by `near` px, the upper ones by 3, and their displacements."""
-    rows = np.arange(SIZE[0])[:, None]
-    speed = np.where(rows < 48, 3.0, near)
-    rng = np.random.default_rng(3)
-    frames = [view(150, 100 + k * speed) + NOISE * rng.standard_normal(SIZE) for k in range(5)]
-    frames = np.stack(frames).astype(np.float32)
-    return frames, list(displacements(frames.astype(float), [(0, 1), (1, 2), (2, 3), (3, 4)]))
-
-
-def ratio_of(near):
-    frames, found = displaced(near)
-    return parallax_ratio(frames, np.ones(frames.shape, bool), np.ones(SIZE), np.zeros(SIZE), found)
-
-
-def test_two_depths_show_parallax_and_a_turn_does_not():
-    assert ratio_of(8.0) > PARALLAX_RATIO > ratio_of(3.0)
-
-
-def test_a_scene_at_rest_has_no_parallax_to_judge():
-    frames = np.stack([view(150, 100)] * 4).astype(np.float32)
-    found = list(displacements(frames.astype(float), [(0, 1), (2, 3)]))
-    ratio = parallax_ratio(frames, np.ones(frames.shape, bool), np.ones(SIZE), np.zeros(SIZE), found)
-    assert np.isnan(ratio)
-
-
 def test_few_runs_are_kept_spread_over_a_long_recording():
     frames = np.arange(4000)[:, None, None] * np.ones((1, 2, 2))
     neighbours = NeighbouringFrames()
@@ -105,15 +77,15 @@ def test_a_repeated_frame_ends_a_run():
 
 
 @pytest.mark.parametrize(
-    ("ratio", "lag", "said"),
+    ("misfit", "lag", "said"),
     [
-        (1.2, ThermalLag(0.3, 12.0), ["parallax: yes", "thermal lag: about 0.3 of the time"]),
-        (0.9, ThermalLag(0.05, 0.2), ["parallax: none", "thermal lag: none is seen"]),
-        (np.nan, None, ["parallax: not judged", "thermal lag: not judged"]),
+        (0.9, ThermalLag(0.3, 12.0), ["motion: the frames register", "thermal lag: about 0.3 of the time"]),
+        (np.inf, ThermalLag(0.05, 0.2), ["motion: near and far", "thermal lag: none is seen"]),
+        (np.inf, None, ["motion: near and far", "thermal lag: not judged"]),
     ],
 )
-def test_the_report_says_what_was_seen_in_words(ratio, lag, said):
+def test_the_report_says_what_was_seen_in_words(misfit, lag, said):
     none = np.zeros(SIZE)
-    estimate = SensorEstimate(none + 1, none, none > 0, 0.0, None, "offset", {}, parallax=ratio)
-    for line, start in zip(findings_lines(estimate, lag, None), [*said, "repeatability: not"], strict=True):
+    estimate = SensorEstimate(none + 1, none, none > 0, 0.0, None, "offset", misfit)
+    for line, start in zip(findings_lines(estimate, lag), said, strict=True):
         assert line.startswith(start)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,9 +61,7 @@ def correct(
     return 0
 
 
-def _correct(
-    config: Config, target: Path, maps: Path, picture: Path, *, rounded: bool
-) -> None:
+def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded: bool) -> None:
     """Estimate the sensor, then write maps, picture and all corrected frames."""
     import functools
     from concurrent.futures import ThreadPoolExecutor
@@ -119,6 +116,5 @@ def _describe(corrected: CorrectedRecording) -> None:
 
 
 def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:
-    return (
-        f"correction: {estimate.kept}, from {keyframes} of {length} frames; {int(estimate.bad_pixels.sum())} bad pixels"
-    )
+    bad = int(estimate.bad_pixels.sum())
+    return f"correction: {estimate.kept}, from {keyframes} of {length} frames; {bad} bad pixels"
