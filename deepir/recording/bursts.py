@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.errors import DataError
 from deepir.recording.alignment import Spectrum, find_motion
 from deepir.recording.canvas import centred, project
 from deepir.recording.consensus import gradient_consensus
@@ -19,6 +20,15 @@ FRAMES = 24  # of a burst, at most
 MIN_LIKENESS = 0.4  # correlation with the frames that it is registered to, of a frame that is used
 MIN_FRAMES = 4  # of a burst
 MIN_STEP = 0.5  # px: frames that moved by less since another one add nothing but an average
+AT_REST = (
+    "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
+    "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
+    "deepir apply MAPS FILE"
+)
+
+
+class CameraAtRestError(DataError):
+    """The camera stands still."""
 
 
 def find_burst(
@@ -35,6 +45,9 @@ def find_burst(
 
     Returns:
         The burst, and the numbers of its frames.
+
+    Raises:
+        CameraAtRestError: Most frames show the same at the same place.
     """
     near = np.argsort(np.abs(np.arange(len(frames)) - around), kind="stable")
     step = max(1, len(near) // CANDIDATES)
@@ -42,8 +55,11 @@ def find_burst(
     spectra = [Spectrum.of(frames[k] - start.astype(np.float32)) for k in numbers]
     reference = int(np.flatnonzero(numbers == around)[0])
     motion, likeness = find_motion(spectra, reference)
-    chosen = _apart(motion, likeness >= MIN_LIKENESS, reference, frames.shape[1:])
+    alike = likeness >= MIN_LIKENESS
+    chosen = _apart(motion, alike, reference, frames.shape[1:])
     if len(chosen) < MIN_FRAMES:
+        if alike.sum() >= max(MIN_FRAMES, len(numbers) / 2):
+            raise CameraAtRestError(AT_REST)
         return None
     kept = numbers[chosen]
     burst = Burst(

@@ -7,9 +7,10 @@ one (`displaced`). What neither determines is left as it is.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,14 @@ from deepir.errors import DataError
 from deepir.io.inspection.saturated_samples import saturated_samples
 from deepir.kernels.block_means import block_means
 from deepir.messages import Message
-from deepir.recording.bursts import Burst, burst_motion, find_burst, shared_pattern
+from deepir.recording.bursts import (
+    AT_REST,
+    Burst,
+    CameraAtRestError,
+    burst_motion,
+    find_burst,
+    shared_pattern,
+)
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, some_frames
 from deepir.recording.displaced import enlarged, fine_part, solve_low_order
 from deepir.recording.joint_solve import SensorSolution, solve_sensor
@@ -39,20 +47,11 @@ MIN_CHANGE_SIGMAS = 2.2
 MAX_MISFIT = 100.0
 FULL_SIZE_ROUNDS = 2  # of the solve at the frames' own size, after that of averaged frames
 MIN_MOTION = 1.0  # px, range of the motion along an axis, below which nothing is separated along it
-AT_REST = (
-    "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
-    "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
-    "deepir apply MAPS FILE"
-)
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
 ONE_WAY = (
     ("turns sideways only", "from top to bottom", "Tilt the camera too"),
     ("tilts only", "from left to right", "Turn the camera sideways too"),
 )
-
-
-class CameraAtRestError(DataError):
-    """The camera stands still."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +127,19 @@ class _Samples:
         """Shared by all frames, (h, w)."""
         return (self.halves[0] + self.halves[1]) / 2
 
+    @property
+    def filled(self) -> Array:
+        """The frames, float32, samples that do not count like their neighbours: a spike would spread when warped."""
+        frames, known, (height, width) = self.frames.copy(), self.known, self.frames.shape[1:]
+        k, y, x = np.nonzero(~known)
+        total, weight = np.zeros(len(k)), np.full(len(k), np.finfo(float).tiny)
+        for i, j in itertools.product((-1, 0, 1), repeat=2):
+            near = k, np.clip(y + i, 0, height - 1), np.clip(x + j, 0, width - 1)
+            total += known[near] * self.frames[near]
+            weight += known[near]
+        frames[k, y, x] = total / weight
+        return frames
+
 
 def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = None) -> SensorEstimate:
     """Estimate gain, offset and bad pixels.
@@ -142,16 +154,16 @@ def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = Non
     samples = _Samples.of(keyframes)
     found = _registered(samples, gains_differ=keyframes.eight_bits)
     if found is not None:
-        solution, burst, numbers, misfit = found
-        shown, expected = burst.compared(solution.offset, solution.gain)
+        solution, numbers = found.solution, found.numbers
+        shown, expected = found.burst.compared(solution.offset, solution.gain)
         return _estimate(
             samples,
             solution,
             "gain and offset",
-            _one_way(burst, samples.frames.shape[1:]),
+            _one_way(found.burst, samples.frames.shape[1:]),
             (np.where(samples.usable[numbers], shown, expected), expected),
-            misfit,
-            (keyframes.numbers[numbers], burst.gains) if burst.gains_differ else None,
+            found.misfit,
+            None if found.gains is None else (keyframes.numbers[numbers], found.gains),
         )
     _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
     return _of_displaced(samples, keyframes, former)
@@ -168,14 +180,25 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
     return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), "fine offset")
 
 
-def _registered(
-    samples: _Samples, *, gains_differ: bool
-) -> tuple[SensorSolution, Burst, Array, float] | None:
-    """The sensor by frames that register, these, their numbers and misfit; None where too few do, or do not fit."""
-    frames, usable = samples.frames, samples.known
+class _Registered(NamedTuple):
+    """The sensor by frames that register, these, their numbers, misfit, and gains by an automatic gain control."""
+
+    solution: SensorSolution
+    burst: Burst
+    numbers: Array
+    misfit: float
+    gains: Array | None
+
+
+def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
+    """The sensor by frames that register; None where too few do, or do not fit."""
+    frames, usable = samples.filled, samples.known
+    if gains_differ:
+        contrasts = _contrasts(frames)
+        frames = frames / contrasts[:, None, None]
     factor = max(1, min(frames.shape[1:]) // SHORT_SIDE)
     small, known = _averaged(frames, usable, factor)
-    start = _averaged(samples.pattern[None], ~samples.bad[None], factor)[0][0]
+    start = _averaged(shared_pattern(frames, usable)[None], ~samples.bad[None], factor)[0][0]
     found = find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ)
     if found is None:
         return None
@@ -187,12 +210,21 @@ def _registered(
     if misfit > MAX_MISFIT:
         return None
     if factor == 1:
-        return solution, burst, numbers, misfit
-    motion = burst_motion(burst.canvas.motion, factor, frames.shape[1:])
-    full = Burst(frames[numbers], usable[numbers], motion, burst.reference, gains_differ=gains_differ)
-    full.levels, full.gains = burst.levels, burst.gains
-    shared = shared_pattern(frames[numbers], usable[numbers])
-    return solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS), full, numbers, misfit
+        full = burst
+    else:
+        motion = burst_motion(burst.canvas.motion, factor, frames.shape[1:])
+        full = Burst(frames[numbers], usable[numbers], motion, burst.reference, gains_differ=gains_differ)
+        full.levels, full.gains = burst.levels, burst.gains
+        shared = shared_pattern(frames[numbers], usable[numbers])
+        solution = solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS)
+    gains = full.gains * contrasts[numbers] if gains_differ else None
+    return _Registered(solution, full, numbers, misfit, gains)
+
+
+def _contrasts(frames: Array) -> Array:
+    """Relative gains (N,) of frames, by their finest detail, which is mostly the sensor's; float32."""
+    found = np.array([noise_deviation(frame[None]) for frame in frames])
+    return np.asarray(found / np.exp(np.log(found).mean()), np.float32)
 
 
 def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMaps | None) -> SensorEstimate:

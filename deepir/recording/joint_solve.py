@@ -205,7 +205,7 @@ def solve_sensor(
     spectrum = dct(start.astype(float))
     finest = radius > max(size) / 2
     prior = PatternPrior(size, max(float(np.median(spectrum[finest] ** 2)) / CHI_SQUARED_MEDIAN, 1e-12))
-    offset, gain = idct(np.where(low, 0.0, spectrum)), np.ones(size)
+    offset, gain, extrapolated = idct(np.where(low, 0.0, spectrum)), np.ones(size), np.zeros(size)
     fine = ~low
     fine[0, 0] = False
     for number in range(rounds):
@@ -219,8 +219,8 @@ def solve_sensor(
         posterior = 1 / (information + 1 / prior.variance)
         prior.update(dct(offset), posterior, fine)
         if with_gain and number >= rounds - 2:
-            offset, gain = _with_gain(bursts, offset, gain)
-    deviation = _deviation(modes, covariance, posterior[fine].sum() / posterior.size, size)
+            offset, gain, extrapolated = _with_gain(bursts, offset, gain)
+    deviation = _deviation(modes, covariance, posterior[fine].sum() / posterior.size + extrapolated, size)
     inflation, noise = max(b.inflation for b in bursts), float(np.median([b.noise for b in bursts]))
     return SensorSolution(offset - offset.mean(), gain, deviation, inflation, noise)
 
@@ -417,8 +417,10 @@ def _conjugate_gradient(normal: Callable[[Array], Array], rest: Array, precondit
     return found
 
 
-def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Array, Array]:
+def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Array, Array, Array]:
     """Offset and gain after a step by the slope of each pixel's residuals over the scene that it saw.
+
+    Third, the variance (h, w) that the gain's adds to the offset's: a pixel that saw other levels extrapolates.
 
     The gain is one, and a part of each column, and one of each pixel; their variances are those that suit the data.
     """
@@ -444,10 +446,10 @@ def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Arr
         of_columns = float(np.median(columns**2 + spread)) / CHI_SQUARED_MEDIAN
         of_pixels = float(np.median(pixels**2 + left)) / CHI_SQUARED_MEDIAN
     change = (1 + columns + pixels) / gain - 1
-    return offset - gain * change * middle, gain * (1 + change)
+    return offset - gain * change * middle, gain * (1 + change), middle**2 * (left + spread)
 
 
-def _deviation(modes: LowOrderModes, covariance: Array, fine_variance: float, size: Sequence[int]) -> Array:
+def _deviation(modes: LowOrderModes, covariance: Array, fine_variance: Array, size: Sequence[int]) -> Array:
     """Posterior standard deviation (h, w) of the offset."""
     y, x = (np.arange(side, dtype=float) for side in size)
     low = np.empty(tuple(size))

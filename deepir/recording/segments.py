@@ -14,7 +14,8 @@ from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import memory, threads
-from deepir.recording.estimate import CameraAtRestError, SensorEstimate, estimate_sensor
+from deepir.recording.bursts import CameraAtRestError
+from deepir.recording.estimate import SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.pattern_jumps import pattern_jumps
 from deepir.recording.pattern_shares import contains_pattern, removes_more

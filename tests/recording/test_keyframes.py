@@ -47,12 +47,6 @@ def test_the_spacing_follows_the_motion():
     assert spacings[0] > 2 * spacings[1]
 
 
-def test_held_out_groups_are_apart_from_those_that_are_estimated_from():
-    estimated, held = choose_keyframes(iter(pan(2 * SHORT, 2.0))).split()
-    assert 0 < len(held.frames) < 0.3 * len(estimated.frames)
-    assert not set(estimated.numbers) & set(held.numbers)
-
-
 def test_pairs_are_spread_evenly():
     pairs = [(k, k + 1) for k in range(100)]
     assert spread(pairs, 3) == [(0, 1), (49, 50), (99, 100)]

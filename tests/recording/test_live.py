@@ -220,7 +220,7 @@ def test_an_estimate_that_is_cancelled_does_not_come(walk):
         found = estimator.poll()
         assert found is not None
         assert found.estimate is not None
-        assert found.estimate.kept == "fine_offset"
+        assert found.estimate.kept == "fine offset"
     finally:
         estimator.close()
 
