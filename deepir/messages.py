@@ -115,10 +115,6 @@ WARNINGS = {
         "frames, as is that of the scene. It stays in the recording.",
         "Turn the camera along the other axis too.",
     ),
-    "no-correction-helps": (
-        "No correction makes held-out frames of the recording more likely. The recording is left as it is.",
-        "Nothing if the camera is corrected already. Otherwise record for some seconds while the camera moves.",
-    ),
     "few-frames": (
         "A few frames hardly separate the pattern of single pixels from the scenes.",
         "Take as many frames as the message says.",

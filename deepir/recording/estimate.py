@@ -68,6 +68,7 @@ class SensorEstimate:
         misfit: of registered frames, in variances of the noise of a sample; inf where they do not register.
         messages: for the user.
         contrasts: numbers of frames, and their gains by an automatic gain control, relative to their mean; None: one.
+        registered: numbers of the first and the last frame that were solved together; None: none were.
     """
 
     gain: Array
@@ -79,6 +80,7 @@ class SensorEstimate:
     misfit: float
     messages: tuple[str, ...] = ()
     contrasts: tuple[Array, Array] | None = None
+    registered: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,9 @@ def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = Non
     found = _registered(samples, gains_differ=keyframes.eight_bits)
     if found is not None:
         solution, numbers = found.solution, found.numbers
-        shown, expected = found.burst.compared(solution.offset, solution.gain)
+        _, expected = found.burst.compared(solution.offset, solution.gain)
+        found.burst.frames = found.recorded  # with what bad pixels show
+        shown = found.burst.corrected(solution.offset, solution.gain)
         return _estimate(
             samples,
             solution,
@@ -164,6 +168,7 @@ def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = Non
             (np.where(samples.usable[numbers], shown, expected), expected),
             found.misfit,
             None if found.gains is None else (keyframes.numbers[numbers], found.gains),
+            (int(keyframes.numbers[numbers[0]]), int(keyframes.numbers[numbers[-1]])),
         )
     _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
     return _of_displaced(samples, keyframes, former)
@@ -181,13 +186,14 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
 
 
 class _Registered(NamedTuple):
-    """The sensor by frames that register, these, their numbers, misfit, and gains by an automatic gain control."""
+    """The sensor by frames that register, these, their numbers, misfit, and gains of a gain control."""
 
     solution: SensorSolution
     burst: Burst
     numbers: Array
     misfit: float
     gains: Array | None
+    recorded: Array  # as `burst.frames`, bad pixels as they are
 
 
 def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
@@ -217,8 +223,11 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
         full.levels, full.gains = burst.levels, burst.gains
         shared = shared_pattern(frames[numbers], usable[numbers])
         solution = solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS)
-    gains = full.gains * contrasts[numbers] if gains_differ else None
-    return _Registered(solution, full, numbers, misfit, gains)
+    recorded = samples.frames[numbers]
+    if not gains_differ:
+        return _Registered(solution, full, numbers, misfit, None, recorded)
+    scale = contrasts[numbers]
+    return _Registered(solution, full, numbers, misfit, full.gains * scale, recorded / scale[:, None, None])
 
 
 def _contrasts(frames: Array) -> Array:
@@ -257,6 +266,7 @@ def _estimate(
     registered: tuple[Array, Array] | None = None,
     misfit: float = np.inf,
     contrasts: tuple[Array, Array] | None = None,
+    span: tuple[int, int] | None = None,
 ) -> SensorEstimate:
     """The estimate, its bad pixels judged again by `registered` frames and what they should show, if there are any."""
     gain, offset, bad = solution.gain, solution.offset, samples.bad

@@ -88,14 +88,14 @@ def estimate_segments(keyframes: Keyframes, *, former: CorrectionMaps | None = N
 
 
 def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> list[Segment]:
+    jumps = pattern_jumps(keyframes.frames)
     whole: SensorEstimate | DataError
     try:
         whole = _estimate(keyframes, former)
-        if whole.misfit < MAX_MISFIT:
-            return [_segment(keyframes, whole)]
+        jumps = [each for each in jumps if not _explains(whole, int(keyframes.numbers[each]))]
     except DataError as error:
         whole = error
-    ends = [0, *pattern_jumps(keyframes.frames), len(keyframes.frames)]
+    ends = [0, *jumps, len(keyframes.frames)]
     parts = [np.arange(*each) for each in itertools.pairwise(ends)]
     if len(parts) == 1:
         if isinstance(whole, DataError):
@@ -117,6 +117,12 @@ def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> l
         else _with_maps_of_neighbour(each, found[max(0, k - 1) : k + 2], keyframes.frames[part])
         for k, (each, part) in enumerate(zip(found, parts, strict=True))
     ]
+
+
+def _explains(estimate: SensorEstimate, number: int) -> bool:
+    """Whether frames before and after one register with one pattern."""
+    first, last = estimate.registered or (number, number)
+    return estimate.misfit < MAX_MISFIT and first < number < last
 
 
 def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], frames: Array) -> Segment:

@@ -99,12 +99,12 @@ def test_a_recording_without_any_part_to_correct_is_refused(walk):
 def test_a_turned_or_raw_recording_is_corrected_from_python(walk, tmp_path):
     frames = walk.frames[:24, :64, :80]
     turned = np.ascontiguousarray(frames.transpose(1, 2, 0))
-    wanted = correct(frames, correction="none").frames
-    assert np.array_equal(correct(turned, axes="hwn", correction="none").frames, wanted)
+    wanted = correct(frames).frames
+    assert np.array_equal(correct(turned, axes="hwn").frames, wanted)
     path = tmp_path / "walk.raw"
     path.write_bytes(frames.astype(">u2").tobytes())
     raw = {"width": wanted.shape[2], "height": wanted.shape[1]}
-    assert np.array_equal(correct(path, raw=raw, swap_bytes=True, correction="none").frames, wanted)
+    assert np.array_equal(correct(path, raw=raw, swap_bytes=True).frames, wanted)
     with pytest.raises(ConfigError, match=r"no option 'raw\.widht'"):
         correct(path, raw={"widht": 8, "height": 8})
     with pytest.raises(ConfigError, match="'swap_bytes' is for a file"):
