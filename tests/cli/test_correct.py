@@ -29,7 +29,7 @@ def recording():
 
 @pytest.fixture(scope="module")
 def segments(recording):
-    return estimate_segments(choose_keyframes(iter(recording[1].round().astype(np.uint16))), "offset")
+    return estimate_segments(choose_keyframes(iter(recording[1].round().astype(np.uint16))))
 
 
 @pytest.fixture
@@ -128,11 +128,3 @@ def test_a_camera_at_rest_is_refused_and_nothing_is_written(deepir, folder, reco
     assert status == 2
     assert "stands still" in err
     assert not list(folder.glob("rest_*"))
-
-
-def test_a_correction_that_is_not_there_is_named(deepir, folder, recording):
-    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
-    status, _, err = deepir("correct", "walk.npz", "--correction", "ofset")
-    assert status == 2
-    assert "did you mean 'offset'" in err
-    assert not list(folder.glob("walk_*"))
