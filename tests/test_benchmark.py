@@ -181,7 +181,8 @@ def test_every_problem_that_is_shipped_is_in_the_table_of_problems_with_total_va
 
     from deepir.registry import components
 
-    assert set(CASES) == components("problem").keys() - {"generic"}
+    of_films = {"recording"}  # `nuc` over several bursts: bench-recordings has it
+    assert set(CASES) == components("problem").keys() - {"generic"} - of_films
     assert PRIORS[0] == "tv"
     assert len(set(PRIORS)) >= 3
 

@@ -47,7 +47,8 @@ def card(request):
 
 
 def test_every_problem_is_here():
-    assert PROBLEMS.keys() | {"generic"} == components("problem").keys()
+    of_films = {"recording"}  # `nuc` over several bursts: the same loops
+    assert PROBLEMS.keys() | {"generic"} | of_films == components("problem").keys()
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
