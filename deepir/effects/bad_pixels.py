@@ -26,7 +26,6 @@ OUTLIER_DEVIATION = 7.0  # robust standard deviations of the pattern: beyond, a 
 DEAD_DEVIATION = 4.0  # the same of a static pixel
 DEFECT_MISFIT = 12.0  # mean squared residual over the frames, in units of the noise
 MAX_MISFIT = 100.0  # squared residual at which that of one sample is clipped: one frame makes no defect
-MAX_GAIN_ERROR = 0.5  # relative to the median: beyond, a pixel does not respond
 ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
 STATIC_PROBABILITY = 1e-3  # at which noise alone varies as little over the frames
 EXPECTED_CHANGE = (
@@ -158,23 +157,6 @@ def with_scene_error(misfit: Tensor, expected: Tensor, usable: Tensor, variance:
     error = contrast.square_().div_(variance)
     excess = (misfit.clamp(max=MAX_MISFIT) - 1).mul_(usable).sum().clamp_(min=0)
     return misfit / error.mul_(excess / (error * usable).sum().clamp_(min=1e-30)).add_(1)
-
-
-@torch.no_grad()
-def unresponsive_pixels(frames: Tensor, expected: Tensor, usable: Tensor, noise: float) -> Tensor:
-    """Pixels (1, 1, h, w), bool, that do not follow the scene that is expected, (N, 1, h, w), or are not steady.
-
-    Each is fitted by an offset and a gain that a pixel may have. A dead pixel does not change with the scene, and an
-    unsteady one changes by itself.
-    """
-    count = usable.sum(0, keepdim=True).clamp(min=1)
-    seen, scene = (
-        (each - (each * usable).sum(0, keepdim=True).div_(count)).mul_(usable) for each in (frames, expected)
-    )
-    power = scene.square().sum(0, keepdim=True).clamp_(min=1e-30)
-    gain = (seen * scene).sum(0, keepdim=True).div_(power).clamp_(1 - MAX_GAIN_ERROR, 1 + MAX_GAIN_ERROR)
-    misfit = (seen - gain * scene).square_().div_(noise**2)
-    return misfitting_pixels(with_scene_error(misfit, expected, usable, noise**2), usable)
 
 
 @torch.no_grad()

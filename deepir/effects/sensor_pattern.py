@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepir.arrays.noise_level import median_sigma
 from deepir.arrays.statistics import masked_values, robust_std, subsample
-from deepir.effects.bad_pixels import pattern_outliers, unresponsive_pixels
+from deepir.effects.bad_pixels import pattern_outliers
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.line_levels import line_noise_fields
 from deepir.estimation.residuals import temporal_mean
@@ -27,14 +27,14 @@ UPDATE_ROUNDS = 2  # of the fixed-point iteration of the standard deviations
 
 @torch.no_grad()
 def start_parts(problem: Problem, rest: Tensor) -> None:
-    """Set initial standard deviations of gain and offset parts, and drop outlying pixels that do not follow the scene.
+    """Set initial standard deviations of gain and offset parts, and drop outlying pixels.
 
     The fixed pattern is the temporal mean of `rest`; gain and offset take half of its variance each. That of the gain
     is divided by the rms of the data: a dark frame with bright spots shows next to nothing of the gain in most places.
     Its bound is by the mean of the data, unless a reference level is subtracted from them.
 
     Args:
-        problem: The precision of such pixels becomes zero.
+        problem: The precision of pixels that are outliers of the pattern becomes zero.
         rest: Residual that contains the fixed pattern, (N, 1, h, w).
     """
     pattern = temporal_mean(rest, problem.precision.sign())  # as a float: torch is slow at the bool
@@ -50,10 +50,9 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
                 part.sigma.fill_(found / unit)
                 part.max_sigma.fill_(MAX_SIGMA_RATIO * found / most)
     known = usable.any(0, keepdim=True)
-    far = pattern_outliers(pattern, known)
-    if far.any():  # a strong offset alone is no defect
-        far &= unresponsive_pixels(problem.data, problem.data - rest, usable, median_sigma(problem.precision))
-        problem.precision.mul_(~far)
+    # Of the median, too: one frame does not condemn a pixel.
+    middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
+    problem.precision.mul_(~(pattern_outliers(pattern, known) & pattern_outliers(middle, known)))
 
 
 @torch.no_grad()

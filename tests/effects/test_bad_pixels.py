@@ -11,7 +11,6 @@ from deepir.effects.bad_pixels import (
     overlay_mask,
     pattern_outliers,
     static_pixels,
-    unresponsive_pixels,
     with_scene_error,
 )
 from deepir.simulate import Settings, simulate
@@ -119,17 +118,6 @@ def test_a_pixel_that_misfits_in_all_frames_is_given_up_one_that_does_so_once_is
     assert found.nonzero()[:, 2:].tolist() == [[3, 4]]
 
 
-def test_a_pixel_is_bad_that_does_not_follow_the_scene_or_is_not_steady_not_for_its_offset_or_gain():
-    expected, usable = moving()[..., :50], torch.ones(6, 1, 40, 50) > 0
-    frames = expected + torch.randn(6, 1, 40, 50)
-    frames[:, 0, 5, 6] += 500.0
-    frames[:, 0, 8, 9] *= 1.3
-    frames[:, 0, 20, 7] = 600.0 + torch.randn(6)
-    frames[:, 0, 30, 8] += 30 * torch.randn(6)
-    found = unresponsive_pixels(frames, expected, usable, 1.0)
-    assert found.nonzero()[:, 2:].tolist() == [[20, 7], [30, 8]]
-
-
 def test_what_misfits_at_the_edge_of_a_lamp_that_is_displaced_is_no_defect():
     lamps = torch.rand(6, 1, 40, 50, generator=torch.Generator().manual_seed(0)) < 0.01
     lamps[..., -1] = False
@@ -139,19 +127,6 @@ def test_what_misfits_at_the_edge_of_a_lamp_that_is_displaced_is_no_defect():
     assert misfitting_pixels(error.square(), usable).sum() > 20
     found = misfitting_pixels(with_scene_error(error.square(), scene, usable, 1.0), usable)
     assert found.nonzero()[:, 2:].tolist() == [[30, 30]]
-
-
-def test_strong_offsets_of_healthy_pixels_are_estimated():
-    camera = Settings(n_frames=8, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0, offset_pixel=0.0)
-    sim = simulate(None, camera, seed=5)
-    offset = 60 * np.random.default_rng(0).standard_t(4, size=(80, 96))
-    strong = np.abs(offset) > 400
-    result = deepir.run("nuc", frames=(sim.frames + offset).round(), threads=1)
-    assert not result.bad_pixels.any()
-    error = (sim.frames[0] + offset - result.offset) / result.gain - sim.truth.scene
-    error = np.abs(error - np.median(error))
-    assert strong.sum() > 10
-    assert np.median(error[strong]) < 2 * np.median(error)
 
 
 def test_a_region_that_misfits_is_no_defect_but_is_doubted():
