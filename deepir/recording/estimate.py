@@ -278,7 +278,16 @@ def _estimate(
         bad = again
     offset = offset - (0.0 if bad.all() else offset[~bad].mean())
     return SensorEstimate(
-        np.where(bad, 1, gain), offset, bad, samples.level, solution.deviation, kept, misfit, messages
+        np.where(bad, 1, gain),
+        offset,
+        bad,
+        samples.level,
+        solution.deviation,
+        kept,
+        misfit,
+        messages,
+        contrasts,
+        span,
     )
 
 
