@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from deepir.recording.bursts import (
 )
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, some_frames
 from deepir.recording.displaced import enlarged, fine_part, solve_low_order
-from deepir.recording.joint_solve import SensorSolution, solve_sensor
+from deepir.recording.joint_solve import CHI_SQUARED_MEDIAN, SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes
 from deepir.recording.noise import noise_deviation, rounding_deviation
 
@@ -45,6 +45,7 @@ MIN_CHANGE_SIGMAS = 2.2
 #: Misfit of registered frames, in variances of the noise of a sample, from which they do not register as a whole: 1 to
 #: 40 in 44 hand-held recordings, 900 and more in drives.
 MAX_MISFIT = 100.0
+MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
 FULL_SIZE_ROUNDS = 2  # of the solve at the frames' own size, after that of averaged frames
 MIN_MOTION = 1.0  # px, range of the motion along an axis, below which nothing is separated along it
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
@@ -68,7 +69,7 @@ class SensorEstimate:
         misfit: of registered frames, in variances of the noise of a sample; inf where they do not register.
         messages: for the user.
         contrasts: numbers of frames, and their gains by an automatic gain control, relative to their mean; None: one.
-        registered: numbers of the first and the last frame that were solved together; None: none were.
+        jumps: numbers of frames at which the pattern may jump, as far as registered frames do not rule it out.
     """
 
     gain: Array
@@ -80,7 +81,7 @@ class SensorEstimate:
     misfit: float
     messages: tuple[str, ...] = ()
     contrasts: tuple[Array, Array] | None = None
-    registered: tuple[int, int] | None = None
+    jumps: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -143,12 +144,15 @@ class _Samples:
         return frames
 
 
-def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = None) -> SensorEstimate:
+def estimate_sensor(
+    keyframes: Keyframes, *, former: CorrectionMaps | None = None, jumps: Sequence[int] = ()
+) -> SensorEstimate:
     """Estimate gain, offset and bad pixels.
 
     Args:
         keyframes: of a recording.
         former: of the same sensor; the low-order part of their offset stays where the frames do not tell it.
+        jumps: numbers of frames at which the pattern may jump.
 
     Raises:
         DataError: There are few frames, or the camera stands still.
@@ -160,18 +164,20 @@ def estimate_sensor(keyframes: Keyframes, *, former: CorrectionMaps | None = Non
         _, expected = found.burst.compared(solution.offset, solution.gain)
         found.burst.frames = found.recorded  # with what bad pixels show
         shown = found.burst.corrected(solution.offset, solution.gain)
+        shown = np.where(samples.usable[numbers], shown, expected)
+        places = keyframes.numbers[numbers]
         return _estimate(
             samples,
             solution,
             "gain and offset",
             _one_way(found.burst, samples.frames.shape[1:]),
-            (np.where(samples.usable[numbers], shown, expected), expected),
+            (shown, expected),
             found.misfit,
-            None if found.gains is None else (keyframes.numbers[numbers], found.gains),
-            (int(keyframes.numbers[numbers[0]]), int(keyframes.numbers[numbers[-1]])),
+            None if found.gains is None else (places, found.gains),
+            tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
         )
     _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
-    return _of_displaced(samples, keyframes, former)
+    return replace(_of_displaced(samples, keyframes, former), jumps=tuple(jumps))
 
 
 def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
@@ -266,7 +272,7 @@ def _estimate(
     registered: tuple[Array, Array] | None = None,
     misfit: float = np.inf,
     contrasts: tuple[Array, Array] | None = None,
-    span: tuple[int, int] | None = None,
+    jumps: tuple[int, ...] = (),
 ) -> SensorEstimate:
     """The estimate, its bad pixels judged again by `registered` frames and what they should show, if there are any."""
     gain, offset, bad = solution.gain, solution.offset, samples.bad
@@ -287,7 +293,7 @@ def _estimate(
         misfit,
         messages,
         contrasts,
-        span,
+        jumps,
     )
 
 
@@ -298,6 +304,16 @@ def _averaged(frames: Array, usable: Array, factor: int) -> tuple[Array, Array]:
     means = block_means(frames, usable, factor).astype(np.float32)
     share = block_means(usable.astype(np.float32), np.ones(usable.shape, bool), factor)
     return means, np.asarray(share > 0.5)
+
+
+def _may_jump(rest: Array, before: Array, noise: float) -> bool:
+    """Whether residuals (n, h, w) of registered frames allow another pattern before than after; True where few tell."""
+    counts = before.sum(), (~before).sum()
+    if min(counts) < MIN_KEYFRAMES:
+        return True
+    change = rest[before].mean(0) - rest[~before].mean(0)
+    expected = noise**2 * (1 / counts[0] + 1 / counts[1])
+    return bool(np.median(change**2) / CHI_SQUARED_MEDIAN > MAX_CHANGE * expected)
 
 
 def _one_way(burst: Burst, size: Sequence[int]) -> tuple[str, ...]:

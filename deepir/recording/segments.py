@@ -23,8 +23,6 @@ from deepir.recording.pattern_shares import contains_pattern, removes_more
 Array = np.ndarray[Any, Any]
 
 FRAMES_TO_FIT = 5  # of a segment, which maps of another one have to fit
-#: Misfit of registered frames to one pattern, in variances of the noise, up to which it does not jump.
-MAX_MISFIT = 2.0
 MIN_MOVING = 16  # keyframes in which the camera moves, that a sensor is estimated from
 
 
@@ -91,8 +89,8 @@ def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> l
     jumps = pattern_jumps(keyframes.frames)
     whole: SensorEstimate | DataError
     try:
-        whole = _estimate(keyframes, former)
-        jumps = [each for each in jumps if not _explains(whole, int(keyframes.numbers[each]))]
+        whole = _estimate(keyframes, former, keyframes.numbers[jumps].tolist())
+        jumps = np.searchsorted(keyframes.numbers, whole.jumps).tolist()
     except DataError as error:
         whole = error
     ends = [0, *jumps, len(keyframes.frames)]
@@ -119,12 +117,6 @@ def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> l
     ]
 
 
-def _explains(estimate: SensorEstimate, number: int) -> bool:
-    """Whether frames before and after one register with one pattern."""
-    first, last = estimate.registered or (number, number)
-    return estimate.misfit < MAX_MISFIT and first < number < last
-
-
 def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], frames: Array) -> Segment:
     """A segment without maps, with those of one before or after it that fit its frames (N, h, w), if any do."""
     some = spread(list(frames), FRAMES_TO_FIT)
@@ -135,15 +127,17 @@ def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], fra
     return segment
 
 
-def _estimate(keyframes: Keyframes, former: CorrectionMaps | None) -> SensorEstimate:
+def _estimate(
+    keyframes: Keyframes, former: CorrectionMaps | None, jumps: Sequence[int] = ()
+) -> SensorEstimate:
     """From all keyframes, or from those in which the camera moves, if it stands in most of them."""
     try:
-        return estimate_sensor(keyframes, former=former)
+        return estimate_sensor(keyframes, former=former, jumps=jumps)
     except CameraAtRestError:
         moving = keyframes.moving()
         if not MIN_MOVING <= len(moving.frames) < len(keyframes.frames):
             raise
-        return estimate_sensor(moving, former=former)
+        return estimate_sensor(moving, former=former, jumps=jumps)
 
 
 def _segment(keyframes: Keyframes, estimate: SensorEstimate | None, refused: str = "") -> Segment:
