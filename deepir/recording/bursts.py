@@ -34,7 +34,7 @@ class CameraAtRestError(DataError):
 def find_burst(
     frames: Array, usable: Array, around: int, start: Array, *, gains_differ: bool
 ) -> tuple[Burst, Array] | None:
-    """Frames about a reference that show its scene, as far apart as they are; None where too few do.
+    """Frames that show the scene of a reference, as far apart as they are; None where too few do.
 
     Args:
         frames: (N, h, w), float32.
@@ -49,9 +49,8 @@ def find_burst(
     Raises:
         CameraAtRestError: Most frames show the same at the same place.
     """
-    near = np.argsort(np.abs(np.arange(len(frames)) - around), kind="stable")
-    step = max(1, len(near) // CANDIDATES)
-    numbers = np.sort(near[::step][:CANDIDATES])
+    step = -(-len(frames) // CANDIDATES)
+    numbers = np.arange(around % step, len(frames), step)
     spectra = [Spectrum.of(frames[k] - start.astype(np.float32)) for k in numbers]
     reference = int(np.flatnonzero(numbers == around)[0])
     motion, likeness = find_motion(spectra, reference)

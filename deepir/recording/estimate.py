@@ -307,9 +307,9 @@ def _averaged(frames: Array, usable: Array, factor: int) -> tuple[Array, Array]:
 
 
 def _may_jump(rest: Array, before: Array, noise: float) -> bool:
-    """Whether residuals (n, h, w) of registered frames allow another pattern before than after; True where few tell."""
+    """Whether residuals (n, h, w) of registered frames allow another pattern before than after; True where none tell."""
     counts = before.sum(), (~before).sum()
-    if min(counts) < MIN_KEYFRAMES:
+    if not all(counts):
         return True
     change = rest[before].mean(0) - rest[~before].mean(0)
     expected = noise**2 * (1 / counts[0] + 1 / counts[1])
