@@ -89,14 +89,11 @@ class DisplacedFrames:
         return low_order_equations(self._shown, self._weights, places, modes, with_motion=False)
 
 
-def solve_low_order(
-    frames: Array, usable: Array, neighbours: Sequence[Sequence[int]], start: Array
-) -> Array | None:
+def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: Array) -> Array | None:
     """The low-order part (h, w) of an offset; None if it may as well be the scenes'.
 
     Args:
         frames: (N, h, w), float32, averaged over blocks.
-        usable: same shape, bool.
         neighbours: of each frame, those that may show the same things displaced.
         start: (h, w), a pattern whose fine part is right, and whose low-order part is as strong as the sensor's.
     """

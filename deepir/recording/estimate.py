@@ -246,11 +246,11 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
     """The sensor of a camera that moves among near things."""
     size = samples.frames.shape[1:]
     factor = max(1, min(size) // SHORT_SIDE)
-    small, known = _averaged(samples.frames, samples.known, factor)
+    small, _ = _averaged(samples.frames, samples.known, factor)
     offset, pattern = fine_part(*samples.halves), samples.pattern
     whole = offset + pattern - fine_part(pattern, pattern)
     start = _averaged(whole[None].astype(np.float32), ~samples.bad[None], factor)[0][0]
-    low = solve_low_order(small, known, keyframes.neighbours, start)
+    low = solve_low_order(small, keyframes.neighbours, start)
     if low is not None:
         return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
     if former is not None:
@@ -307,7 +307,7 @@ def _averaged(frames: Array, usable: Array, factor: int) -> tuple[Array, Array]:
 
 
 def _may_jump(rest: Array, before: Array, noise: float) -> bool:
-    """Whether residuals (n, h, w) of registered frames allow another pattern before than after; True where none tell."""
+    """Whether residuals (n, h, w) of registered frames allow another pattern before; True where none tell."""
     counts = before.sum(), (~before).sum()
     if not all(counts):
         return True

@@ -84,7 +84,6 @@ class Burst:
         self.canvas = Canvas(motion, (frames.shape[1], frames.shape[2]))
         self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
         self.weights, self.spread_weights = self.usable, self.canvas.spread_weights(self.usable)
-        self.scene: Array = np.zeros(self.canvas.shape, np.float32)
         self.noise, self.level_variance, self.inflation = 1.0, 0.0, 1.0
         self.level_variances: Sequence[float] = ()
 
@@ -104,21 +103,20 @@ class Burst:
     def weigh(self, offset: Array, gain: Array, motion_error: float, *, robust: bool) -> None:
         """Set the noise, and the weights of the samples: by the noise, by errors of motion at edges, by outliers."""
         frames = self.corrected(offset, gain)
-        self.scene = self.canvas.mean(frames, self.spread_weights)
-        rest = frames - self.canvas.predicted(self.scene)
+        scene = self.canvas.mean(frames, self.spread_weights)
+        rest = frames - self.canvas.predicted(scene)
         seen = self.usable * self.canvas.is_seen(self.spread_weights)
         some = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
         counted = np.abs(rest[some][seen[some] > 0])
         self.noise = max(MAD_TO_SIGMA * float(np.median(counted)) if counted.size else 0.0, 1e-6)
-        down, across = (self.canvas.predicted(each) for each in np.gradient(self.scene))
+        down, across = (self.canvas.predicted(each) for each in np.gradient(scene))
         variance = self.noise**2 + motion_error**2 * _smoothed(down**2 + across**2)
         weights = seen / variance
         if robust:
             weights = weights / (1 + _smoothed(rest**2) / (OUTLIER_SIGMAS**2 * variance))
         self.weights = weights.astype(np.float32)
-        free = (
-            LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES
-        )  # such a control sets levels too
+        # A gain control sets the levels too.
+        free = LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES
         self.level_variances = (free * self.noise**2).tolist()
         y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
         self._motions = np.stack([across, down, down * x - across * y], 1)
@@ -188,16 +186,13 @@ class SensorSolution:
         return cls(offset, np.ones_like(offset), None, 1.0, 0.0)
 
 
-def solve_sensor(
-    bursts: Sequence[Burst], start: Array, *, rounds: int = ROUNDS, with_gain: bool = True
-) -> SensorSolution:
+def solve_sensor(bursts: Sequence[Burst], start: Array, *, rounds: int = ROUNDS) -> SensorSolution:
     """Estimate offset and gain from bursts of one sensor.
 
     Args:
         bursts: each of one scene; their motion, levels and gains are refined in place.
         start: (h, w), an offset whose fine part is right; its low-order part is not used.
         rounds: of alternating.
-        with_gain: whether pixels have gains.
     """
     size = bursts[0].frames.shape[1:]
     radius = mode_radius(size)
@@ -218,7 +213,7 @@ def solve_sensor(
         offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine, trusted, 0.0))
         posterior = 1 / (information + 1 / prior.variance)
         prior.update(dct(offset), posterior, fine)
-        if with_gain and number >= rounds - 2:
+        if number >= rounds - 2:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
     deviation = _deviation(modes, covariance, posterior[fine].sum() / posterior.size + extrapolated, size)
     inflation, noise = max(b.inflation for b in bursts), float(np.median([b.noise for b in bursts]))
