@@ -75,7 +75,7 @@ def test_it_saves_iterations(problem, monkeypatch):
     for known in (True, False):
         problem.load_state_dict(start)
         if not known:
-            monkeypatch.setattr("deepir.optim.objective.make_preconditioner", lambda *_, **__: None)
+            monkeypatch.setattr("deepir.optim.objective.make_block_preconditioner", lambda *_, **__: None)
         reached[known] = solve(problem, [stage]).history[-1]["loss"]
     assert reached[True] < reached[False]
 
@@ -120,7 +120,7 @@ def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
         fields["value"].init_from(torch.zeros(maps))
         fields["scene"].init_from(data[:1].mean().expand(1, 1, *canvas))
         if not known:
-            monkeypatch.setattr("deepir.optim.objective.make_preconditioner", lambda *_, **__: None)
+            monkeypatch.setattr("deepir.optim.objective.make_block_preconditioner", lambda *_, **__: None)
         solve(problem, [Stage("stray", (Step(("scene", "value")),), 15, tolerance=0.0)])
         reached[known] = float((fields["value"]().detach() - stray).std())
     assert reached[True] < 0.2
