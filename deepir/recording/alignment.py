@@ -23,6 +23,7 @@ REFINE_SIGMA = 8.0  # px; the same before motion is refined: what is slower is l
 MIN_OVERLAP = 0.3  # of the frames' windows, of a shift that is considered
 PADDING = 1.8  # sides of the correlated frames with zeros beyond, relative to the frames
 MAX_STEPS, LAST_STEP = 3, 2e-3  # Gauss-Newton steps, at most; px, of the last one
+TURN = 3  # parameters of the motion of a camera that turns
 OUTLIER_SIGMAS = 2.0  # of residuals, scale of Cauchy's weights
 
 
@@ -78,24 +79,66 @@ def find_shift(reference: Spectrum, frame: Spectrum) -> tuple[Array, float]:
     return np.array(shift[::-1]), float(min(score[peak], 1.0))
 
 
-def find_motion(spectra: Sequence[Spectrum], reference: int) -> tuple[Array, Array]:
-    """Motion (n, 3, 3) of frames to a reference, by shifts, and how well each correlates.
+@dataclass(frozen=True)
+class Links:
+    """Frames that were each compared with the reference or with a neighbour towards it, whichever chain is better.
 
-    Each frame is compared with the reference and with its neighbour towards it: the better chain counts.
+    Attributes:
+        reference: its number.
+        parents: number of the frame that each was compared with, (n,).
+        shifts: from each to its parent, x and y, px, (n, 2).
+        likeness: the lowest correlation along each frame's chain, (n,).
     """
-    count = len(spectra)
-    motion, score = np.tile(np.eye(3), (count, 1, 1)), np.ones(count)
-    for order, step in ((range(reference + 1, count), -1), (range(reference - 1, -1, -1), 1)):
-        for k in order:
-            found = []
-            for other in {reference, k + step}:
-                shift, likeness = find_shift(spectra[other], spectra[k])
-                found.append((min(likeness, score[other]), *(motion[other, :2, 2] + shift)))
-            score[k], motion[k, 0, 2], motion[k, 1, 2] = max(found)
-    return motion, score
+
+    reference: int
+    parents: Array
+    shifts: Array
+    likeness: Array
+
+    @classmethod
+    def of(cls, spectra: Sequence[Spectrum], reference: int) -> Links:
+        """Links between frames in their order."""
+        count = len(spectra)
+        parents, shifts, likeness = np.full(count, reference), np.zeros((count, 2)), np.ones(count)
+        for order, step in ((range(reference + 1, count), -1), (range(reference - 1, -1, -1), 1)):
+            for k in order:
+                found = []
+                for other in {reference, k + step}:
+                    shift, alike = find_shift(spectra[other], spectra[k])
+                    found.append((min(alike, likeness[other]), other, *shift))
+                likeness[k], parents[k], *shifts[k] = max(found)
+        return cls(reference, parents, shifts, likeness)
+
+    def motion(self, curvature: float, half: float) -> Array:
+        """Motion (n, 3, 3) to the reference, of a camera that turns; `half` is half the longer side of a frame, px."""
+        found = np.tile(np.eye(3), (len(self.parents), 1, 1))
+        near_first = np.argsort(np.abs(np.arange(len(found)) - self.reference))
+        for k in near_first[1:]:
+            found[k] = found[self.parents[k]] @ turned(self.shifts[k], curvature, half)
+        return found
 
 
-def refined_motion(canvas: Canvas, frames: Array, weights: Array, reference: int, free: int) -> Array:
+def turned(shift: Array, curvature: float, half: float) -> Array:
+    """The homography (3, 3) of a camera that turns so that its centre moves by `shift` (x, y), px.
+
+    Args:
+        shift: px.
+        curvature: squared tangent of half the field of view along the longer side; 0: of a far camera, a shift.
+        half: half the longer side, px.
+    """
+    if curvature == 0:
+        return np.array([[1.0, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1]])
+    focal = half / curvature**0.5
+    towards = np.array([shift[0], shift[1], focal]) / np.hypot(np.hypot(*shift), focal)
+    across = np.array([[0, 0, towards[0]], [0, 0, towards[1]], [-towards[0], -towards[1], 0]])
+    turn = np.eye(3) + across + across @ across / (1 + towards[2])
+    scale = np.diag([focal, focal, 1.0])
+    return np.asarray(scale @ turn @ np.linalg.inv(scale))
+
+
+def refined_motion(
+    canvas: Canvas, frames: Array, weights: Array, reference: int, free: int, curvature: float = 0.0
+) -> Array:
     """Motion (n, 3, 3) that registers frames with their mean on the canvas.
 
     Args:
@@ -103,7 +146,8 @@ def refined_motion(canvas: Canvas, frames: Array, weights: Array, reference: int
         frames: (n, h, w), corrected.
         weights: of the samples, same shape.
         reference: number of the frame that stays where it is.
-        free: parameters: 3 for shift and rotation, 6 for an affine motion.
+        free: parameters: 3 for a turn of the camera, 6 for an affine motion, 8 for a homography.
+        curvature: of a turn, see `turned`.
     """
     detail = np.stack([each - ndimage.gaussian_filter(each, REFINE_SIGMA) for each in frames])
     scene = canvas.mean(detail, canvas.spread_weights(weights))
@@ -122,14 +166,17 @@ def refined_motion(canvas: Canvas, frames: Array, weights: Array, reference: int
                 continue
             scale = MAD_TO_SIGMA * float(np.median(np.abs(missing[counts]))) + np.finfo(np.float32).tiny
             robust = counts / (1 + (missing / (OUTLIER_SIGMAS * scale)) ** 2)
-            design = np.stack(
-                [gx, gy, gy * x - gx * y, gx * x + gy * y, gx * x - gy * y, gx * y + gy * x][:free]
-            )
+            each = motion_gradients(gy, gx, y, x)
+            if free == TURN:
+                each = [each[0] + curvature * each[6], each[1] + curvature * each[7], each[2]]
+            design = np.stack(each[:free])
             weighted = design * robust
             normal = weighted @ design.T
             normal[np.diag_indices(free)] += 1e-9 * np.trace(normal) + np.finfo(np.float32).tiny
-            step = np.linalg.solve(normal, weighted @ missing)
-            motion[k] += _as_matrix(step, max(canvas.size) / 2)
+            step = np.pad(np.linalg.solve(normal, weighted @ missing), (0, 8 - free))
+            if free == TURN:
+                step[6:] = curvature * step[:2]
+            motion[k] = motion[k] @ _as_matrix(step, max(canvas.size) / 2)
             largest = max(largest, float(np.abs(step).max()))
         around.move(motion)
         if largest < LAST_STEP:
@@ -137,8 +184,22 @@ def refined_motion(canvas: Canvas, frames: Array, weights: Array, reference: int
     return np.asarray(motion @ np.linalg.inv(motion[reference]))
 
 
+def motion_gradients(gy: Array, gx: Array, y: Array, x: Array) -> list[Array]:
+    """How a scene of a gradient changes with the eight parameters of a homography, at places in units of half a side.
+
+    Shifts along x and y, turn, scale, stretch, shear, and the two of perspective; px at a distance of one.
+    """
+    along = gx * x + gy * y
+    return [gx, gy, gy * x - gx * y, along, gx * x - gy * y, gx * y + gy * x, along * x, along * y]
+
+
 def _as_matrix(step: Array, half: float) -> Array:
-    """What a step of the parameters adds to a homography (3, 3)."""
-    dx, dy, turn, scale, stretch, shear = np.pad(step, (0, 6 - len(step)))
-    linear = np.array([[scale + stretch, shear - turn], [shear + turn, scale - stretch]]) / half
-    return np.block([[linear, np.array([[dx], [dy]])], [np.zeros((1, 3))]])
+    """The homography (3, 3) of a small step of its parameters, see `motion_gradients`."""
+    dx, dy, turn, scale, stretch, shear, over_x, over_y = step / half
+    return np.array(
+        [
+            [1 + scale + stretch, shear - turn, dx * half],
+            [shear + turn, 1 + scale - stretch, dy * half],
+            [-over_x / half, -over_y / half, 1],
+        ]
+    )

@@ -6,18 +6,26 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from deepir.errors import DataError
-from deepir.recording.alignment import Spectrum, find_motion
-from deepir.recording.canvas import centred, project
+from deepir.recording.alignment import REFINE_SIGMA, TURN, Links, Spectrum, refined_motion
+from deepir.recording.canvas import Canvas, centred, project
 from deepir.recording.consensus import gradient_consensus
 from deepir.recording.joint_solve import Burst
+from deepir.recording.noise import noise_deviation
 
 Array = np.ndarray[Any, Any]
 
 CANDIDATES = 48  # frames that are registered to a reference, at most
 FRAMES = 24  # of a burst, at most
 MIN_LIKENESS = 0.4  # correlation with the frames that it is registered to, of a frame that is used
+MAX_REACH = 0.5  # of the sides: how far a frame of a burst is from the reference
+#: Squared tangents of half a camera's field of view that are tried, from a telephoto lens to 80 degrees.
+CURVATURES = (0.0, 0.06, 0.12, 0.2, 0.35, 0.7)
+#: Upper quartile of the changes between two frames, in sigmas of the noise of a change, below which nothing has moved.
+MIN_CHANGE_SIGMAS = 2.2
+SAMPLE_STRIDE = 3  # px, between samples that are compared
 MIN_FRAMES = 4  # of a burst
 MIN_STEP = 0.5  # px: frames that moved by less since another one add nothing but an average
 AT_REST = (
@@ -53,22 +61,60 @@ def find_burst(
     numbers = np.arange(around % step, len(frames), step)
     spectra = [Spectrum.of(frames[k] - start.astype(np.float32)) for k in numbers]
     reference = int(np.flatnonzero(numbers == around)[0])
-    motion, likeness = find_motion(spectra, reference)
-    alike = likeness >= MIN_LIKENESS
-    chosen = _apart(motion, alike, reference, frames.shape[1:])
+    links, size = Links.of(spectra, reference), (frames.shape[1], frames.shape[2])
+    motion, half = links.motion(0.0, max(size) / 2), max(size) / 2
+    motion[_stays(frames[numbers], reference, noise_deviation(frames - start))] = np.eye(3)
+    near = (np.abs(motion[:, :2, 2]) < MAX_REACH * np.array(size[::-1])).all(1)
+    alike = (links.likeness >= MIN_LIKENESS) & near
+    chosen = _apart(motion, alike, reference, size)
     if len(chosen) < MIN_FRAMES:
         if alike.sum() >= max(MIN_FRAMES, len(numbers) / 2):
             raise CameraAtRestError(AT_REST)
         return None
-    kept = numbers[chosen]
+    kept, reference = numbers[chosen], int(np.flatnonzero(chosen == reference)[0])
+    known = usable[kept].astype(np.float32)
+    trials = [
+        _trial(
+            frames[kept] - start.astype(np.float32), known, links.motion(each, half)[chosen], reference, each
+        )
+        for each in CURVATURES
+    ]
+    _misfit, curvature, motion = min(trials, key=lambda each: each[0])
     burst = Burst(
-        frames[kept],
-        usable[kept],
-        motion[chosen],
-        int(np.flatnonzero(chosen == reference)[0]),
-        gains_differ=gains_differ,
+        frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ
     )
     return burst, kept
+
+
+def _stays(frames: Array, reference: int, noise: float) -> Array:
+    """Whether each frame (n, h, w) differs from a reference by little but noise and level, (n,) bool."""
+    change = (frames - frames[reference])[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE].reshape(len(frames), -1)
+    change = np.abs(change - np.median(change, axis=1, keepdims=True))
+    return np.asarray(np.quantile(change, 0.75, axis=1) < MIN_CHANGE_SIGMAS * 2**0.5 * noise)
+
+
+def _trial(
+    frames: Array, known: Array, motion: Array, reference: int, curvature: float
+) -> tuple[float, float, Array]:
+    """Mean misfit of frames to their mean scene, the curvature of their motion, and the motion refined."""
+    size = (frames.shape[1], frames.shape[2])
+    if not _is_near(motion, size):
+        return np.inf, curvature, motion
+    canvas = Canvas(motion, size)
+    canvas.move(refined_motion(canvas, frames, known, reference, TURN, curvature))
+    weights = canvas.spread_weights(known)
+    detail = np.stack([each - ndimage.gaussian_filter(each, REFINE_SIGMA) for each in frames])
+    rest = detail - canvas.predicted(canvas.mean(detail, weights))
+    if not _is_near(canvas.motion, size):
+        return np.inf, curvature, motion
+    return float(np.abs(rest)[canvas.is_seen(weights) & (known > 0)].mean()), curvature, canvas.motion
+
+
+def _is_near(motion: Array, size: tuple[int, int]) -> bool:
+    """Whether all corners of all frames lie within a side of the reference frame."""
+    y, x = (each[:: size[0] - 1, :: size[1] - 1].ravel() for each in centred(size))
+    at = np.stack([project(each, y, x) for each in motion])
+    return bool((np.abs(at).max((0, 2)) < 1.5 * np.array(size)).all())
 
 
 def _apart(motion: Array, allowed: Array, reference: int, size: tuple[int, ...]) -> Array:

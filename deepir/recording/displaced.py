@@ -55,6 +55,7 @@ class DisplacedFrames:
         self.noise, self.level_variance, self.inflation = noise, (LEVEL_STEP * noise) ** 2, 1.0
         self.level_variances: Sequence[float] = (self.level_variance,)
         self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
+        self.common_error = np.zeros(frames.shape[1:])
         rows, columns = np.indices(frames.shape[1:], float)
         self._at = [(rows, columns), *((each.y, each.x) for each in found)]
         self._shown = np.stack(

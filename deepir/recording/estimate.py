@@ -21,6 +21,7 @@ from deepir.kernels.block_means import block_means
 from deepir.messages import Message
 from deepir.recording.bursts import (
     AT_REST,
+    MIN_CHANGE_SIGMAS,
     Burst,
     CameraAtRestError,
     burst_motion,
@@ -39,15 +40,11 @@ MIN_KEYFRAMES = 4
 SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least, before they are registered
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
-#: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
-#: has moved.
-MIN_CHANGE_SIGMAS = 2.2
 #: Misfit of registered frames, in variances of the noise of a sample, from which they do not register as a whole: 1 to
 #: 40 in 44 hand-held recordings, 900 and more in drives.
 MAX_MISFIT = 100.0
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
 FULL_SIZE_ROUNDS = 2  # of the solve at the frames' own size, after that of averaged frames
-MIN_MOTION = 1.0  # px, range of the motion along an axis, below which nothing is separated along it
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
 ONE_WAY = (
     ("turns sideways only", "from top to bottom", "Tilt the camera too"),
@@ -170,7 +167,7 @@ def estimate_sensor(
             samples,
             solution,
             "gain and offset",
-            _one_way(found.burst, samples.frames.shape[1:]),
+            _one_way(found.burst.tells),
             (shown, expected),
             found.misfit,
             None if found.gains is None else (places, found.gains),
@@ -225,7 +222,14 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
         full = burst
     else:
         motion = burst_motion(burst.canvas.motion, factor, frames.shape[1:])
-        full = Burst(frames[numbers], usable[numbers], motion, burst.reference, gains_differ=gains_differ)
+        full = Burst(
+            frames[numbers],
+            usable[numbers],
+            motion,
+            burst.reference,
+            curvature=burst.curvature,
+            gains_differ=gains_differ,
+        )
         full.levels, full.gains = burst.levels, burst.gains
         shared = shared_pattern(frames[numbers], usable[numbers])
         solution = solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS)
@@ -316,12 +320,10 @@ def _may_jump(rest: Array, before: Array, noise: float) -> bool:
     return bool(np.median(change**2) / CHI_SQUARED_MEDIAN > MAX_CHANGE * expected)
 
 
-def _one_way(burst: Burst, size: Sequence[int]) -> tuple[str, ...]:
-    """The message that the shading across the motion of a camera that turns one way is not separated, if it does."""
-    ranges = np.ptp(burst.canvas.motion[:, :2, 2], axis=0)
-    for axis in (0, 1):
-        if ranges[1 - axis] < MIN_MOTION * max(1, min(size) // SHORT_SIDE) < ranges[axis] / 2:
-            motion, where, remedy = ONE_WAY[axis]
+def _one_way(tells: Array) -> tuple[str, ...]:
+    """The message that a camera turned one way, if its motion leaves most modes (h, w) of rows or columns open."""
+    for along, (motion, where, remedy) in zip((tells[1:, 0], tells[0, 1:]), ONE_WAY, strict=True):
+        if along.mean() < 0.5:
             return (
                 Message(
                     "camera-turns-one-way",

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg, ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
-from deepir.recording.alignment import refined_motion
+from deepir.recording.alignment import motion_gradients, refined_motion
 from deepir.recording.canvas import Canvas, centred, project
 from deepir.recording.low_order import (
     LowOrderModes,
@@ -27,7 +27,7 @@ from deepir.recording.low_order import (
     low_order_equations,
     low_order_modes,
 )
-from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius
+from deepir.recording.offset_prior import PatternPrior, dct, group_power, idct, mode_radius
 
 Array = np.ndarray[Any, Any]
 
@@ -35,6 +35,7 @@ ROUNDS = 5
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient.
 MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
+FREE_MOTION = (3, 3, 8, 8, 8)
 CHI_SQUARED_MEDIAN = 0.455  # of one degree of freedom
 OUTLIER_SIGMAS = 3.0  # of residuals, scale of Cauchy's weights
 WEIGHT_SIGMA = 1.5  # px, Gaussian over which residuals are averaged that set weights
@@ -45,6 +46,12 @@ UPDATES = 6  # of the strengths in a round
 #: Variances of a step of the levels, relative to that of a sample's noise, of which the likeliest is taken.
 LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
 SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
+#: px, standard deviation of an error of the motion that all frames share. Relative to the motion, it is the share of
+#: the scene that stays in the offset.
+COMMON_ERROR = 0.03
+MIN_MOTION = (
+    0.1  # px, standard deviation of the shifts along an axis, from which they tell what varies along it
+)
 GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to start from
 GAIN_DEVIATION = 0.003  # of columns' and pixels' gain from one, to start from
 SAMPLE_STRIDE = 2  # px, of the samples that the noise is measured in
@@ -60,6 +67,7 @@ class LowOrderSystem(Protocol):
     levels: Array
     gains: Array
     gains_differ: bool
+    common_error: Array  # variance (h, w) of what errors that all frames share add to each mode
 
     def equations(self, modes: LowOrderModes, offset: Array, gain: Array) -> NormalEquations:
         """Of the low-order part."""
@@ -73,19 +81,29 @@ class Burst:
         usable: same shape, bool.
         motion: (n, 3, 3), to the reference frame.
         reference: its number.
+        curvature: of the motion, see `deepir.recording.alignment`.
         gains_differ: whether an automatic gain control may change the frames' gains.
     """
 
     def __init__(
-        self, frames: Array, usable: Array, motion: Array, reference: int, *, gains_differ: bool = False
+        self,
+        frames: Array,
+        usable: Array,
+        motion: Array,
+        reference: int,
+        *,
+        curvature: float = 0.0,
+        gains_differ: bool = False,
     ) -> None:
         self.frames, self.usable, self.reference = frames, usable.astype(np.float32), reference
+        self.curvature = curvature
         self.gains_differ = gains_differ
         self.canvas = Canvas(motion, (frames.shape[1], frames.shape[2]))
         self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
         self.weights, self.spread_weights = self.usable, self.canvas.spread_weights(self.usable)
         self.noise, self.level_variance, self.inflation = 1.0, 0.0, 1.0
         self.level_variances: Sequence[float] = ()
+        self.common_error = np.zeros(self.canvas.size)
 
     def corrected(self, offset: Array, gain: Array) -> Array:
         """Frames (n, h, w) without pattern and level."""
@@ -97,7 +115,9 @@ class Burst:
     def align(self, offset: Array, gain: Array, free: int) -> None:
         """Refine the motion."""
         frames = self.corrected(offset, gain)
-        self.canvas.move(refined_motion(self.canvas, frames, self.weights, self.reference, free))
+        self.canvas.move(
+            refined_motion(self.canvas, frames, self.weights, self.reference, free, self.curvature)
+        )
         self.spread_weights = self.canvas.spread_weights(self.weights)
 
     def weigh(self, offset: Array, gain: Array, motion_error: float, *, robust: bool) -> None:
@@ -119,9 +139,16 @@ class Burst:
         free = LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES
         self.level_variances = (free * self.noise**2).tolist()
         y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
-        self._motions = np.stack([across, down, down * x - across * y], 1)
+        self.phase_change = _phase_change(self.canvas.motion, self.canvas.size)
+        shown = group_power(dct(self.canvas.predicted(scene)[self.reference].astype(float)))
+        moved = COMMON_ERROR * np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)
+        self.common_error = shown * moved**2 / self.phase_change
+        shifts = np.eye(3) + self.canvas.motion * (np.arange(3) == 2) * (np.arange(3)[:, None] < 2)
+        by_error = 1 - np.exp(-((MIN_MOTION * moved / COMMON_ERROR) ** 2))
+        self.tells = _phase_change(shifts, self.canvas.size) > by_error
+        self._motions = np.stack(motion_gradients(down, across, y, x), 1)
         normal = np.einsum("kihw,kjhw,khw->kij", self._motions, self._motions, self.weights, optimize=True)
-        self._motion_covariance = np.linalg.inv(normal.astype(float) + np.eye(3) / SHIFT_ERROR**2)
+        self._motion_covariance = np.linalg.inv(normal.astype(float) + np.eye(8) / SHIFT_ERROR**2)
         self.spread_weights = self.canvas.spread_weights(self.weights)
 
     def compared(self, offset: Array, gain: Array) -> tuple[Array, Array]:
@@ -203,18 +230,23 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, *, rounds: int = ROUNDS)
     offset, gain, extrapolated = idct(np.where(low, 0.0, spectrum)), np.ones(size), np.zeros(size)
     fine = ~low
     fine[0, 0] = False
+    broad = prior.start
     for number in range(rounds):
         for burst in bursts:
-            burst.align(offset, gain, 3 if number == 0 else 6)
+            burst.align(offset, gain, FREE_MOTION[min(number, 4)])
             burst.weigh(offset, gain, MOTION_ERRORS[min(number, 4)], robust=number > 0)
+        told = np.any([burst.tells for burst in bursts], axis=0)
+        prior.start = np.where(told, broad, broad[0, 0])  # the rest stays as it is
         step, covariance = low_order_step(bursts, modes, low, prior, offset, gain)
         offset = offset + step
         information, trusted = _information(bursts, size)
-        offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine, trusted, 0.0))
+        offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
         posterior = 1 / (information + 1 / prior.variance)
         prior.update(dct(offset), posterior, fine)
         if number >= rounds - 2:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
+    posterior, open_modes = np.where(told, posterior, broad), np.where(told[low], 0.0, broad[low])
+    covariance = covariance + np.diag(open_modes)
     deviation = _deviation(modes, covariance, posterior[fine].sum() / posterior.size + extrapolated, size)
     inflation, noise = max(b.inflation for b in bursts), float(np.median([b.noise for b in bursts]))
     return SensorSolution(offset - offset.mean(), gain, deviation, inflation, noise)
@@ -258,7 +290,7 @@ def low_order_step(
         each = own.of(best.change).reshape(-1, system.per_frame)
         burst.levels = burst.levels + each[:, 0]
         if burst.gains_differ:
-            burst.gains = burst.gains * (1 + each[:, 4])
+            burst.gains = burst.gains * (1 + each[:, -1])
             burst.gains = burst.gains / np.exp(np.log(burst.gains).mean())
     prior.variance[low] = best.variance
     step = np.zeros(low.shape)
@@ -285,7 +317,7 @@ def _fit(
     before: Array,
 ) -> _Fit:
     """Expectation maximisation of the variances, from a broad prior; the evidence is up to a constant."""
-    reduced = [_nuisance(burst, system, len(before)) for burst, system in zip(bursts, systems, strict=True)]
+    reduced = [_nuisance(burst, system, low) for burst, system in zip(bursts, systems, strict=True)]
     data = sum(each.matrix for each in reduced)
     score = sum(each.score for each in reduced) + data @ before
     variance = prior.start[low]
@@ -312,8 +344,9 @@ class _Reduced:
     evidence: float
 
 
-def _nuisance(burst: LowOrderSystem, system: NormalEquations, count: int) -> _Reduced:
-    """Eliminate the unknowns of the frames, whose priors are about what they are so far."""
+def _nuisance(burst: LowOrderSystem, system: NormalEquations, low: Array) -> _Reduced:
+    """Eliminate the unknowns of the frames, whose priors are about what they are so far, and errors they share."""
+    count = int(low.sum())
     matrix, score = system.matrix / burst.inflation, system.score / burst.inflation
     prior = _frame_prior(burst, system.per_frame)
     known = np.zeros(len(prior))
@@ -322,12 +355,18 @@ def _nuisance(burst: LowOrderSystem, system: NormalEquations, count: int) -> _Re
     cross, rest = matrix[count:, :count], score[count:] - prior @ known
     free, tied = linalg.cho_solve(factor, rest), linalg.cho_solve(factor, cross)
     evidence = 0.5 * (rest @ free - known @ prior @ known + np.linalg.slogdet(prior)[1])
-    return _Reduced(
-        matrix[:count, :count] - cross.T @ tied,
-        score[:count] - cross.T @ free,
-        lambda modes: free - tied @ modes,
-        float(evidence - np.log(np.diag(factor[0])).sum()),
-    )
+    evidence -= np.log(np.diag(factor[0])).sum()
+    matrix, score = matrix[:count, :count] - cross.T @ tied, score[:count] - cross.T @ free
+    # What the frames show is the modes and the common error.
+    widening = np.eye(count) + matrix * burst.common_error[low]
+    matrix, own = np.linalg.solve(widening, matrix), np.linalg.solve(widening, score)
+    evidence += 0.5 * (score @ (burst.common_error[low] * own) - np.linalg.slogdet(widening)[1])
+
+    def of(modes: Array) -> Array:
+        shown = burst.common_error[low] * own + np.linalg.solve(widening.T, modes)
+        return np.asarray(free - tied @ shown)
+
+    return _Reduced((matrix + matrix.T) / 2, own, of, float(evidence))
 
 
 def _frame_prior(burst: LowOrderSystem, per_frame: int) -> Array:
@@ -337,37 +376,41 @@ def _frame_prior(burst: LowOrderSystem, per_frame: int) -> Array:
     diagonal = np.zeros(count * per_frame)
     each = diagonal.reshape(count, per_frame)
     each[:, 0] = 1 / (100 * burst.noise**2 + 1e4 * burst.level_variance)
-    each[:, 1:4] = 1 / SHIFT_ERROR**2
-    if per_frame > 4:
-        each[:, 4] = 1 / GAIN_SPREAD**2
+    each[:, 1:9] = 1 / SHIFT_ERROR**2
+    if burst.gains_differ:
+        each[:, -1] = 1 / GAIN_SPREAD**2
     prior = np.diag(diagonal)
     prior[::per_frame, ::per_frame] += steps.T @ steps / burst.level_variance
     return prior
 
 
+def _phase_change(motion: Array, size: Sequence[int]) -> Array:
+    """How the phase of each mode (h, w) differs between frames, from 0 to 1: one that looks alike is the scene's."""
+    down, across = (np.pi * np.arange(side) / side for side in size)
+    same = []
+    for y in (-size[0] / 4, size[0] / 4):
+        for x in (-size[1] / 4, size[1] / 4):
+            moved = motion @ np.array([x, y, 1.0])
+            shift = moved[:, :2] / moved[:, 2:] - (x, y)
+            of_rows, of_columns = np.exp(1j * down * shift[:, 1:]), np.exp(1j * across * shift[:, :1])
+            same += [
+                np.abs(np.einsum("kh,kw->hw", phase, of_columns) / len(shift)) ** 2
+                for phase in (of_rows, np.conj(of_rows))
+            ]
+    return np.asarray(np.maximum(1 - np.mean(same, 0), 1e-6))
+
+
 def _information(bursts: Sequence[Burst], size: Sequence[int]) -> tuple[Array, Array]:
     """Inverse variance (h, w) that the data give each mode of the offset, without its neighbours: a preconditioner.
 
-    A mode that looks the same in all frames of a burst is the scene's: what counts is how its phase changes. Second,
-    the share (h, w) of the data's weight that is left where interpolation leaves noise in modes that hardly move.
+    Second, the share (h, w) of the data's weight that errors leave which all frames have in common: those of the
+    motion, and of interpolation where modes hardly move.
     """
-    down, across = (np.pi * np.arange(side) / side for side in size)
     total, most = np.zeros(tuple(size)), np.zeros(tuple(size))
     for burst in bursts:
-        same = []
-        for y in (-size[0] / 4, size[0] / 4):
-            for x in (-size[1] / 4, size[1] / 4):
-                moved = burst.canvas.motion @ np.array([x, y, 1.0])
-                shift = moved[:, :2] / moved[:, 2:] - (x, y)
-                of_rows, of_columns = np.exp(1j * down * shift[:, 1:]), np.exp(1j * across * shift[:, :1])
-                same += [
-                    np.abs(np.einsum("kh,kw->hw", phase, of_columns) / len(shift)) ** 2
-                    for phase in (of_rows, np.conj(of_rows))
-                ]
-        weight = float(burst.weights.sum(0).mean()) / burst.inflation
-        share = np.maximum(1 - np.mean(same, 0), 1e-6)
-        total += weight * share / (1 + INTERPOLATION_NOISE / share)
-        most += weight * share
+        weight = float(burst.weights.sum(0).mean()) / burst.inflation * burst.phase_change
+        total += weight / (1 + weight * burst.common_error + INTERPOLATION_NOISE / burst.phase_change)
+        most += weight
     return total, total / most
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from deepir.recording.alignment import motion_gradients
 from deepir.recording.canvas import centred, weighted_mean
 
 Array = np.ndarray[Any, Any]
@@ -130,9 +131,9 @@ def low_order_equations(
         block_sums(each, block)[seen] / block**2
         for each in (*centred(scene.shape), scene, *np.gradient(scene))
     )
-    own = [np.ones_like(y)]
+    own, half = [np.ones_like(y)], max(modes.size) / 2
     if with_motion:
-        own += [gx, gy, (gy * x - gx * y) / (max(modes.size) / 2)]
+        own += motion_gradients(gy, gx, y / half, x / half)
     per_frame, count = len(own) + (offset is not None), len(modes.down)
     size = count + len(frames) * per_frame
     matrix, score = np.zeros((size, size)), np.zeros(size)

@@ -89,3 +89,10 @@ def shared_share(one: Array, other: Array) -> Array:
     total = np.bincount(groups, ((one + other) ** 2 / 4).ravel())
     share = np.clip(common / np.maximum(total, np.finfo(float).tiny), 0, 1)
     return np.asarray(share[groups].reshape(one.shape))
+
+
+def group_power(modes: Array) -> Array:
+    """Mean square (h, w) of modes (h, w) over those of each group."""
+    groups = mode_groups(modes.shape).ravel()
+    mean = np.bincount(groups, modes.ravel() ** 2) / np.maximum(np.bincount(groups), 1)
+    return np.asarray(mean[groups].reshape(modes.shape))
