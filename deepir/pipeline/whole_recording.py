@@ -39,7 +39,7 @@ def recording(burst: Burst, config: Config) -> Result:
         metrics={
             "correction": corrected.estimate.kept,
             "first_frames": [each.first for each in corrected.segments],
-            "misfit": corrected.estimate.misfit,
+            "motion_error": corrected.estimate.motion_error,
             "iterations": 0,
             "evaluations": 0,
             "stop_reason": f"estimated from {len(corrected.keyframes.frames)} of {len(frames)} frames",

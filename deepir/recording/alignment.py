@@ -137,7 +137,13 @@ def turned(shift: Array, curvature: float, half: float) -> Array:
 
 
 def refined_motion(
-    canvas: Canvas, frames: Array, weights: Array, reference: int, free: int, curvature: float = 0.0
+    canvas: Canvas,
+    frames: Array,
+    weights: Array,
+    spread_weights: Array,
+    reference: int,
+    free: int,
+    curvature: float = 0.0,
 ) -> Array:
     """Motion (n, 3, 3) that registers frames with their mean on the canvas.
 
@@ -145,12 +151,13 @@ def refined_motion(
         canvas: with the motion so far.
         frames: (n, h, w), corrected.
         weights: of the samples, same shape.
+        spread_weights: the same on the canvas.
         reference: number of the frame that stays where it is.
         free: parameters: 3 for a turn of the camera, 6 for an affine motion, 8 for a homography.
         curvature: of a turn, see `turned`.
     """
     detail = np.stack([each - ndimage.gaussian_filter(each, REFINE_SIGMA) for each in frames])
-    scene = canvas.mean(detail, canvas.spread_weights(weights))
+    scene = canvas.mean(detail, spread_weights)
     motion, around = canvas.motion.copy(), Canvas.__new__(Canvas)
     around.size, around.shape = canvas.size, canvas.shape
     around.move(motion)

@@ -21,7 +21,6 @@ from deepir.kernels.block_means import block_means
 from deepir.messages import Message
 from deepir.recording.bursts import (
     AT_REST,
-    MIN_CHANGE_SIGMAS,
     Burst,
     CameraAtRestError,
     burst_motion,
@@ -40,9 +39,12 @@ MIN_KEYFRAMES = 4
 SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least, before they are registered
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
-#: Misfit of registered frames, in variances of the noise of a sample, from which they do not register as a whole: 1 to
-#: 40 in 44 hand-held recordings, 900 and more in drives.
-MAX_MISFIT = 100.0
+#: px, error of the motion from which frames do not register as a whole: 0.05 to 0.25 hand-held, 0.3 to 2.5 where the
+#: camera moves among near things.
+MAX_MOTION_ERROR = 0.3
+#: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
+#: has moved.
+MIN_CHANGE_SIGMAS = 2.2
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
 FULL_SIZE_ROUNDS = 2  # of the solve at the frames' own size, after that of averaged frames
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
@@ -63,7 +65,7 @@ class SensorEstimate:
         level: frames' units, the median of the frames.
         offset_deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
         kept: what is corrected, in words.
-        misfit: of registered frames, in variances of the noise of a sample; inf where they do not register.
+        motion_error: of registered frames, px; inf where they do not register.
         messages: for the user.
         contrasts: numbers of frames, and their gains by an automatic gain control, relative to their mean; None: one.
         jumps: numbers of frames at which the pattern may jump, as far as registered frames do not rule it out.
@@ -75,7 +77,7 @@ class SensorEstimate:
     level: float
     offset_deviation: Array | None
     kept: str
-    misfit: float
+    motion_error: float
     messages: tuple[str, ...] = ()
     contrasts: tuple[Array, Array] | None = None
     jumps: tuple[int, ...] = ()
@@ -169,7 +171,6 @@ def estimate_sensor(
             "gain and offset",
             _one_way(found.burst.tells),
             (shown, expected),
-            found.misfit,
             None if found.gains is None else (places, found.gains),
             tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
         )
@@ -189,12 +190,11 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
 
 
 class _Registered(NamedTuple):
-    """The sensor by frames that register, these, their numbers, misfit, and gains of a gain control."""
+    """The sensor by frames that register, these, their numbers, and gains of a gain control."""
 
     solution: SensorSolution
     burst: Burst
     numbers: Array
-    misfit: float
     gains: Array | None
     recorded: Array  # as `burst.frames`, bad pixels as they are
 
@@ -211,12 +211,9 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
     found = find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ)
     if found is None:
         return None
-    shared = shared_pattern(small[found[1]], known[found[1]])
-    burst, numbers = find_burst(small, known, len(frames) // 2, shared, gains_differ=gains_differ) or found
+    burst, numbers, shared = found
     solution = solve_sensor([burst], shared)
-    noise = noise_deviation(burst.frames - shared)
-    misfit = solution.inflation * (solution.noise / noise) ** 2
-    if misfit > MAX_MISFIT:
+    if solution.motion_error > MAX_MOTION_ERROR:
         return None
     if factor == 1:
         full = burst
@@ -235,9 +232,9 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
         solution = solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS)
     recorded = samples.frames[numbers]
     if not gains_differ:
-        return _Registered(solution, full, numbers, misfit, None, recorded)
+        return _Registered(solution, full, numbers, None, recorded)
     scale = contrasts[numbers]
-    return _Registered(solution, full, numbers, misfit, full.gains * scale, recorded / scale[:, None, None])
+    return _Registered(solution, full, numbers, full.gains * scale, recorded / scale[:, None, None])
 
 
 def _contrasts(frames: Array) -> Array:
@@ -274,7 +271,6 @@ def _estimate(
     kept: str,
     messages: tuple[str, ...] = (),
     registered: tuple[Array, Array] | None = None,
-    misfit: float = np.inf,
     contrasts: tuple[Array, Array] | None = None,
     jumps: tuple[int, ...] = (),
 ) -> SensorEstimate:
@@ -294,7 +290,7 @@ def _estimate(
         samples.level,
         solution.deviation,
         kept,
-        misfit,
+        solution.motion_error,
         messages,
         contrasts,
         jumps,

@@ -17,7 +17,7 @@ def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator
         estimate: of the sensor.
         lag: of the pixels; None if it was not estimated.
     """
-    if np.isfinite(estimate.misfit):
+    if np.isfinite(estimate.motion_error):
         yield "motion: the frames register as a whole, and were solved together with their scene"
     else:
         yield "motion: near and far things move differently; the offset rests on local displacements"

@@ -46,9 +46,10 @@ UPDATES = 6  # of the strengths in a round
 #: Variances of a step of the levels, relative to that of a sample's noise, of which the likeliest is taken.
 LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
 SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
-#: px, standard deviation of an error of the motion that all frames share. Relative to the motion, it is the share of
-#: the scene that stays in the offset.
-COMMON_ERROR = 0.03
+#: Of the error of the motion, that all frames have in common: relative to the motion, the share of the scene that stays
+#: in the offset.
+COMMON_SHARE = 0.15
+STEEP = 0.9  # quantile of the scene's slope, from which samples tell the error of the motion
 MIN_MOTION = (
     0.1  # px, standard deviation of the shifts along an axis, from which they tell what varies along it
 )
@@ -101,7 +102,7 @@ class Burst:
         self.canvas = Canvas(motion, (frames.shape[1], frames.shape[2]))
         self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
         self.weights, self.spread_weights = self.usable, self.canvas.spread_weights(self.usable)
-        self.noise, self.level_variance, self.inflation = 1.0, 0.0, 1.0
+        self.noise, self.level_variance, self.inflation, self.motion_error = 1.0, 0.0, 1.0, 0.0
         self.level_variances: Sequence[float] = ()
         self.common_error = np.zeros(self.canvas.size)
 
@@ -115,9 +116,10 @@ class Burst:
     def align(self, offset: Array, gain: Array, free: int) -> None:
         """Refine the motion."""
         frames = self.corrected(offset, gain)
-        self.canvas.move(
-            refined_motion(self.canvas, frames, self.weights, self.reference, free, self.curvature)
+        found = refined_motion(
+            self.canvas, frames, self.weights, self.spread_weights, self.reference, free, self.curvature
         )
+        self.canvas.move(found)
         self.spread_weights = self.canvas.spread_weights(self.weights)
 
     def weigh(self, offset: Array, gain: Array, motion_error: float, *, robust: bool) -> None:
@@ -130,7 +132,9 @@ class Burst:
         counted = np.abs(rest[some][seen[some] > 0])
         self.noise = max(MAD_TO_SIGMA * float(np.median(counted)) if counted.size else 0.0, 1e-6)
         down, across = (self.canvas.predicted(each) for each in np.gradient(scene))
-        variance = self.noise**2 + motion_error**2 * _smoothed(down**2 + across**2)
+        steepness = down**2 + across**2
+        self.motion_error = _motion_error(rest[some], steepness[some], seen[some] > 0)
+        variance = self.noise**2 + motion_error**2 * _smoothed(steepness)
         weights = seen / variance
         if robust:
             weights = weights / (1 + _smoothed(rest**2) / (OUTLIER_SIGMAS**2 * variance))
@@ -141,11 +145,12 @@ class Burst:
         y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
         self.phase_change = _phase_change(self.canvas.motion, self.canvas.size)
         shown = group_power(dct(self.canvas.predicted(scene)[self.reference].astype(float)))
-        moved = COMMON_ERROR * np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)
-        self.common_error = shown * moved**2 / self.phase_change
+        frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
+        common = COMMON_SHARE * self.motion_error * frequency
+        self.common_error = shown * common**2 / self.phase_change
         shifts = np.eye(3) + self.canvas.motion * (np.arange(3) == 2) * (np.arange(3)[:, None] < 2)
-        by_error = 1 - np.exp(-((MIN_MOTION * moved / COMMON_ERROR) ** 2))
-        self.tells = _phase_change(shifts, self.canvas.size) > by_error
+        least = 1 - np.exp(-((MIN_MOTION * frequency) ** 2))
+        self.tells = _phase_change(shifts, self.canvas.size) > least
         self._motions = np.stack(motion_gradients(down, across, y, x), 1)
         normal = np.einsum("kihw,kjhw,khw->kij", self._motions, self._motions, self.weights, optimize=True)
         self._motion_covariance = np.linalg.inv(normal.astype(float) + np.eye(8) / SHIFT_ERROR**2)
@@ -184,6 +189,18 @@ class Burst:
         return y + (self.canvas.size[0] - 1) / 2, x + (self.canvas.size[1] - 1) / 2
 
 
+def _motion_error(rest: Array, steepness: Array, seen: Array) -> float:
+    """Error of the motion, px, by which residuals (n, h, w) at steep places of the scene exceed those at flat ones."""
+    if not seen.any():
+        return 0.0
+    rest, steepness = rest[seen] ** 2, steepness[seen]
+    flat, steep = steepness < np.median(steepness), steepness > np.quantile(steepness, STEEP)
+    if not (flat.any() and steep.any()):
+        return 0.0
+    excess = float(np.median(rest[steep]) - np.median(rest[flat])) / CHI_SQUARED_MEDIAN
+    return max(excess / float(np.median(steepness[steep])), 0.0) ** 0.5
+
+
 def _smoothed(values: Array) -> Array:
     """Means (n, h, w) around each sample: weights that change from pixel to pixel do not survive interpolation."""
     return np.asarray(ndimage.gaussian_filter(values, (0, WEIGHT_SIGMA, WEIGHT_SIGMA)))
@@ -197,20 +214,20 @@ class SensorSolution:
         offset: (h, w), frames' units, mean zero.
         gain: (h, w), around one.
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
-        inflation: of the misfit over the noise, the largest of the bursts.
+        motion_error: of the frames, px, the largest of the bursts; inf where they do not register.
         noise: of a sample, frames' units.
     """
 
     offset: Array
     gain: Array
     deviation: Array | None
-    inflation: float
+    motion_error: float
     noise: float
 
     @classmethod
     def of_offset(cls, offset: Array) -> SensorSolution:
         """An offset whose deviation is not known."""
-        return cls(offset, np.ones_like(offset), None, 1.0, 0.0)
+        return cls(offset, np.ones_like(offset), None, np.inf, 0.0)
 
 
 def solve_sensor(bursts: Sequence[Burst], start: Array, *, rounds: int = ROUNDS) -> SensorSolution:
@@ -248,8 +265,8 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, *, rounds: int = ROUNDS)
     posterior, open_modes = np.where(told, posterior, broad), np.where(told[low], 0.0, broad[low])
     covariance = covariance + np.diag(open_modes)
     deviation = _deviation(modes, covariance, posterior[fine].sum() / posterior.size + extrapolated, size)
-    inflation, noise = max(b.inflation for b in bursts), float(np.median([b.noise for b in bursts]))
-    return SensorSolution(offset - offset.mean(), gain, deviation, inflation, noise)
+    motion_error, noise = max(b.motion_error for b in bursts), float(np.median([b.noise for b in bursts]))
+    return SensorSolution(offset - offset.mean(), gain, deviation, motion_error, noise)
 
 
 def low_order_step(

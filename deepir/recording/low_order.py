@@ -67,7 +67,7 @@ class NormalEquations:
     matrix: Array
     score: Array
     per_frame: int
-    _rows: list[tuple[Array, Array, Array]]  # of each frame: design, weights, changes
+    _rows: list[tuple[Array, Array, Array, Array]]  # of each frame: its blocks, design, weights, changes
     _seen: Array
 
     def inflation(self, unknowns: Array) -> float:
@@ -75,18 +75,19 @@ class NormalEquations:
         total, moment = np.zeros(int(self._seen.sum())), np.zeros(int(self._seen.sum()))
         rest = []
         modes = len(self.score) - len(self._rows) * self.per_frame
-        for k, (design, weight, change) in enumerate(self._rows):
+        for k, (inside, design, weight, change) in enumerate(self._rows):
             mine = modes + k * self.per_frame
             own = np.concatenate([unknowns[:modes], unknowns[mine : mine + self.per_frame]])
             rest.append(change - design @ own)
-            total += weight
-            moment += weight * rest[-1]
+            total[inside] += weight
+            moment[inside] += weight * rest[-1]
         scene = moment / np.maximum(total, np.finfo(float).tiny)
         maps = np.zeros((len(rest), *self._seen.shape))
-        counts = np.zeros(maps.shape)
-        for k, ((_, weight, _), values) in enumerate(zip(self._rows, rest, strict=True)):
-            maps[k, self._seen] = np.clip(weight**0.5 * (values - scene), -CLIP, CLIP)
-            counts[k, self._seen] = weight > 0
+        counts, places = np.zeros(maps.shape), np.flatnonzero(self._seen)
+        for k, ((inside, _, weight, _), values) in enumerate(zip(self._rows, rest, strict=True)):
+            misfit = weight**0.5 * (values - scene[inside])
+            maps[k].flat[places[inside]] = np.clip(misfit, -CLIP, CLIP)
+            counts[k].flat[places[inside]] = 1
         return max(1.0, *(_mean_square(maps, counts, scale) for scale in SCALES))
 
 
@@ -138,21 +139,31 @@ def low_order_equations(
     size = count + len(frames) * per_frame
     matrix, score = np.zeros((size, size)), np.zeros(size)
     sums, moment, total = np.zeros((len(y), size)), np.zeros(len(y)), weight.sum(0)[seen]
-    rows = []
+    shared, rows = np.s_[:count], []
     for k in range(len(frames)):
-        at = places(k, seen)
+        inside = np.flatnonzero(weight[k][seen] > 0)
+        at = [each[inside] for each in places(k, seen)]
+        own_weight, values = weight[k][seen][inside], change[k][seen][inside]
         gain = (
-            [] if offset is None else [bright + ndimage.map_coordinates(offset, at, order=1, mode="nearest")]
+            []
+            if offset is None
+            else [bright[inside] + ndimage.map_coordinates(offset, at, order=1, mode="nearest")]
         )
-        design = np.concatenate([modes.at(*at), np.stack([*own, *gain], 1)], 1)
-        mine, values = weight[k][seen], change[k][seen]
-        weighted = design * mine[:, None]
-        index = np.r_[:count, count + k * per_frame : count + (k + 1) * per_frame]
-        matrix[np.ix_(index, index)] += weighted.T @ design
-        score[index] += weighted.T @ values
-        sums[:, index] += weighted
-        moment += mine * values
-        rows.append((design, mine, values))
+        design = np.concatenate([modes.at(*at), np.stack([*(each[inside] for each in own), *gain], 1)], 1)
+        weighted, mine = (
+            design * own_weight[:, None],
+            np.s_[count + k * per_frame : count + (k + 1) * per_frame],
+        )
+        normal, slope = weighted.T @ design, weighted.T @ values
+        matrix[shared, shared] += normal[shared, shared]
+        matrix[mine, mine] = normal[count:, count:]
+        matrix[shared, mine], matrix[mine, shared] = normal[shared, count:], normal[count:, shared]
+        score[shared] += slope[shared]
+        score[mine] = slope[count:]
+        sums[inside, shared] += weighted[:, shared]
+        sums[inside, mine] = weighted[:, count:]
+        moment[inside] += own_weight * values
+        rows.append((inside, design, own_weight, values))
     matrix -= sums.T @ (sums / total[:, None])  # the scene is eliminated
     score -= sums.T @ (moment / total)
     return NormalEquations((matrix + matrix.T) / 2, score, per_frame, rows, seen)
