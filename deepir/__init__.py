@@ -16,11 +16,11 @@ os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "12")  # the logarithm of cycle
 
 if TYPE_CHECKING:
     from deepir.api import run
+    from deepir.correct_recording import correct
     from deepir.errors import DeepIRError
     from deepir.io import read_frames
     from deepir.live.corrector import Corrector
     from deepir.problem import Problem
-    from deepir.recording.correct import correct
     from deepir.result import Result
 
 # Looked up on first use: `import deepir` and `deepir --help` do without torch.
@@ -29,7 +29,7 @@ _HOMES = {
     "DeepIRError": "errors",
     "Problem": "problem",
     "Result": "result",
-    "correct": "recording.correct",
+    "correct": "correct_recording",
     "read_frames": "io",
     "run": "api",
 }

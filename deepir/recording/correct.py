@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from deepir.calibration import CorrectionMaps
-from deepir.config.components import validate
-from deepir.config.schema import Data, Radiometry, Raw
-from deepir.errors import ConfigError, DataError
-from deepir.io import cropped, stream_data, write_npz
-from deepir.io.inspection.axes import oriented
+from deepir.io import write_npz
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
 from deepir.recording.neighbours import NeighbouringFrames
@@ -23,6 +19,8 @@ from deepir.recording.segments import Segment, estimate_segments, segment_at
 from deepir.recording.thermal_lag import ThermalLag, thermal_lag
 
 Array = np.ndarray[Any, Any]
+
+FEW = 10  # frames, of fewer of which all are needed, whatever they are worth
 
 
 @dataclass(frozen=True)
@@ -46,19 +44,25 @@ class CorrectedRecording:
         cls,
         read: Callable[[], Iterator[Array]],
         track: Callable[[Iterator[Array]], Iterator[Array]] = iter,
+        of_few: Callable[[Array], SensorEstimate] | None = None,
     ) -> CorrectedRecording:
         """Read a recording once, and estimate its sensor.
 
         Args:
             read: Reads the recorded frames (h, w) from the start.
             track: Passes frames on while they are read, and shows progress.
+            of_few: Estimates the sensor of fewer than `FEW` frames (N, h, w); None: they are no exception.
 
         Raises:
             DataError: It has few frames, or the camera stands still.
         """
         neighbours = NeighbouringFrames()
         keyframes = choose_keyframes(neighbours.collect(track(read())))
-        return cls(read, estimate_segments(keyframes), keyframes, neighbours)
+        if of_few is not None and keyframes.length < FEW:
+            segments = [Segment(0, keyframes.length - 1, of_few(np.stack(list(read()))))]
+        else:
+            segments = estimate_segments(keyframes)
+        return cls(read, segments, keyframes, neighbours)
 
     def __len__(self) -> int:
         return self.keyframes.length
@@ -120,50 +124,3 @@ class CorrectedRecording:
                 **(over_time if len(self.segments) > 1 else {}),
             },
         )
-
-
-def correct(
-    recording: str | os.PathLike[str] | Array,
-    *,
-    key: str | None = None,
-    raw: Raw | Mapping[str, Any] | None = None,
-    axes: str | None = None,
-    crop: list[int] | None = None,
-    swap_bytes: bool | None = None,
-    radiometry: Radiometry | Mapping[str, Any] | None = None,
-) -> CorrectedRecording:
-    """Correct a recording of a moving camera: `correct("drive.avi").frames`.
-
-    Args:
-        recording: A file, folder or glob of any length, or frames (N, h, w).
-        key: Name of the array in a file that holds several.
-        raw: Layout of a file without a header: `{"width": 640, "height": 512}`.
-        axes: Order of the array's axes, as `data.axes`: "hwn" for (height, width, frames).
-        crop: Part of the frames, [y0, y1, x0, x1], as `data.crop`.
-        swap_bytes: Whether the bytes of each sample are swapped, of a file.
-        radiometry: Conversion to kelvin, of a file, as `data.radiometry`.
-
-    Raises:
-        DataError: It cannot be read, has few frames, or the camera stands still.
-        ConfigError: An option is wrong.
-    """
-    options = {
-        "key": key,
-        "raw": raw,
-        "axes": axes,
-        "crop": crop,
-        "swap_bytes": swap_bytes,
-        "radiometry": radiometry,
-    }
-    given = {name: value for name, value in options.items() if value is not None}
-    data = Data(**validate(Data, given, "correct"))
-    if isinstance(recording, np.ndarray):
-        if recording.ndim != 3 or not len(recording):
-            raise DataError(f"frames of shape {recording.shape}; expected (frames, height, width)")
-        if of_file := next(iter(given.keys() - {"axes", "crop"}), None):
-            raise ConfigError(f"correct: '{of_file}' is for a file, and the frames are an array")
-        frames = oriented(recording, axes, "frames") if axes else recording
-        read: Callable[[], Iterator[Array]] = functools.partial(cropped, frames, crop)
-    else:
-        read = functools.partial(stream_data, data.model_copy(update={"path": os.fspath(recording)}))
-    return CorrectedRecording.of(read)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from skimage import data
 
+from deepir.correct_recording import correct
 from deepir.io import read_frames
-from deepir.recording.correct import correct
 from deepir.recording.keyframes import choose_keyframes
 from deepir.recording.segments import estimate_segments
 from deepir.storage.lock import locked_files

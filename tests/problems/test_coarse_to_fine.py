@@ -189,5 +189,6 @@ def test_what_is_known_to_move_is_not_in_the_start():
         inside = problem.precision[1, 0, 20:60, 30:50]
         assert inside.max() < 1e-4 * problem.precision.median()  # next to nothing, but known to be there
         seen = (problem.precision[:, 0, 20:60, 30:50] > 0).any(0)
-        assert seen.float().mean() > 0.9 and inside[seen].min() > 0
+        assert seen.float().mean() > 0.9
+        assert inside[seen].min() > 0
     assert np.abs(scenes[1] - scenes[0]).max() < 0.05 * np.ptp(scenes[0])

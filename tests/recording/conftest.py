@@ -54,6 +54,6 @@ def walk() -> Walk:
 @pytest.fixture(scope="session")
 def corrected(walk):
     """The walk, corrected by its own frames."""
-    from deepir.recording.correct import correct
+    from deepir.correct_recording import correct
 
     return correct(walk.frames)

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+import deepir
+from deepir.correct_recording import correct
 from deepir.errors import DataError
 from deepir.recording.consensus import gradient_consensus
-from deepir.recording.correct import correct
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours
 from deepir.recording.noise import rounding_deviation
+from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 
 def alike(first, second, where):
@@ -81,9 +83,17 @@ def test_a_camera_that_turns_one_way_separates_the_shading_along_it_and_says_so(
     assert any(way in message for message in found.messages)
 
 
-def test_few_frames_and_a_camera_at_rest_are_refused(walk):
-    with pytest.raises(DataError, match="too few"):
-        correct(walk.frames[:3])
+def test_a_few_frames_are_corrected_as_nuc_corrects_them(walk):
+    frames = walk.frames[::10][:5]
+    found, burst = correct(frames), deepir.run("nuc", frames=frames)
+    good = ~burst.bad_pixels
+    expected = (frames - burst.offset) / burst.gain
+    np.testing.assert_allclose(found.frames[:, good], expected[:, good], atol=0.01)
+
+
+def test_one_frame_and_a_camera_at_rest_are_refused(walk):
+    with pytest.raises(DataError, match="frames"):
+        correct(walk.frames[:1])
     noise = np.random.default_rng(1).integers(-9, 9, (60, *walk.frames.shape[1:]))
     with pytest.raises(DataError, match="stands still"):
         correct((walk.frames[0] + noise).astype(np.uint16))
@@ -95,3 +105,10 @@ def test_a_camera_at_rest_whose_gain_changes_is_refused(walk):
     gains = 0.12 * (1 + 0.3 * np.sin(np.arange(40) / 4))[:, None, None]
     with pytest.raises(DataError, match="stands still"):
         correct((gains * (shown - shown.mean()) + 120).clip(0, 255).round().astype(np.uint8))
+
+
+def test_a_car_that_passes_a_camera_at_rest_is_not_followed():
+    """The camera stands for most of the recording, and nothing moves but the cars."""
+    rest = simulate_recording(RecordingSettings(kind="pan", n_frames=100, shape=(96, 128)), seed=100)
+    with pytest.raises(DataError, match="stands still"):
+        correct(rest.frames)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepir.recording.correct import correct
+from deepir.correct_recording import correct
 
 HEAT = 400.0  # counts; the pattern has 75
 SPOTS = [(0.0, 0.0), (12.0, -16.0), (-14.0, 18.0)]  # px from the middle of the view

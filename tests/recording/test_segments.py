@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from deepir.correct_recording import correct
 from deepir.errors import ConfigError, DataError
-from deepir.recording.correct import correct
 from deepir.recording.pattern_jumps import pattern_jumps
 from deepir.recording.segments import Segment, segment_at
 from deepir.simulate.recording import RecordingSettings, simulate_recording

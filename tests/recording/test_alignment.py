@@ -1,0 +1,46 @@
+"""Motion of a camera that turns, whatever its field of view."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+
+from deepir.recording.alignment import turned
+from deepir.recording.bursts import find_burst
+from deepir.recording.canvas import centred, project
+
+SIZE, HALF = (96, 128), 64.0
+
+
+@pytest.mark.parametrize("curvature", [0.05, 0.17, 0.7])
+def test_a_turn_is_the_homography_of_a_rotation(curvature):
+    shift, focal = np.array([25.0, -11.0]), HALF / curvature**0.5
+    matrix = np.diag([focal, focal, 1.0])
+    towards = np.array([*shift, focal]) / np.linalg.norm([*shift, focal])
+    axis = np.cross([0, 0, 1.0], towards)
+    rotation = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(towards[2])).as_matrix()
+    expected = matrix @ rotation @ np.linalg.inv(matrix)
+    found = turned(shift, curvature, HALF)
+    np.testing.assert_allclose(found / found[2, 2], expected / expected[2, 2], atol=1e-12)
+
+
+def test_a_turn_of_a_far_camera_is_a_shift():
+    np.testing.assert_allclose(
+        turned(np.array([5.0, 2.0]), 1e-9, HALF), turned(np.array([5.0, 2.0]), 0.0, HALF), atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.2])
+def test_the_curvature_of_a_pan_is_found(curvature):
+    rng = np.random.default_rng(0)
+    scene = ndimage.gaussian_filter(rng.normal(size=(300, 400)), 2) * 400
+    y, x = centred(SIZE)
+    frames = []
+    for along in np.linspace(-30, 30, 16):
+        v, u = project(turned(np.array([along, 0.1 * along]), curvature, HALF), y, x)
+        frames.append(ndimage.map_coordinates(scene, [v + 150, u + 200], order=3))
+    frames = np.array(frames, np.float32) + rng.normal(size=(16, *SIZE)).astype(np.float32)
+    usable = np.ones(frames.shape, bool)
+    burst, numbers, _ = find_burst(frames, usable, 8, np.zeros(SIZE), gains_differ=False)
+    assert burst.curvature == pytest.approx(curvature, abs=0.1)
+    assert len(numbers) >= 12
