@@ -59,18 +59,6 @@ class Displacement:
         return float((moved & self.known).mean())
 
 
-def motion_extent(found: Sequence[Displacement]) -> tuple[float, float]:
-    """How far the scene moves down and across, px of the frames passed in; zero where no displacement is known.
-
-    The upper quartile over pairs of frames of the upper quartiles of their displacements.
-    """
-    far = [
-        np.quantile(np.abs(each.vectors[:, each.known]), 0.75, axis=1) for each in found if each.known.any()
-    ]
-    down, across = np.quantile(far, 0.75, axis=0) if far else (0.0, 0.0)
-    return float(down), float(across)
-
-
 def displacements(
     frames: Array, pairs: Sequence[tuple[int, int]], *, both_ways: bool = False
 ) -> Iterator[Displacement]:

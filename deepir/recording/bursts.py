@@ -11,9 +11,9 @@ from scipy import ndimage
 
 from deepir.errors import DataError
 from deepir.recording.alignment import REFINE_SIGMA, TURN, Links, Spectrum, refined_motion
+from deepir.recording.burst import Burst
 from deepir.recording.canvas import Canvas, centred, project
 from deepir.recording.consensus import gradient_consensus
-from deepir.recording.joint_solve import Burst
 from deepir.recording.noise import noise_deviation
 
 Array = np.ndarray[Any, Any]

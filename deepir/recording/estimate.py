@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.io.inspection.saturated_samples import saturated_samples
@@ -29,7 +30,7 @@ from deepir.recording.bursts import (
 )
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, some_frames
 from deepir.recording.displaced import enlarged, fine_part, solve_low_order
-from deepir.recording.joint_solve import CHI_SQUARED_MEDIAN, SensorSolution, solve_sensor
+from deepir.recording.joint_solve import SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes
 from deepir.recording.noise import noise_deviation, rounding_deviation
 
