@@ -313,7 +313,8 @@ def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Arr
 
     Third, the variance (h, w) that the gain's adds to the offset's: a pixel that saw other levels extrapolates.
 
-    The gain is one, and a part of each column, and one of each pixel; their variances are those that suit the data.
+    The gain is one, a share of the offset, a part of each column, and one of each pixel; the share and the variances
+    are those that suit the data.
     """
     weight, first, second, rest, slope = (np.zeros(offset.shape) for _ in range(5))
     for burst in bursts:
@@ -327,6 +328,8 @@ def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Arr
     middle = first / np.maximum(weight, np.finfo(float).tiny)
     information = np.maximum(second - first * middle, 0.0)
     score = slope - rest * middle + information * (gain - 1)
+    shared = _share_of_offset(offset, information, score)
+    score = score - information * shared
     of_columns = of_pixels = GAIN_DEVIATION**2
     for _ in range(UPDATES):
         spread = 1 / ((information / (1 + information * of_pixels)).sum(0) + 1 / of_columns)
@@ -336,8 +339,23 @@ def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Arr
         # Robust: at edges errors of the motion look like gain.
         of_columns = float(np.median(columns**2 + spread)) / CHI_SQUARED_MEDIAN
         of_pixels = float(np.median(pixels**2 + left)) / CHI_SQUARED_MEDIAN
-    change = (1 + columns + pixels) / gain - 1
+    change = (1 + shared + columns + pixels) / gain - 1
     return offset - gain * change * middle, gain * (1 + change), middle**2 * (left + spread)
+
+
+def _share_of_offset(offset: Array, information: Array, score: Array) -> Array:
+    """The part of the gain (h, w) in proportion to the offset: far from a camera's zero, gain makes most of its pattern.
+
+    Args:
+        offset: (h, w).
+        information, score: of the gain, (h, w): inverse variances, and these times its deviation from one.
+    """
+    pattern = offset - offset.mean()
+    power = float((information * pattern**2).sum())
+    if not power > 0:
+        return np.zeros_like(offset)
+    slope = float((score * pattern).sum()) / power
+    return slope * max(0.0, 1 - 1 / max(slope**2 * power, 1e-30)) * pattern
 
 
 def _deviation(modes: LowOrderModes, covariance: Array, fine_variance: Array, size: Sequence[int]) -> Array:

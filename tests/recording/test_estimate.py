@@ -112,3 +112,11 @@ def test_a_car_that_passes_a_camera_at_rest_is_not_followed():
     rest = simulate_recording(RecordingSettings(kind="pan", n_frames=100, shape=(96, 128)), seed=100)
     with pytest.raises(DataError, match="stands still"):
         correct(rest.frames)
+
+
+def test_a_gain_that_makes_the_offset_is_found_where_the_scene_has_little_contrast():
+    """Far from the camera's zero a pixel's gain makes most of its pattern, and the pattern tells the gain."""
+    camera = RecordingSettings(kind="walk", n_frames=60, shape=(96, 128), dead_pixels=0.0)
+    recording = simulate_recording(camera, seed=23)
+    found, truth = correct(recording.frames).maps.gain, recording.truth.gain
+    assert np.std(found / found.mean() - truth / truth.mean()) < 0.5 * truth.std()
