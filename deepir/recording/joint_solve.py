@@ -344,7 +344,7 @@ def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Arr
 
 
 def _share_of_offset(offset: Array, information: Array, score: Array) -> Array:
-    """The part of the gain (h, w) in proportion to the offset: far from a camera's zero, gain makes most of its pattern.
+    """The part of the gain (h, w) in proportion to the offset: far from a camera's zero, gain makes most of it.
 
     Args:
         offset: (h, w).
