@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from deepir.api import run
 from deepir.config.components import validate
 from deepir.config.schema import Data, Radiometry, Raw
 from deepir.errors import ConfigError, DataError
@@ -27,6 +26,8 @@ def sensor_of_burst(frames: Array) -> SensorEstimate:
     Raises:
         DataError: They are too few, or do not register.
     """
+    from deepir.api import run  # the whole package, which longer recordings do without
+
     found = run("nuc", frames=frames)
     gain, level = found.gain.astype(float), float(np.nanmedian(frames))
     offset = found.offset - level * (1 - gain)

@@ -153,7 +153,7 @@ def refined_motion(
         weights: of the samples, same shape.
         spread_weights: the same on the canvas.
         reference: number of the frame that stays where it is.
-        free: parameters: 3 for a turn of the camera, 6 for an affine motion, 8 for a homography.
+        free: parameters: 3 for a turn of the camera, 8 for a homography.
         curvature: of a turn, see `turned`.
     """
     detail = np.stack([each - ndimage.gaussian_filter(each, REFINE_SIGMA) for each in frames])

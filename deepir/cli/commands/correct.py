@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,8 +20,6 @@ from deepir.cli.terminal import echo, notify
 from deepir.messages import labelled
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from deepir.config import Config
     from deepir.recording.correct import CorrectedRecording
     from deepir.recording.estimate import SensorEstimate
@@ -70,6 +68,7 @@ def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded
 
     from deepir.cli.signals import Interrupted
     from deepir.cli.tracking import track
+    from deepir.correct_recording import sensor_of_burst
     from deepir.io import atomic_files, stream_data
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
@@ -77,18 +76,13 @@ def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded
     from deepir.recording.findings import findings_lines
     from deepir.report.correction import write_correction
 
-    def of_few(frames: np.ndarray[Any, Any]) -> SensorEstimate:
-        from deepir.correct_recording import sensor_of_burst
-
-        return sensor_of_burst(frames)
-
     data, shown = config.data, config.output
     begun = time.perf_counter()
     read = functools.partial(stream_data, data)
     dtype = output_type(next(read()).dtype, rounded=rounded)
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
-    corrected = CorrectedRecording.of(read, lambda frames: track(frames, "reading"), of_few)
+    corrected = CorrectedRecording.of(read, lambda frames: track(frames, "reading"), sensor_of_burst)
     with atomic_files(maps, picture) as (own_maps, own_picture):
         corrected.save_maps(own_maps)
         _describe(corrected)
