@@ -29,7 +29,7 @@ from deepir.recording.bursts import (
     shared_pattern,
 )
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, some_frames
-from deepir.recording.displaced import enlarged, fine_part, solve_low_order
+from deepir.recording.displaced import enlarged, fine_part, low_order_part, solve_low_order
 from deepir.recording.joint_solve import SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes
 from deepir.recording.noise import noise_deviation, rounding_deviation
@@ -249,15 +249,15 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
     size = samples.frames.shape[1:]
     factor = max(1, min(size) // SHORT_SIDE)
     small, _ = _averaged(samples.frames, samples.known, factor)
-    offset, pattern = fine_part(*samples.halves), samples.pattern
-    whole = offset + pattern - fine_part(pattern, pattern)
+    offset = fine_part(*samples.halves)
+    whole = offset + low_order_part(samples.pattern)
     start = _averaged(whole[None].astype(np.float32), ~samples.bad[None], factor)[0][0]
     low = solve_low_order(small, keyframes.neighbours, start)
     if low is not None:
         return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
     if former is not None:
         rest = former.offset + (former.gain - 1) * samples.level
-        return _estimate(samples, SensorSolution.of_offset(offset + rest - fine_part(rest, rest)), "offset")
+        return _estimate(samples, SensorSolution.of_offset(offset + low_order_part(rest)), "offset")
     message = Message(
         "low-order-part-not-separated",
         "the low-order part (shading) of the fixed pattern could not be separated from the scenes and was not "

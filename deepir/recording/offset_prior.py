@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from scipy import fft
 
+from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
+
 Array = np.ndarray[Any, Any]
 
 PSEUDO_COUNT = 2.0  # modes that the variance of a band so far counts as
@@ -54,6 +56,12 @@ class PatternPrior:
         self.start = pixel_variance * growth
         self.start[0, 0] = 1e-9 * pixel_variance
         self.variance = self.start.copy()
+
+    @classmethod
+    def of_finest(cls, modes: Array) -> PatternPrior:
+        """To start from the finest of the modes (h, w) of a pattern: the others continue their spectrum."""
+        finest = modes[mode_radius(modes.shape) > max(modes.shape) / 2]
+        return cls(modes.shape, max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12))
 
     def update(self, modes: Array, posterior: Array, among: Array) -> None:
         """Set the variances of the modes in a mask (h, w) by `strengths`."""
