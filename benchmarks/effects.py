@@ -22,7 +22,7 @@ from written import write
 import deepir
 from deepir.config import load
 from deepir.errors import DeepIRError
-from deepir.pipeline.recipe import make_recipe
+from deepir.pipeline.schedule import make_recipe
 from deepir.registry import components, summary
 from deepir.simulate import Settings, simulate
 

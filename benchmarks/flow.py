@@ -30,7 +30,7 @@ from deepir.fields.motion import Homography
 from deepir.fields.pixels import Pixels
 from deepir.metrics import scores
 from deepir.operators import Chain, Sensor, Warp
-from deepir.operators.homography import displacements
+from deepir.operators.motion_models import displacements
 from deepir.operators.warp import project_pixels
 from deepir.optim.solve import solve
 from deepir.problem import Problem

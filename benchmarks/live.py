@@ -24,8 +24,7 @@ from written import write
 
 from deepir import Corrector
 from deepir.live.estimation import SynchronousEstimator
-from deepir.live.playback import play
-from deepir.live.sources import Paced
+from deepir.live.sources import Paced, play
 from deepir.simulate.recording import RecordingSettings
 
 matplotlib.use("Agg")

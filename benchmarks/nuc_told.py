@@ -16,8 +16,7 @@ from nuc_oracle import aligned, climb, noise_variance
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.estimation.penalty_weights import weigh_scene
-from deepir.estimation.spatial_weights import adapt_weight_map
+from deepir.estimation.prior_weight import adapt_weight_map, weigh_scene
 from deepir.fields.shading import Shading
 from deepir.optim.solve import solve
 from deepir.pipeline.prior_refinement import PriorRefinement

@@ -16,11 +16,10 @@ from record_protocol import Group, Protocol
 from record_protocols import protocols
 
 import deepir
-from deepir.cli.signals import Interrupted, Interruptible
+from deepir.cli.terminal import Interrupted, Interruptible
 from deepir.registry import load_plugin
 from deepir.simulate import Settings, simulate
-from deepir.sweep.axes import BURST_AXIS, Axis
-from deepir.sweep.cells import Cell
+from deepir.sweep.cells import BURST_AXIS, Axis, Cell
 from deepir.sweep.sweep import Sweep, prepare
 
 ROOT = Path(__file__).parent.parent

@@ -13,8 +13,7 @@ from record_protocol import Protocol
 from record_tables import FRAMES, Found, margins, table, with_gaps
 
 from deepir.storage.folder import Record
-from deepir.sweep.axes import BURST_AXIS
-from deepir.sweep.cells import Cell
+from deepir.sweep.cells import BURST_AXIS, Cell
 from deepir.sweep.table import make_rows
 
 HERE = f"{Path(__file__).parent.parent}/"

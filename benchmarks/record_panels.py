@@ -11,8 +11,7 @@ from record_tables import FRAMES, QUALITY
 
 from deepir.metrics import align
 from deepir.report.panels import Panel, write_panels
-from deepir.sweep.axes import BURST_AXIS
-from deepir.sweep.cells import Cell
+from deepir.sweep.cells import BURST_AXIS, Cell
 from deepir.sweep.table import make_rows
 
 COLUMNS = 4

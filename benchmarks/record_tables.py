@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from record_protocol import DEFAULT, TOLD, Protocol
 
-from deepir.sweep.axes import BURST_AXIS
+from deepir.sweep.cells import BURST_AXIS
 from deepir.sweep.table import Row
 
 FRAMES = "data.frames"

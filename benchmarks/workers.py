@@ -12,7 +12,7 @@ import statistics
 import tempfile
 from pathlib import Path
 
-from deepir.sweep.axes import parse_axes
+from deepir.sweep.cells import parse_axes
 from deepir.sweep.sweep import prepare
 
 

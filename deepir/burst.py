@@ -18,11 +18,14 @@ from deepir.io.frames import is_banded
 from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
-from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
-from deepir.io.inspection.drawn_pixels import drawn_message, drawn_pixels
-from deepir.io.inspection.saturated_samples import saturated_samples
-from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows
-from deepir.io.inspection.torn_frames import torn_frames, torn_message
+from deepir.io.inspection.samples import (
+    clipped_samples,
+    drawn_message,
+    drawn_pixels,
+    is_contrast_stretched,
+    saturated_samples,
+)
+from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows, torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
 from deepir.io.selection import select_frames, selected_in_float32, to_float32, unselected_pairs
 from deepir.messages import Message

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.closed_form.weighted_least_squares import weighted_least_squares
+from deepir.closed_form.normal_equations import weighted_least_squares
 from deepir.registry import register
 
 #: Fraction of negative samples from which data cannot be photon counts.

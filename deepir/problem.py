@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from deepir.closed_form.normal_equations import sensor_least_squares
 from deepir.closed_form.variable_projection import Elimination, eliminate
-from deepir.closed_form.weighted_least_squares import sensor_least_squares
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity, Gaussian
 from deepir.operators import Chain, Operator, Sensor

@@ -20,23 +20,19 @@ import deepir
 from deepir import burst as bursts
 from deepir.build.data_sets import FIRST, build_data_sets, data_sets
 from deepir.build.problem import build
-from deepir.comparison import compare_to_truth
 from deepir.config import Config, Data
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.joint_problem import JointProblem
 from deepir.kernels import memory, threads
 from deepir.messages import labelled
 from deepir.metrics import roughness
-from deepir.optim.position import Checkpoint
+from deepir.optim.objective import Checkpoint
 from deepir.optim.solve import Progress
-from deepir.pipeline.bands import PROBLEMS, solve_bands
-from deepir.pipeline.frame_order import demand_order
 from deepir.pipeline.method import chosen
-from deepir.pipeline.recipe import make_recipe
-from deepir.pipeline.schedule import plan
+from deepir.pipeline.schedule import PROBLEMS, demand_order, make_recipe, plan, solve_bands
 from deepir.problems.recipe import Recipe
 from deepir.registry import lookup
-from deepir.result import Result
+from deepir.result import Result, compare_to_truth
 
 Callbacks = Sequence[Callable[[Progress], None]]
 

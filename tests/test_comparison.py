@@ -7,10 +7,9 @@ import pytest
 
 import deepir
 from deepir.burst import Burst, load
-from deepir.comparison import compare_to_truth
 from deepir.config import Data
 from deepir.io.radiometry import Linear
-from deepir.result import neutral
+from deepir.result import compare_to_truth, neutral
 from deepir.simulate import Settings, simulate
 
 SMALL = Settings(shape=(40, 48), n_frames=4, counts=True, max_shift=4.0, dead_pixels=0.0, stray=1.0, factor=2)

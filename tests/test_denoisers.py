@@ -8,7 +8,7 @@ from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.denoisers.unit_range import unit_range
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import weigh_scene
 from deepir.priors.penalties.red import RED
 from deepir.registry import components
 

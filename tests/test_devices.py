@@ -15,8 +15,7 @@ from deepir.burst import load as load_burst
 from deepir.config import load
 from deepir.kernels import dispatch
 from deepir.optim.objective import objective
-from deepir.pipeline.recipe import make_recipe
-from deepir.pipeline.schedule import plan
+from deepir.pipeline.schedule import make_recipe, plan
 from deepir.problems import deblur_lag, optical_flow
 from deepir.registry import components
 

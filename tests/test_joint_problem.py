@@ -9,7 +9,7 @@ from deepir.fields.pixels import Pixels
 from deepir.fields.sensor_maps import Column, Pixel, SumField
 from deepir.joint_problem import JointProblem
 from deepir.operators import Chain, Sensor
-from deepir.optim.position import Position, restore_state, save_state
+from deepir.optim.objective import Position, restore_state, save_state
 from deepir.optim.solve import solve
 from deepir.priors.penalties.ridge import Ridge
 from deepir.problem import Problem

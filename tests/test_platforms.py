@@ -114,7 +114,7 @@ def test_no_process_is_forked():
 
 
 def test_files_have_names_that_every_system_takes():
-    from deepir.sweep.axes import folder_name
+    from deepir.sweep.cells import folder_name
 
     hostile = folder_name({"data.path": "C:\\a|b", "prior": 'x?*"<y>', "seed": "1"})
     for name in (*RUN_FILES, hostile):

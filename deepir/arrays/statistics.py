@@ -1,4 +1,4 @@
-"""Robust statistics of large arrays, and subsampling."""
+"""Robust statistics, and the noise of frames."""
 
 from __future__ import annotations
 
@@ -68,3 +68,92 @@ def masked_values(values: Tensor, mask: Tensor) -> Tensor:
     if not is_compiled(values):
         return values[mask]
     return torch.from_numpy(values.numpy()[mask.numpy()])
+
+
+#: Side of the windows whose medians are compared, px.
+NOISE_WINDOW = 15
+#: Quantile of the windows' medians that is taken for the noise.
+FLAT_WINDOW_QUANTILE = 0.1
+#: That quantile in windows of pure noise, relative to the median of the noise.
+FLAT_WINDOW_BIAS = 0.885
+#: Samples of a frame that suffice for the step between its values.
+MAX_SAMPLES_FOR_QUANTISATION = 5000
+#: Standard deviation of a rounding error, in quantisation steps.
+ROUNDING_SIGMA = 12**-0.5
+
+
+def sample_noise(frames: Tensor, usable: Tensor) -> float:
+    """Standard deviation of the noise of a sample, from mixed second differences.
+
+    Consecutive frames are subtracted first, which removes a fixed pattern; a single frame is used as it is. The median
+    leaves out smooth regions and edges of the scene, but not fine texture: the result is an upper bound.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, (N, h, w), bool.
+
+    Returns:
+        The standard deviation, in the units of the frames; zero without usable samples.
+    """
+    if len(frames) > 1:
+        frames, usable = (frames[1:] - frames[:-1]) / 2**0.5, usable[1:] & usable[:-1]
+    some, counts = subsample(*(each[:, None] for each in mixed_difference(frames, usable)))
+    found = masked_values(some, counts).abs()
+    return MAD_TO_SIGMA * median(found) if found.numel() else 0.0
+
+
+def noise_in_flat_windows(frames: Tensor, usable: Tensor) -> float:
+    """Standard deviation of the noise of a sample, from the flattest windows; for frames of different scenes.
+
+    Args:
+        frames: (N, h, w), without a fixed pattern.
+        usable: Samples that count, (N, h, w), bool.
+
+    Returns:
+        The standard deviation, in the units of the frames; zero without usable windows.
+    """
+    found = []
+    for k in range(len(frames)):
+        fine, whole = mixed_difference(frames[k : k + 1], usable[k : k + 1])
+        fine = fine.abs().where(whole, torch.nan)[0]
+        windows = fine.unfold(0, NOISE_WINDOW, NOISE_WINDOW).unfold(1, NOISE_WINDOW, NOISE_WINDOW).flatten(2)
+        found.append(windows.nanmedian(2).values.flatten())
+    each = torch.cat(found)
+    each = each[each.isfinite()]
+    return float(MAD_TO_SIGMA * each.quantile(FLAT_WINDOW_QUANTILE) / FLAT_WINDOW_BIAS) if len(each) else 0.0
+
+
+def mixed_difference(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
+    """Mixed second differences along both axes, scaled to the variance of the noise.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, (N, h, w), bool.
+
+    Returns:
+        The differences, and where all four samples of one are usable, (N, h - 1, w - 1) each.
+    """
+    fine = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
+    whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
+    return fine, whole
+
+
+def quantisation_step(frames: Tensor, usable: Tensor) -> float:
+    """Quantisation step of the samples: the lower quartile of the differences of consecutive distinct values.
+
+    Args:
+        frames: (N, 1, h, w).
+        usable: Samples that count, same shape, bool.
+
+    Returns:
+        The step, in the units of the frames; zero for constant frames.
+    """
+    some, counts = subsample(frames, usable, max_samples=MAX_SAMPLES_FOR_QUANTISATION)
+    apart = some[counts].unique().diff()
+    return float(apart.quantile(0.25)) if len(apart) else 0.0
+
+
+def median_sigma(precision: Tensor) -> float:
+    """Median standard deviation of the samples, from their precisions (N, C, h, w); NaN if all are zero."""
+    (some,) = subsample(precision, max_samples=MAX_SAMPLES_PER_FRAME // len(precision))
+    return median(masked_values(some, some > 0)) ** -0.5

@@ -1,10 +1,105 @@
-"""Filters over small windows of images."""
+"""Windows, differences and samples of arrays, and values filled in."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy import fft
 from torch import Tensor
+
+
+def squared_gradient(value: Tensor) -> Tensor:
+    """Squared gradient `|∇x|²` by forward differences; zero across the lower and right border.
+
+    Args:
+        value: (..., H, W).
+
+    Returns:
+        The squared gradient, same shape.
+    """
+    down = value.diff(dim=-2, append=value[..., -1:, :])
+    right = value.diff(dim=-1, append=value[..., :, -1:])
+    return down.square() + right.square()
+
+
+Array = np.ndarray[Any, Any]
+#: Largest lag along an axis, px.
+MAX_LAG = 50
+
+
+def autocorrelation(pattern: Array, second: Array, good: Array) -> Array:
+    """Normalised correlation of two maps as a function of the lag, by fast Fourier transforms.
+
+    Args:
+        pattern: (h, w), zero where not good.
+        second: The second map, same shape; `pattern` itself for an autocorrelation.
+        good: Pixels that count, (h, w), bool.
+
+    Returns:
+        Correlations (2 l + 1, 2 l + 1), one at the centre; l is a quarter of the shorter side, at most `MAX_LAG`.
+    """
+    max_lag = min(MAX_LAG, min(pattern.shape) // 4)
+    size = [fft.next_fast_len(side + max_lag) for side in pattern.shape]
+    one, other, mask = (fft.rfft2(each, size) for each in (pattern, second, good.astype(float)))
+    products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (mask, mask)))
+    lags = np.arange(-max_lag, max_lag + 1)
+    found = (products / pairs.clip(min=1))[np.ix_(lags, lags)]
+    found = (found + found[::-1, ::-1]) / 2
+    return np.asarray(found / max(found[max_lag, max_lag], 1e-300))
+
+
+def as_float32(frame: Array) -> Array:
+    """Samples (..., h, w) as a float32 copy; masked ones are NaN."""
+    samples: Array = np.ma.filled(frame.astype(np.float32), np.nan)
+    return samples
+
+
+def fill_nearest(image: Tensor, known: Tensor) -> Tensor:
+    """Fill unknown pixels with the nearest known pixel of the row; of the column, if the row has none.
+
+    Args:
+        image: (S, C, H, W).
+        known: Same shape, bool.
+
+    Returns:
+        The filled image; unchanged where known.
+    """
+    for axis in (-1, -2):
+        side = image.shape[axis]
+        at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
+        before = at.where(known, -side).cummax(axis).values
+        after = at.where(known, 2 * side).flip(axis).cummin(axis).values.flip(axis)
+        nearest = before.where(at - before <= after - at, after)
+        image = image.gather(axis, nearest.clamp(0, side - 1))
+        known = known.any(axis, keepdim=True).expand(known.shape)
+    return image
+
+
+def fill_pull_push(image: Tensor, known: Tensor) -> Tensor:
+    """Fill unknown pixels smoothly by pull-push over a pyramid of 2 x 2 averages.
+
+    Args:
+        image: (S, C, H, W).
+        known: Same shape, bool.
+
+    Returns:
+        The filled image; unchanged where known, or if nothing is known.
+
+    Source: Gortler et al. 1996, "The lumigraph", section 3.
+    """
+    if known.all() or not known.any():
+        return image
+    height, width = image.shape[-2:]
+    odd = (0, width % 2, 0, height % 2)
+    weight = F.avg_pool2d(F.pad(known.to(image), odd), 2)
+    total = F.avg_pool2d(F.pad(image.where(known, 0), odd), 2)
+    coarse = fill_pull_push(total / weight.clamp(min=1e-6), weight > 0)
+    fine = F.interpolate(coarse, scale_factor=2, mode="bilinear")[..., :height, :width]
+    return torch.where(known, image, fine)
+
 
 #: Side of a neighbourhood, px.
 DEFAULT_WINDOW = 5

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from deepir.arrays.fill import fill_nearest
+from deepir.arrays.windows import fill_nearest
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.operators.homography import homographies
-from deepir.optim.held_out import held_out_error, hold_out
+from deepir.operators.motion_models import homographies
+from deepir.optim.objective import held_out_error, hold_out
 from deepir.pipeline.prior_refinement import registered_average
 from deepir.pipeline.register import motion_messages, register_frames
 from deepir.registry import lookup, register

@@ -12,7 +12,7 @@ from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.fields.base import Field
 from deepir.operators import Warp
-from deepir.operators.geometry import Canvas, Geometry
+from deepir.operators.motion_models import Canvas, Geometry
 from deepir.problem import Problem
 
 FIRST = ""  # the name of the data set that `data` and `physics` describe

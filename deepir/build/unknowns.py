@@ -14,7 +14,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.fields.constant import Constant
 from deepir.fields.sensor_maps import SumField
-from deepir.operators.geometry import Geometry, rescale_motion
+from deepir.operators.motion_models import Geometry, rescale_motion
 from deepir.priors.penalties.base import Penalty
 
 #: What a slot's configuration may hold beside its field's own options.

@@ -1,14 +1,18 @@
-"""Arguments that several commands share."""
+"""Arguments that commands share, and where their results go."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
+
+from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.config import Config
@@ -95,3 +99,84 @@ def recording_radiometry(config: Config) -> Radiometry | None:
     data = config.data
     found = readers.radiometry(expanded(str(data.path)), data.key) if data.raw is None else None
     return resolve_radiometry(found, data.radiometry)
+
+
+def check_output_name(path: Path, suffix: str) -> None:
+    """Check the name of an output file: its suffix, such as ".npz", and its folder.
+
+    Raises:
+        DataError: It has another suffix, or its folder is missing.
+    """
+    from deepir.errors import DataError
+
+    if path.suffix != suffix or not path.parent.is_dir():
+        raise DataError(f"{path}: give a file name that ends in {suffix}, in a folder that exists")
+
+
+def config_stem(name: str) -> str:
+    """Name of a configuration without folder and suffix, for the default output folder.
+
+    Args:
+        name: A shipped configuration, or a .yaml file.
+    """
+    return Path(name).stem if Path(name).is_file() else name
+
+
+@contextmanager
+def held_outputs(*paths: Path, overwrite: bool, source: str | Path | None = None) -> Iterator[None]:
+    """A context in which no other process writes these files.
+
+    Args:
+        paths: The files.
+        overwrite: They may be there.
+        source: A file that must not be among them.
+
+    Raises:
+        DeepIRError: A file is there, or is the source; their folder is missing; another process writes them.
+    """
+    from deepir.errors import DataError
+    from deepir.storage.folder import locked_files
+
+    for path in paths:
+        if not path.parent.is_dir():
+            raise DataError(f"{path}: cannot be written: there is no folder {path.parent}")
+    with locked_files(*paths):
+        for path in paths:
+            if path.exists() and source is not None and Path(source).exists() and path.samefile(source):
+                raise DataError(f"{path} is the recording itself: give another --output")
+            if path.exists() and not overwrite:
+                raise DataError(f"{path} exists; replace it with --overwrite, or give another name")
+        yield
+
+
+LINE_EVERY = 10.0  # s between lines where there is no terminal
+
+T = TypeVar("T")
+
+
+def track(frames: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+    """Pass frames on, and show how many there were and, with a `total`, how long the others take."""
+    if sys.stderr.isatty():
+        yield from _with_bar(frames, what, total)
+        return
+    begun = said = time.monotonic()
+    for count, frame in enumerate(frames):
+        if (now := time.monotonic()) - said > LINE_EVERY:
+            said = now
+            left = f" of {total}, {(now - begun) / count * (total - count):.0f} s to go" if total else ""
+            echo(f"{what}: {count} frames{left}", err=True)
+        yield frame
+
+
+def _with_bar(frames: Iterable[T], what: str, total: int | None) -> Iterator[T]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description:>12}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield from bar.track(frames, total=total, description=what)

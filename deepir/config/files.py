@@ -16,8 +16,8 @@ from pydantic import ValidationError
 
 from deepir.config import overrides
 from deepir.config.components import explain
+from deepir.config.overrides import parse_yaml
 from deepir.config.schema import Config
-from deepir.config.yaml import parse_yaml
 from deepir.errors import ConfigError, nearest
 from deepir.paths import expanded, is_file
 

@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.arrays.noise_level import mixed_difference
-from deepir.arrays.statistics import subsample
+from deepir.arrays.statistics import mixed_difference, subsample
 from deepir.messages import Message
 
 #: Samples of all frames that suffice.

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.statistics import masked_values, subsample
+from deepir.arrays.statistics import masked_values, median_sigma, subsample
 from deepir.effects.effect import Effect
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise

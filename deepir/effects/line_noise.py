@@ -7,10 +7,9 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median
+from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, median_sigma
 from deepir.effects.effect import Effect, Rounds
-from deepir.estimation.line_levels import has_line_noise, line_noise_fields
+from deepir.estimation.residuals import has_line_noise, line_noise_fields
 from deepir.fields.line_noise import LineNoise
 from deepir.messages import Message
 from deepir.problem import Problem

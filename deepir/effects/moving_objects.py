@@ -11,8 +11,7 @@ import torch.nn.functional as F
 from scipy.ndimage import find_objects, label
 from torch import Tensor
 
-from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median
+from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, median_sigma
 from deepir.arrays.windows import box_sum
 from deepir.effects.effect import Effect
 from deepir.effects.foreground import foreground

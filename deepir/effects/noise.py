@@ -10,8 +10,15 @@ import torch
 from scipy.optimize import nnls
 from torch import Tensor
 
-from deepir.arrays.noise_level import ROUNDING_SIGMA, quantisation_step, sample_noise
-from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, subsample
+from deepir.arrays.statistics import (
+    MAD_TO_SIGMA,
+    ROUNDING_SIGMA,
+    masked_values,
+    median,
+    quantisation_step,
+    sample_noise,
+    subsample,
+)
 from deepir.effects.bad_pixels import misfitting_pixels, neighbourhood_doubt, with_scene_error
 from deepir.effects.effect import Effect
 from deepir.likelihoods import CAUCHY_SCALE

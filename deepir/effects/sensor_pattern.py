@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.statistics import masked_values, robust_std, subsample
+from deepir.arrays.statistics import masked_values, median_sigma, robust_std, subsample
 from deepir.effects.bad_pixels import pattern_outliers
 from deepir.effects.effect import Effect, InitialEstimate
-from deepir.estimation.line_levels import line_noise_fields
-from deepir.estimation.residuals import temporal_mean
+from deepir.estimation.residuals import line_noise_fields, temporal_mean
 from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading

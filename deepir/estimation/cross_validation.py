@@ -13,7 +13,7 @@ import math
 import torch
 from torch import Tensor
 
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import weigh_scene
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from deepir.arrays.statistics import masked_values, median, subsample
 from deepir.closed_form.variable_projection import COLUMN, ROW
-from deepir.estimation.line_levels import line_noise_in_polynomials
 from deepir.estimation.marginal_likelihood import MarginalLikelihood
+from deepir.estimation.residuals import line_noise_in_polynomials
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import WALK_SIGMA_RATIO, Drift
 from deepir.fields.shading import Shading
-from deepir.operators.homography import displacement_at
+from deepir.operators.motion_models import displacement_at
 from deepir.optim.low_order_model import LowOrderModel, expected_variances, pattern_variances
 from deepir.problem import Problem, Values
 

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from deepir.arrays.fill import fill_nearest
+from deepir.arrays.windows import fill_nearest
 from deepir.fields.psf.base import PSF
 
 #: Mean exponent of the power spectrum of natural scenes (Field 1987, Burton and Moorhead 1987).

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.arrays.noise_level import sample_noise
+from deepir.arrays.statistics import sample_noise
 from deepir.fields.basis_expansion import BasisExpansion
 
 #: Highest spatial frequency of the fit, half waves over the frame: finer structure is more likely the scene's.

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, check_counts
-from deepir.fields.gaussian_field import GaussianField
+from deepir.fields.base import GaussianField, Shape, check_counts
 from deepir.registry import register
 
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.arrays.differences import squared_gradient
+from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Field, Shape
 from deepir.fields.motion import PARAMETER_SCALE
 from deepir.operators.warp import project_pixels

@@ -7,8 +7,7 @@ import functools
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape
-from deepir.fields.gaussian_field import GaussianField
+from deepir.fields.base import GaussianField, Shape
 from deepir.registry import register
 
 #: Standard deviation of a step of the random walk, relative to that of the common trend per frame.

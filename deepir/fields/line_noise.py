@@ -7,8 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape
-from deepir.fields.gaussian_field import GaussianField
+from deepir.fields.base import GaussianField, Shape
 from deepir.registry import register
 
 

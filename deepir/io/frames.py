@@ -19,8 +19,7 @@ from deepir.io import readers
 from deepir.io.guards import judging_colours_in, warn_once
 from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.checks import crop
-from deepir.io.inspection.fill_values import lost_samples
-from deepir.io.inspection.stored_samples import SAMPLED_FRAMES, have_wrapped, in_order, swapped
+from deepir.io.inspection.samples import SAMPLED_FRAMES, have_wrapped, in_order, lost_samples, swapped
 from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.readers import Array
 from deepir.io.readers.pictures import folder

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io.containers.planes import stream_planes
+from deepir.io.containers.file_bytes import stream_planes
 from deepir.io.guards import check_size
 from deepir.io.readers import Array, decoding
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.samples import as_float32
+from deepir.arrays.windows import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, Estimator, ProcessEstimator
-from deepir.live.keyframes import LiveKeyframes
+from deepir.live.recorder import LiveKeyframes
 from deepir.recording.pattern_shares import contains_pattern, removes_more
 from deepir.recording.segments import Segment
 

@@ -1,21 +1,33 @@
-"""Recordings of what comes and of what leaves, started and stopped meanwhile."""
+"""What live correction keeps: recorded frames, keyframes and maps."""
 
 from __future__ import annotations
 
 import queue
+import re
 import shutil
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from platformdirs import user_data_path
 
-from deepir.arrays.samples import as_float32
+from deepir.arrays.windows import as_float32
+from deepir.calibration import CorrectionMaps, read_maps
 from deepir.errors import DataError
 from deepir.io.output.recording import Write, output_type, tiff
+from deepir.recording.keyframes import (
+    WINDOW,
+    Chosen,
+    ChosenFrames,
+    KeyframeCollector,
+    in_groups,
+    motion_spacing,
+)
 
 Array = np.ndarray[Any, Any]
 
@@ -115,3 +127,115 @@ class Recorder:
             if path.exists():
                 raise DataError(f"{path} exists: start again")
         return [stack.enter_context(tiff(path, dtype, self._metadata)) for path in paths]
+
+
+class KeptMaps:
+    """The maps that are kept for a camera.
+
+    Args:
+        identity: What identifies it.
+    """
+
+    def __init__(self, identity: str) -> None:
+        name = re.sub(r"[^A-Za-z0-9.-]+", "_", identity).strip("._")
+        self.path: Path = user_data_path("deepir") / "cameras" / f"{name}.npz"
+
+    @property
+    def date(self) -> str:
+        """Local date and time at which they were kept."""
+        return time.strftime("%Y-%m-%d %H:%M", time.localtime(self.path.stat().st_mtime))
+
+    def read(self, shape: tuple[int, ...]) -> CorrectionMaps | None:
+        """Those of frames of a shape (h, w); None if there are none, they are damaged, or of another mode's frames."""
+        try:
+            maps = read_maps(self.path)
+        except (DataError, OSError):
+            return None
+        return maps if maps.gain.shape == shape else None
+
+    def save(self, maps: CorrectionMaps) -> None:
+        """Keep maps in place of those before.
+
+        Raises:
+            DataError: The folder cannot be written.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            maps.save(self.path)
+        except OSError as error:
+            raise DataError(f"{self.path}: the maps cannot be kept: {error}") from None
+
+
+MAX_NEWEST = 64  # newest frames that are kept
+MIN_IN_GROUPS = 32  # keyframes in groups, below which the newest frames count too
+MAX_PENDING = 16  # frames since the camera last moved that are kept, in case it goes on
+#: Change since then, relative to that between frames, from which it moves: of a camera that stands still it is 1.
+MIN_CHANGE_RATIO = 1.5
+Averaged = tuple[int, Array, Array]  # number, frame (h, w), the frame averaged over blocks
+
+
+class LiveKeyframes:
+    """Chooses keyframes, the first of them at once."""
+
+    def __init__(self) -> None:
+        self._groups = KeyframeCollector(latest=True)
+        self._newest: deque[Averaged] = deque(maxlen=MAX_NEWEST)
+        self._pending: deque[Averaged] = deque(maxlen=MAX_PENDING)
+        self._steps: deque[float] = deque(maxlen=WINDOW)  # changes from frame to frame
+        self._before: Array | None = None  # the last frame, averaged
+        self._taken = 0
+
+    @property
+    def length(self) -> int:
+        """Frames so far."""
+        return self._groups.length
+
+    @property
+    def taken(self) -> int:
+        """Keyframes chosen since the start, those that were dropped included."""
+        return self._taken + self._groups.taken
+
+    @property
+    def count(self) -> int:
+        """About as many keyframes are there now."""
+        return max(len(self._newest), self._groups.count)
+
+    def add(self, frame: Array) -> None:
+        """The next frame (h, w); one that repeats the frame before it is no keyframe."""
+        small = self._groups.add(frame)
+        if small is None:
+            return
+        if self._before is not None:
+            self._steps.append(_change(small, self._before))
+        self._before = small
+        self._pending.append((self.length - 1, frame, small))
+        if not self._newest or _change(small, self._newest[-1][2]) > MIN_CHANGE_RATIO * np.median(
+            self._steps
+        ):
+            self._taken += min(len(self._pending), MAX_NEWEST - len(self._newest))
+            self._newest.extend(self._pending)
+            self._pending.clear()
+
+    def forget(self, number: int) -> None:
+        """Drop the keyframes before a frame."""
+        self._groups.forget(number)
+        for frames in (self._newest, self._pending):
+            while frames and frames[0][0] < number:
+                frames.popleft()
+
+    def chosen(self) -> ChosenFrames:
+        """Those that are there now; at least one."""
+        groups = self._groups.groups
+        if self._groups.count < MIN_IN_GROUPS:
+            first = self._newest[0][0]
+            groups = [group for group in groups if group[-1][0] < first] + in_groups(self._spaced())
+        return ChosenFrames.of_groups(groups, self.length)
+
+    def _spaced(self) -> list[Chosen]:
+        """The newest frames, with the spacing that their motion asks for."""
+        spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
+        return [(number, frame, spacing) for number, frame, _ in self._newest]
+
+
+def _change(one: Array, other: Array) -> float:
+    return float(np.abs(one - other).mean())

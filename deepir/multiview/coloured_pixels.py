@@ -10,8 +10,7 @@ from scipy.fft import dctn, idctn
 from torch import Tensor
 
 from deepir.fields.sensor_maps import GaussianMap
-from deepir.multiview.gradients import Edges
-from deepir.multiview.whitened_maps import WhiteParts
+from deepir.multiview.gradients import Edges, WhiteParts
 
 #: Least spatial frequency of the lowest band, cycles/px; bands are octaves along each axis.
 LOWEST_FREQUENCY = 1 / 128

@@ -1,14 +1,10 @@
-"""The low-order part of an additive pattern, from what a moving scene's brightness changes along its way.
-
-A point of the scene that is seen at p in one frame and at p + v in another differs in brightness by L(p) - L(p + v),
-where L is the pattern. The differences along the displacements of many pairs of frames give L by robust least squares,
-as a polynomial and a bilinear grid.
-"""
+"""The low-order part of a pattern by displacements, and whether it is a sensor's."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,7 +12,36 @@ from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
-from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Array, Displacement, displacements, sampled
+from deepir.kernels.median_filter import median_filter
+from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Displacement, displacements, sampled
+
+Array = np.ndarray[Any, Any]
+
+#: Standard deviation, px, of the Gaussian that takes the low-order part.
+LOW_ORDER_SIGMA = 4.0
+#: Side, px, of the windows whose median is taken off for the fine part.
+FINE_SIDE = 5
+#: Largest ratio of the low-order part's standard deviation to the fine part's (robust) in a sensor's pattern.
+MAX_RATIO = 20.0
+
+
+def low_order_part(pattern: Array, usable: Array, sigma: float = LOW_ORDER_SIGMA) -> Array:
+    """A plane and, of what it leaves of the usable pixels of a pattern (h, w), the Gaussian mean; mean zero."""
+    rows, columns = np.indices(pattern.shape).astype(float) / max(pattern.shape)
+    axes = np.stack((np.ones_like(rows), rows, columns), -1)
+    plane = axes @ np.linalg.lstsq(axes[usable], pattern[usable], rcond=None)[0]
+    share = ndimage.gaussian_filter(usable.astype(float), sigma, mode="nearest")
+    mean = ndimage.gaussian_filter(np.where(usable, pattern - plane, 0.0), sigma, mode="nearest")
+    low_order = plane + mean / np.maximum(share, 1e-9)
+    return np.asarray(low_order - low_order.mean())
+
+
+def is_implausible(pattern: Array, usable: Array) -> bool:
+    """Whether the low-order part of a pattern (h, w) is stronger, by its fine part, than a sensor's."""
+    detail = (pattern - median_filter(pattern, FINE_SIDE))[usable]
+    fine = MAD_TO_SIGMA * float(np.median(np.abs(detail - np.median(detail)))) if usable.any() else 0.0
+    return fine > 0 and float(low_order_part(pattern, usable)[usable].std()) > MAX_RATIO * fine
+
 
 #: Frames between which displacements are sought, apart in the order of the frames.
 GAPS = (1, 2)

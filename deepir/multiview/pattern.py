@@ -21,10 +21,8 @@ from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
 from deepir.multiview.coloured_pixels import ColouredPixels
-from deepir.multiview.gradients import AXES, Edges, median_gradients
-from deepir.multiview.low_order_part import is_implausible, low_order_part
-from deepir.multiview.low_order_pattern import low_order_pattern
-from deepir.multiview.whitened_maps import WhiteParts
+from deepir.multiview.gradients import AXES, Edges, WhiteParts, median_gradients
+from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
 
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
 DEGREE = 8  # of the polynomial that scenes share

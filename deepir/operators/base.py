@@ -1,15 +1,15 @@
-"""Base class of operators, and their composition."""
+"""The interface of operators, and as scipy's."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepir.operators.scipy_operator import linear_operator
 from deepir.operators.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -194,3 +194,34 @@ def _stages(operator: Operator, taken: Mapping[str, Operator] | None = None) -> 
             unique, count = f"{name.rstrip('0123456789')}{count}", count + 1
         named[unique] = stage
     return named
+
+
+@torch.no_grad()
+def linear_operator(
+    operator: Operator, x_shape: Shape, slots: dict[str, Tensor], dtype: torch.dtype
+) -> LinearOperator:
+    """See `Operator.as_linear_operator`."""
+    from scipy.sparse.linalg import LinearOperator
+
+    if not operator.affine:
+        raise ValueError(f"{type(operator).__name__.lower()} is not linear, nor linear up to a constant")
+    device = next((each.device for each in slots.values()), torch.device("cpu"))
+    slots = {name: value.to(dtype) for name, value in slots.items()}
+    at_zero = operator(torch.zeros(x_shape, dtype=dtype, device=device), **slots)
+
+    def tensor(vector: np.ndarray[Any, Any], shape: Shape) -> Tensor:
+        return torch.as_tensor(vector, dtype=dtype, device=device).reshape(shape)
+
+    @torch.no_grad()
+    def forward(x: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        return (operator(tensor(x, x_shape), **slots) - at_zero).flatten().cpu().numpy()
+
+    def adjoint(y: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        return operator.adjoint(tensor(y, tuple(at_zero.shape)), x_shape, **slots).flatten().cpu().numpy()
+
+    return LinearOperator(
+        (at_zero.numel(), math.prod(x_shape)),
+        matvec=forward,
+        rmatvec=adjoint,
+        dtype=at_zero.cpu().numpy().dtype,
+    )

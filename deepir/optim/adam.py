@@ -10,7 +10,7 @@ from torch import Tensor
 
 from deepir.joint_problem import AnyProblem
 from deepir.optim.base import Evaluate, Optimiser, Rate, free_parameters
-from deepir.optim.held_out import held_out_error
+from deepir.optim.objective import held_out_error
 from deepir.registry import register
 
 #: Iterations between two evaluations of the held-out error.

@@ -8,7 +8,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.gaussian_field import GaussianField
+from deepir.fields.base import GaussianField
 from deepir.joint_problem import AnyProblem
 from deepir.optim.block_preconditioner import BlockPreconditioner
 from deepir.optim.preconditioner import Preconditioner

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.arrays.noise_level import median_sigma
+from deepir.arrays.statistics import median_sigma
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift

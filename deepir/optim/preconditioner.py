@@ -21,8 +21,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepir.arrays.differences import squared_gradient
-from deepir.arrays.noise_level import median_sigma
+from deepir.arrays.statistics import median_sigma
+from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Field
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.dense_motion import Flow

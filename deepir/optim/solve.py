@@ -15,10 +15,18 @@ from deepir.errors import SolverError
 from deepir.joint_problem import AnyProblem
 from deepir.kernels import threads
 from deepir.optim import Optimiser
-from deepir.optim.active_set import activate_bounds, deactivate_bounds
-from deepir.optim.held_out import has_held_out, held_out_error
-from deepir.optim.objective import objective, optimisers_of
-from deepir.optim.position import Checkpoint, Position, restore_state, save_state
+from deepir.optim.objective import (
+    Checkpoint,
+    Position,
+    activate_bounds,
+    deactivate_bounds,
+    has_held_out,
+    held_out_error,
+    objective,
+    optimisers_of,
+    restore_state,
+    save_state,
+)
 from deepir.problem import Values
 from deepir.registry import lookup
 from deepir.schedule import Stage, Step

@@ -19,14 +19,13 @@ from deepir.config import Config
 from deepir.errors import ConfigError, DataError
 from deepir.joint_problem import JointProblem
 from deepir.operators import Warp
-from deepir.operators.geometry import Canvas, Geometry
-from deepir.optim.position import Checkpoint
+from deepir.operators.motion_models import Canvas, Geometry
+from deepir.optim.objective import Checkpoint
 from deepir.optim.solve import Progress, Solution
 from deepir.pipeline.collect import make_result
 from deepir.pipeline.data_sets import solve_jointly
-from deepir.pipeline.given_noise import given_noise
-from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import motion_model, register_frames
+from deepir.pipeline.schedule import given_noise, make_recipe
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
 from deepir.registry import register

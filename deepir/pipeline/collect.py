@@ -7,17 +7,16 @@ import math
 import numpy as np
 import torch
 
-from deepir.arrays.noise_level import median_sigma
+from deepir.arrays.statistics import median_sigma
 from deepir.burst import Burst
+from deepir.effects.outliers import observed
 from deepir.effects.saturation import bounded, clipping_message
 from deepir.effects.shading import added_flux
-from deepir.effects.unobserved import observed
 from deepir.estimation.uncertainty import uncertainty
 from deepir.fields.line_noise import LineNoise
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.messages import Message
-from deepir.operators.geometry import Geometry
-from deepir.operators.homography import displacements, homographies
+from deepir.operators.motion_models import Geometry, displacements, homographies
 from deepir.optim.solve import Solution
 from deepir.problem import Problem
 from deepir.result import Array, Result, neutral, to_gauge

@@ -17,16 +17,12 @@ from deepir.config import Config
 from deepir.errors import DataError
 from deepir.joint_problem import JointProblem
 from deepir.messages import Message
-from deepir.operators.geometry import Geometry
-from deepir.operators.homography import homographies
-from deepir.optim.held_out import has_held_out, hold_out
-from deepir.optim.position import Checkpoint
+from deepir.operators.motion_models import Geometry, homographies
+from deepir.optim.objective import Checkpoint, has_held_out, hold_out
 from deepir.optim.solve import Solution, solve
 from deepir.pipeline.collect import make_result
-from deepir.pipeline.given_noise import given_noise
-from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import motion_model, register_frames
-from deepir.pipeline.schedule import network_message, plan
+from deepir.pipeline.schedule import given_noise, make_recipe, network_message, plan
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
 from deepir.registration import register

@@ -14,13 +14,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.arrays.fill import fill_nearest
+from deepir.arrays.windows import fill_nearest
 from deepir.build.problem import build_scene
 from deepir.config import Config
 from deepir.config.components import validate
 from deepir.config.schema import Fit
-from deepir.estimation.oversmoothing import is_oversmoothed, reduce_weight
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import is_oversmoothed, reduce_weight, weigh_scene
 from deepir.fields.pixels import Pixels
 from deepir.joint_problem import AnyProblem
 from deepir.optim.fourier_hessian import has_fourier_model

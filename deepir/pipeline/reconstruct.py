@@ -11,26 +11,29 @@ import torch
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.equalised_histogram import equalised_message
 from deepir.diagnostics.motion_evidence import doubtful_motion
+from deepir.diagnostics.repeating_scene import equalised_message
 from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
 from deepir.effects.gain_drift import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.uncertainty import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
-from deepir.operators.homography import homographies
-from deepir.optim.held_out import hold_out
-from deepir.optim.position import Checkpoint
+from deepir.operators.motion_models import homographies
+from deepir.optim.objective import Checkpoint, hold_out
 from deepir.optim.solve import Progress, solve
 from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
 from deepir.pipeline.data_sets import solve_data_sets
-from deepir.pipeline.frame_order import interpolate_missing_motion, interpolation_message
-from deepir.pipeline.given_noise import given_noise
-from deepir.pipeline.recipe import make_recipe
 from deepir.pipeline.register import motion_messages, register_frames
 from deepir.pipeline.safeguard import safeguarded, unregistered
-from deepir.pipeline.schedule import network_message, plan
+from deepir.pipeline.schedule import (
+    given_noise,
+    interpolate_missing_motion,
+    interpolation_message,
+    make_recipe,
+    network_message,
+    plan,
+)
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
 from deepir.registry import register

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from deepir.analysis.burst_assessment import MIN_MOTION_SPAN
-from deepir.arrays.fill import fill_nearest
+from deepir.arrays.windows import fill_nearest
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.interlacing import are_interlaced
+from deepir.diagnostics.repeating_scene import are_interlaced
 from deepir.diagnostics.shutter import longest_shutter_segment, shutter_message
 from deepir.errors import DataError
 from deepir.messages import Message

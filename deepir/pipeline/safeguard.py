@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepir.arrays.fill import fill_nearest
+from deepir.arrays.windows import fill_nearest
 from deepir.burst import Burst
 from deepir.errors import DataError
 from deepir.messages import Message
 from deepir.multiview.held_out_pattern import CorrectionScorer, ResidualPattern
-from deepir.multiview.low_order_part import is_implausible, low_order_part
+from deepir.multiview.low_order_pattern import is_implausible, low_order_part
 from deepir.multiview.pattern import estimate_offset
 from deepir.result import Result, neutral
 

@@ -1,17 +1,52 @@
-"""The stages that a problem is solved in, checked against its unknowns."""
+"""The order of a solve: its stages, bands and frames."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from deepir.arrays.statistics import sample_noise
+from deepir.burst import Burst
 from deepir.config import Config
+from deepir.config.components import make
 from deepir.errors import ConfigError, nearest
+from deepir.io.selection import select_frames
 from deepir.joint_problem import AnyProblem
 from deepir.messages import Message
+from deepir.operators.motion_models import rescale_motion
 from deepir.pipeline.prior_refinement import PriorRefinement
+from deepir.problem import NoiseModel, Problem
 from deepir.problems.recipe import Recipe
 from deepir.registry import lookup
+from deepir.result import Result
 from deepir.schedule import Stage, Step
+
+
+def make_recipe(config: Config) -> Recipe:
+    """The recipe of `config.problem`.
+
+    `effects.NAME` is false (left out), true, or a mapping of the effect's options. An effect that the problem does not
+    list itself, of a plugin say, comes last.
+
+    Raises:
+        ConfigError: There is no such problem or effect, or the effect has no such option.
+    """
+    kind: type[Recipe] = lookup("problem", config.problem, "problem")
+    switches = dict.fromkeys(kind.effect_names, True) | config.effects
+    effects = []
+    for name, switch in switches.items():
+        lookup("effect", name, f"effects.{name}")
+        if switch is not False:
+            options = {} if switch is True or switch is None else switch
+            effects.append(make("effect", name, options, f"effects.{name}"))
+    return kind(effects)
 
 
 def plan(problem: AnyProblem, recipe: Recipe, config: Config) -> list[Stage]:
@@ -76,3 +111,133 @@ def _check_groups(problem: AnyProblem, stage: Stage, where: str) -> None:
                 raise ConfigError(
                     f"{where}: '{name}' has no closed form; {nearest(name, problem.closed_form())}"
                 )
+
+
+Mask = np.ndarray[Any, Any]
+MAX_FRAMES = 10**6  # more frames than any burst has
+
+
+def demand_order(select: str | int | Sequence[int] | None, problem: str) -> None:
+    """Raise `ConfigError` if `data.frames` does not keep frames one after the other."""
+    if isinstance(select, str | int | None) and ":" not in str(select):
+        return
+    chosen = select_frames(np.arange(MAX_FRAMES), select, "data")
+    if (np.diff(chosen) != 1).any():
+        raise ConfigError(
+            f"data.frames={select!r}: '{problem}' needs frames that follow each other in time; give a count or a slice"
+        )
+
+
+def interpolate_missing_motion(motion: Tensor, used: Mask) -> tuple[Tensor, Mask]:
+    """Motions (N, 3, 3) with gaps filled in, and which frames are taken, (N,): all from the first to the last used."""
+    at, known = np.arange(len(used)), np.flatnonzero(used)
+    entries = motion.flatten(1).numpy()
+    filled = np.stack([np.interp(at, known, entry[known]) for entry in entries.T], 1)
+    return torch.from_numpy(filled).view_as(motion), (at >= known[0]) & (at <= known[-1])
+
+
+def interpolation_message(used: Mask, taken: Mask) -> list[str]:
+    """A line for each frame that is taken without being used."""
+    return [
+        Message(
+            "frame-interpolated",
+            f"frame {k} is bridged: where the camera was then, on which the next frames depend, is interpolated",
+        )
+        for k in np.flatnonzero(taken & ~used)
+    ]
+
+
+ROUNDING_SIGMA = 0.29  # standard deviation of rounding to whole counts, 1 / √12
+SIGNAL_WINDOW = 5  # px: side of the window whose mean is a sample's signal
+MIN_RELATIVE_VARIANCE = (
+    0.3  # of a sample, relative to the median: an offset is no light, and has no photon noise
+)
+
+
+def given_noise(problem: Problem, config: Config) -> list[str]:
+    """Take the noise that the configuration gives, if it does; a message where whole counts cannot have so little."""
+    if config.noise == "auto":
+        return []
+    read, photon = config.noise.read**2, 1 / (config.noise.photons or math.inf)
+    # Until there is a prediction, the mean of the neighbours: of single samples the low ones would seem the surest.
+    data = problem.data + problem.reference
+    signal = avg_pool2d(data, SIGNAL_WINDOW, stride=1, padding=SIGNAL_WINDOW // 2, count_include_pad=False)
+    variance = read + photon * signal.clamp_(min=0)
+    if not variance.min() > 0:
+        raise ConfigError("noise: with read = 0 each sample must be positive, or have photons")
+    least = MIN_RELATIVE_VARIANCE * float(variance.median())
+    problem.precision.copy_((problem.precision > 0) / variance.clamp_(min=least))
+    problem.noise = NoiseModel(read, photon, least)
+    if variance.max() > ROUNDING_SIGMA**2 / 10 or data.max() <= 1 or (data % 1).any():
+        return []
+    return [
+        Message(
+            "noise-below-rounding",
+            f"noise.read is {config.noise.read:g} in units of the data, and rounding to whole counts makes "
+            f"{ROUNDING_SIGMA}: is the configuration meant for frames in [0, 1]?",
+        )
+    ]
+
+
+#: Problems that take several bands.
+PROBLEMS = ("nuc", "generic")
+#: What each band has by itself; the motion and the frames that are used are those of all.
+OWN = ("scene", "gain", "offset", "level", "bad_pixels")
+
+
+def solve_bands(burst: Burst, solve: Callable[[Burst], Result]) -> Result:
+    """The clearest band by itself, then the others with its motion.
+
+    Args:
+        burst: The first band, with the others in `bands`.
+        solve: Of a burst of one band.
+
+    Returns:
+        A result whose arrays have the bands first, (C, H, W).
+    """
+    bands = [dataclasses.replace(burst, bands=()), *burst.bands]
+    lead = int(np.argmax([contrast_to_noise(band) for band in bands]))
+    first = solve(bands[lead])
+    motion = None
+    if first.frames_used.sum() > 1:  # else its motion is not trusted, and each band finds its own
+        ratio = first.scene.shape[-1] / burst.size[1]
+        motion = rescale_motion(torch.from_numpy(first.motion), 1 / ratio).numpy()
+    results = [
+        first if c == lead else solve(dataclasses.replace(band, motion=motion))
+        for c, band in enumerate(bands)
+    ]
+    return _stacked(results, lead)
+
+
+def contrast_to_noise(band: Burst) -> float:
+    """How much the frames change as the camera moves, relative to their noise; a fixed pattern does not count."""
+    if len(band.frames) < 2:
+        return 0.0
+    levels = [
+        np.median(frame[ok]) if ok.any() else 0.0 for frame, ok in zip(band.frames, band.valid, strict=True)
+    ]
+    change = np.diff(np.where(band.valid, band.frames - np.reshape(levels, (-1, 1, 1)), 0.0), axis=0)
+    noise = sample_noise(torch.from_numpy(band.frames), torch.from_numpy(band.valid & ~band.bad_pixels))
+    return float(change.std()) / max(noise, 1e-30)
+
+
+def _stacked(results: list[Result], lead: int) -> Result:
+    """One result of those of the bands; `metrics` are those of the clearest, and of each under `bands`."""
+    first = results[lead]
+    shared = set.intersection(*(set(each.extra) for each in results))
+    spread = set.intersection(*(set(each.uncertainty) for each in results))
+    whole = dataclasses.replace(
+        first,
+        example=results[0].example,
+        extra={name: np.stack([each.extra[name] for each in results]) for name in sorted(shared)},
+        uncertainty={name: np.stack([each.uncertainty[name] for each in results]) for name in sorted(spread)},
+        metrics=first.metrics | {"clearest_band": lead, "bands": [each.metrics for each in results]},
+        messages=[
+            text.within(f"band {c}") if isinstance(text, Message) else f"band {c}: {text}"
+            for c, each in enumerate(results)
+            for text in each.messages
+        ],
+    )
+    for name in OWN:
+        setattr(whole, name, np.stack([getattr(each, name) for each in results]))
+    return whole

@@ -8,7 +8,7 @@ import numpy as np
 
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.io.inspection.display_range import has_eight_bits
+from deepir.io.inspection.samples import has_eight_bits
 from deepir.recording.correct import CorrectedRecording
 from deepir.registry import register
 from deepir.result import Result, neutral

@@ -12,7 +12,7 @@ from deepir.estimation.cross_validation import (
     start_trials,
     weight_from_cross_validation,
 )
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import weigh_scene
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
 from deepir.fields.psf.airy import Airy
 from deepir.fields.psf.base import PSF
@@ -21,8 +21,8 @@ from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.fields.psf.simplex import Simplex
 from deepir.messages import Message
-from deepir.optim import held_out
-from deepir.optim.held_out import hold_out
+from deepir.optim import objective
+from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate, start_scene
 from deepir.problems.recipe import Recipe
@@ -68,7 +68,7 @@ class Deconv(Recipe):
             initial_estimate(problem, self.effects)
         else:
             start_scene(problem)
-        hold_out(problem, seed, max(held_out.HELD_OUT_FRACTION, HELD_OUT_SHARE / len(problem.data)))
+        hold_out(problem, seed, max(objective.HELD_OUT_FRACTION, HELD_OUT_SHARE / len(problem.data)))
         weigh_scene(problem, self.sensor_weight)
         start_trials(problem, restart=True)
 

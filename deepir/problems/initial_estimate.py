@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from deepir.arrays.fill import fill_nearest
-from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.statistics import robust_std
+from deepir.arrays.statistics import median_sigma, robust_std
+from deepir.arrays.windows import fill_nearest
 from deepir.effects.bad_pixels import static_pixels
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean

@@ -8,18 +8,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.arrays.noise_level import noise_in_flat_windows
+from deepir.arrays.statistics import noise_in_flat_windows
 from deepir.closed_form.variable_projection import PIXEL
 from deepir.effects.bad_pixels import isolated_pixels
 from deepir.errors import ConfigError, DataError
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import weigh_scene
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.messages import Message
 from deepir.multiview.camera_at_rest import is_at_rest
 from deepir.multiview.frame_gains import frame_gains
-from deepir.multiview.low_order_part import is_implausible, low_order_part
-from deepir.multiview.low_order_pattern import low_order_pattern
+from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
 from deepir.multiview.pattern import find_pattern, shrink_shading
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene

@@ -11,16 +11,15 @@ from deepir.effects.noise import start_precision
 from deepir.effects.sensor_pattern import start_parts
 from deepir.effects.shading import estimate_low_order, stray_flux_fields
 from deepir.errors import ConfigError
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import weigh_scene
 from deepir.estimation.residuals import down_weight_outliers, fixed_pattern_residual
 from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.constant import Constant
 from deepir.messages import Message
 from deepir.operators import Add, Warp
-from deepir.operators.geometry import CANVAS_MARGIN
-from deepir.operators.motion_models import PARAMETERS
-from deepir.optim.held_out import hold_out
+from deepir.operators.motion_models import CANVAS_MARGIN, PARAMETERS
+from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.nuc import NUC

@@ -7,11 +7,10 @@ from typing import Any, ClassVar
 import torch
 
 from deepir.effects.sensor_pattern import pattern_to_noise
-from deepir.estimation.oversmoothing import store_reference_misfit
-from deepir.estimation.spatial_weights import adapt_weight_map
+from deepir.estimation.prior_weight import adapt_weight_map, store_reference_misfit
 from deepir.estimation.uncertainty import pattern_cost_db
 from deepir.optim.fourier_hessian import has_fourier_model
-from deepir.optim.held_out import hold_out
+from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.coarse_to_fine import coarse_to_fine
 from deepir.problems.recipe import Recipe

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import torch
 
 from deepir.effects.effect import Effect
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import weigh_scene
 from deepir.joint_problem import JointProblem
-from deepir.optim.held_out import hold_out
+from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
 from deepir.registry import lookup

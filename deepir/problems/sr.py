@@ -9,10 +9,10 @@ from deepir.estimation.cross_validation import (
     start_trials,
     weight_from_cross_validation,
 )
-from deepir.estimation.penalty_weights import weigh_scene
+from deepir.estimation.prior_weight import weigh_scene
 from deepir.messages import Message
 from deepir.operators import Downsample
-from deepir.optim.held_out import hold_out
+from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
 from deepir.problems.recipe import Recipe

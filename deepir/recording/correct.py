@@ -14,9 +14,8 @@ from deepir.calibration import CorrectionMaps
 from deepir.io import write_npz
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
-from deepir.recording.neighbours import NeighbouringFrames
 from deepir.recording.segments import Segment, estimate_segments, segment_at
-from deepir.recording.thermal_lag import ThermalLag, thermal_lag
+from deepir.recording.thermal_lag import NeighbouringFrames, ThermalLag, thermal_lag
 
 Array = np.ndarray[Any, Any]
 

@@ -17,7 +17,7 @@ import numpy as np
 from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
-from deepir.io.inspection.saturated_samples import saturated_samples
+from deepir.io.inspection.samples import saturated_samples
 from deepir.kernels.block_means import block_means
 from deepir.messages import Message
 from deepir.recording.bursts import (

@@ -1,15 +1,9 @@
-"""Thermal lag of the pixels, from the motion blur of a scene that is seen at several speeds.
-
-A pixel of the time constant tau shows a scene that moves at the speed v through an exponential tail of the length
-tau v, which attenuates detail of the frequency w by 1 + (w tau v)^2 in energy. Differences of neighbouring pixels,
-whose spectrum is even up to a cut-off c, lose the factor atan(c tau v) / (c tau v). So where the same part of the scene
-is seen at two speeds, the ratio of its detail across to that down differs by what each speed blurs. Texture, scale and
-contrast of the scene cancel.
-"""
+"""The thermal lag of pixels, from runs of neighbouring frames."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +17,48 @@ from deepir.multiview.texture_flow import Displacement, displacements, sampled
 from deepir.recording.noise import noise_deviation
 
 Array = np.ndarray[Any, Any]
+
+#: Of a run: two frames and their successors, four frames apart: a camera that shakes moves otherwise by then.
+OFFSETS = (0, 1, 4, 5)
+LENGTH = OFFSETS[-1] + 1
+MAX_RUNS = 12  # that are kept, at most
+
+
+class NeighbouringFrames:
+    """Keeps some runs of frames, spread over the recording.
+
+    Attributes:
+        runs: frames (h, w) of each run, at `OFFSETS` from its first.
+        numbers: of the first frame of each run.
+    """
+
+    def __init__(self) -> None:
+        self.runs: list[list[Array]] = []
+        self.numbers: list[int] = []
+        self._every = 1
+
+    def collect(self, recording: Iterable[Array]) -> Iterator[Array]:
+        """Yield the frames (h, w) of a recording unchanged, and keep runs without a repeated frame."""
+        recent: deque[Array] = deque(maxlen=LENGTH)
+        met = 0
+        for number, frame in enumerate(recording):
+            yield frame
+            if recent and np.array_equal(frame, recent[-1]):
+                recent.clear()
+            recent.append(frame)
+            if len(recent) == LENGTH:
+                if met % self._every == 0:
+                    self._keep(number + 1 - LENGTH, [recent[k] for k in OFFSETS])
+                met += 1
+                recent.clear()
+
+    def _keep(self, number: int, run: list[Array]) -> None:
+        self.runs.append(run)
+        self.numbers.append(number)
+        if len(self.runs) > MAX_RUNS:
+            del self.runs[1::2], self.numbers[1::2]
+            self._every *= 2
+
 
 DETAIL_SIGMA = 3.0  # px of the averaged frames; Gaussian over which the energy of detail is averaged
 MIN_ENERGY = 3.0  # of detail that counts, in variances of the noise

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.operators.motion_models import PARAMETERS, generators, increment, relative
-from deepir.registration.pyramid import Level, sample
+from deepir.registration.preprocess import Level, sample
 
 PATTERN_PASSES = 4  # alternations of scene and pattern at fixed motions
 CONVERGED_STEP = 5e-3  # px of the level; a smaller step ends the rounds

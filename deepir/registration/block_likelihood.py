@@ -17,8 +17,7 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity, nearest_angle, relative, rotation, transform_points
-from deepir.registration.preprocess import variance_stabilise
-from deepir.registration.pyramid import block_mean
+from deepir.registration.preprocess import block_mean, variance_stabilise
 from deepir.registration.shift_likelihood import (
     ShiftLikelihood,
     integer_shifts,

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from deepir.operators.motion_models import identity
 from deepir.registration.alignment import Alignment, align, misfit_at, tukey_weights, warp_to_reference
-from deepir.registration.cross_correlation import correlation_search, match_to_reference
-from deepir.registration.pyramid import Level
+from deepir.registration.preprocess import Level
+from deepir.registration.shift_likelihood import correlation_search, match_to_reference
 
 MIN_CONCORDANCE = 0.6  # frames below it are rejected; aligned frames of other scenes reach 0.5
 MIN_OVERLAP = 0.15  # of the frame, that other frames must show

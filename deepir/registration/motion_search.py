@@ -34,7 +34,7 @@ from deepir.registration.block_likelihood import (
     select_by_blocks,
 )
 from deepir.registration.frame_selection import largest_consistent_set
-from deepir.registration.pyramid import Level, build_level
+from deepir.registration.preprocess import Level, build_level
 
 
 @dataclass(frozen=True)

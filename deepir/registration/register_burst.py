@@ -22,8 +22,7 @@ from deepir.registration.frame_selection import (
     shutter_frames,
 )
 from deepir.registration.motion_search import estimate_motion, final_levels, search_level, select_homography
-from deepir.registration.moving_object_masks import inpaint_mean
-from deepir.registration.moving_objects import register_beside_moving_objects
+from deepir.registration.moving_objects import inpaint_mean, register_beside_moving_objects
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import accept_by_residuals
 

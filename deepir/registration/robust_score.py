@@ -13,8 +13,8 @@ from torch import Tensor
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.registration.block_likelihood import DISTINCT_DISTANCE, corner_distance
-from deepir.registration.cross_correlation import match_to_reference
-from deepir.registration.pyramid import Level, sample
+from deepir.registration.preprocess import Level, sample
+from deepir.registration.shift_likelihood import match_to_reference
 
 MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
 MIN_OTHER_FRAMES = 3  # frames in which another one is searched

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from deepir.analysis.statistics import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL, Array
-from deepir.io.output.palettes import DEVIATIONS, SIGNED, colour_table
-from deepir.report.drawing.axes import COLOURS, Axes
-from deepir.report.drawing.figure import write_figure
-from deepir.report.drawing.scaled_map import draw_map
+from deepir.analysis.burst_assessment import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL, Array
+from deepir.io.output.tone_mapping import DEVIATIONS, SIGNED, colour_table
+from deepir.report.drawing import COLOURS, Axes, draw_map, write_figure
 
 if TYPE_CHECKING:
     from deepir.analysis import BurstAssessment, PatternStatistics

@@ -9,11 +9,9 @@ import numpy as np
 import torch
 from PIL import Image
 
-from deepir.operators.homography import displacements
+from deepir.operators.motion_models import displacements
 from deepir.operators.warp import project_pixels
-from deepir.report.drawing.axes import Axes
-from deepir.report.drawing.figure import write_figure
-from deepir.report.drawing.scaled_map import draw_colours, map_height
+from deepir.report.drawing import Axes, draw_colours, map_height, write_figure
 
 Array = np.ndarray[Any, Any]
 

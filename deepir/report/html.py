@@ -1,27 +1,128 @@
-"""`report.html` of a run: one self-contained page."""
+"""The report of a run as one page of HTML, its verdict first."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepir.io.output.palettes import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table
-from deepir.io.output.tone_mapping import display_limits
+from deepir.io.output.tone_mapping import (
+    DEVIATIONS,
+    PALETTES,
+    SIGNED,
+    WHITE_HOT,
+    colour_table,
+    display_limits,
+)
+from deepir.io.output.write import atomic_file, to_json_types
 from deepir.io.radiometry import KELVIN, unit_metadata
-from deepir.messages import labelled
+from deepir.messages import DISTRUSTED, NOTES, WARNINGS, by_importance, labelled
 from deepir.paths import printable
-from deepir.report.maps import COARSE_LEVELS, FINE_LEVELS, pack_map
-from deepir.report.page import write_page
-from deepir.report.panels import evenly_spaced
-from deepir.report.verdict import verdict
+from deepir.report.panels import COARSE_LEVELS, FINE_LEVELS, evenly_spaced, pack_map
 
 if TYPE_CHECKING:
     from deepir.config.schema import Config
     from deepir.result import Result
+
+WEB_FOLDER = Path(__file__).parent / "web"  # templates, scripts and styles
+
+
+def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
+    """Write a page; its scripts find `data` as JSON in `#data`.
+
+    The content policy allows these scripts and this style by their digests, and no network access: text that passed the
+    escaping would not run.
+
+    Args:
+        path: The page.
+        body: Name of the body in the folder `web`.
+        scripts: Names of the scripts in the folder `web`.
+        data: The data.
+    """
+    style = _read("page.css")
+    script = "".join(map(_read, ("page.js", *scripts)))
+    policy = f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}"
+    parts = {
+        "policy": policy,
+        "style": style,
+        "body": _read(body),
+        "script": script,
+        "data": json_for_html(data),
+    }
+    page = _read("page.html")
+    for name, text in parts.items():
+        page = page.replace(f"%{name}%", text)
+    with atomic_file(path) as part:
+        part.write_text(page, encoding="utf-8")
+
+
+def _read(name: str) -> str:
+    return (WEB_FOLDER / name).read_text(encoding="utf-8")
+
+
+def _digest(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def json_for_html(data: Mapping[str, Any]) -> str:
+    """JSON that cannot end the element it stands in: no `<`; control characters but new lines are escaped."""
+    return json.dumps(_visible(to_json_types(data)), allow_nan=False, separators=(",", ":")).replace(
+        "<", "\\u003c"
+    )
+
+
+def _visible(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {printable(key): _visible(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_visible(each) for each in value]
+    return "\n".join(map(printable, value.split("\n"))) if isinstance(value, str) else value
+
+
+class Verdict(NamedTuple):
+    """Good, care or bad; the sentence; and what there is to say or to do beside."""
+
+    severity: str
+    sentence: str
+    more: str
+
+
+def verdict(result: Result) -> Verdict:
+    """The verdict on a result: its most important warning, or what it reached."""
+    warnings = [each for each in by_importance(result.messages) if each[0] not in NOTES]
+    if not warnings:
+        return Verdict("good", _reached(result), _frames(result))
+    (name, text), more = warnings[0], len(warnings) - 1
+    meaning, advice = WARNINGS.get(name, (text, ""))
+    what, _, rest = meaning.partition(". ")
+    severity = "bad" if name in DISTRUSTED else "care"
+    start = {"bad": "Do not trust this result", "care": "Use this result with care"}[severity]
+    others = f"{more} more warning{'s are' if more > 1 else ' is'} below." if more else ""
+    sentence = f"{start}: {what[:1].lower()}{what[1:].rstrip('.')}."
+    return Verdict(severity, sentence, " ".join(filter(None, (rest, advice, others))))
+
+
+def _reached(result: Result) -> str:
+    """What an untroubled result has reached, in a sentence."""
+    left: dict[str, Any] = result.metrics.get("fixed_pattern_left") or {}
+    if {"raw", "corrected"} <= left.keys():
+        unit = str(unit_metadata(result.radiometry).get("unit", ""))
+        was = f"{left['raw']:.3g} {unit}".strip()
+        return f"The pattern was separated from the scene: {was} before, {left['corrected']:.3g} after."
+    if np.ptp(result.gain) or np.ptp(result.offset):
+        return "The pattern was separated from the scene."
+    return "Nothing speaks against this result."
+
+
+def _frames(result: Result) -> str:
+    used, count = int(result.frames_used.sum()), len(result.frames_used)
+    return "All frames are used." if used == count else f"{used} of {count} frames are used."
+
 
 Array = np.ndarray[Any, Any]
 #: Palettes of maps about a centre, of standard deviations and of masks.

@@ -1,18 +1,23 @@
-"""Rows of grey pictures with titles."""
+"""Pictures of a run beside each other."""
 
 from __future__ import annotations
 
+import base64
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
-from deepir.io.output.palettes import WHITE_HOT, colour_table
-from deepir.io.output.tone_mapping import stretch
-from deepir.report.drawing.figure import composed
-from deepir.report.drawing.scaled_map import draw_colours, map_height
+from deepir.io import atomic_file
+from deepir.io.output.tone_mapping import DEVIATIONS, SIGNED, WHITE_HOT, colour_table, display_limits, stretch
+from deepir.report.drawing import COLOURS, Axes, composed, draw_colours, draw_map, map_height, write_figure
+
+if TYPE_CHECKING:
+    from deepir.recording.correct import CorrectedRecording
+    from deepir.result import Result
 
 TOTAL_WIDTH = 1200  # px
 Panel = tuple[str, np.ndarray[Any, Any], float, float]
@@ -50,3 +55,125 @@ def write_panels(path: Path, panels: Sequence[Panel], rows: int = 1) -> None:
     ]
     whole = composed([drawn[k : k + columns] for k in range(0, len(drawn), columns)]).convert("L")
     whole.quantize(64, dither=Image.Dither.NONE).save(path, format="PNG", optimize=True)
+
+
+Array = np.ndarray[Any, Any]
+MISSING_LEVEL = 65535  # level of samples that are not finite
+FINE_LEVELS = 4096  # levels between the display limits
+COARSE_LEVELS = 256  # the same, at least, of maps with far outliers
+
+
+def pack_map(image: Array, fine: int = FINE_LEVELS) -> dict[str, Any]:
+    """Levels of a map (h, w) as text, with the data to read them: `value = base + step * level`.
+
+    Levels are differences along x, high bytes first, for compression.
+
+    Args:
+        image: (h, w).
+        fine: Levels between the display limits.
+    """
+    whole, image = image.dtype == bool, np.asarray(image, np.float64)
+    finite = image[np.isfinite(image)]
+    least, most = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
+    low, high = display_limits(image)
+    span = high - low or most - least or 1.0
+    step = 1.0 if whole else np.clip((most - least) / (MISSING_LEVEL - 1), span / fine, span / COARSE_LEVELS)
+    base = max(least, low - step * MISSING_LEVEL / 2)
+    levels = np.round((np.where(np.isfinite(image), image, base) - base) / step).clip(0, MISSING_LEVEL - 1)
+    levels = np.where(np.isfinite(image), levels, MISSING_LEVEL).astype("<u2", order="C")
+    levels[:, 1:] -= levels[:, :-1].copy()
+    planes = levels.view(np.uint8).reshape(-1, 2).T[::-1].tobytes()
+    return {
+        "height": image.shape[0],
+        "width": image.shape[1],
+        "base": float(base),
+        "step": float(step),
+        "low": low,
+        "high": high if high > low else low + span,
+        "levels": base64.b64encode(zlib.compress(planes, 1)).decode(),
+    }
+
+
+SHOWN = (0.1, 0.5, 0.9)  # places in the recording of the frames shown
+PERCENTILES = (0.5, 99.5)  # of a picture's values, shown black and white
+
+
+def write_correction(path: Path, corrected: CorrectedRecording) -> None:
+    """Write the picture: three frames as recorded, the same corrected, and offset, gain and bad pixels."""
+    keyframes = corrected.keyframes
+    chosen = [int(place * (len(keyframes.frames) - 1)) for place in SHOWN]
+    before = [keyframes.frames[k] for k in chosen]
+    numbers = [int(keyframes.numbers[k]) for k in chosen]
+    after = [corrected.correct(*each) for each in zip(before, numbers, strict=True)]
+    estimate = corrected.estimate
+    panels = [
+        *(_panel(f"frame {number}, recorded", frame) for number, frame in zip(numbers, before, strict=True)),
+        *(_panel(f"frame {number}, corrected", frame) for number, frame in zip(numbers, after, strict=True)),
+        _panel(f"offset, std {estimate.offset[~estimate.bad_pixels].std():.3g}", estimate.offset),
+        _panel(f"gain, std {100 * estimate.gain[~estimate.bad_pixels].std():.2g} %", estimate.gain),
+        ("bad pixels", estimate.bad_pixels.astype(float), 0.0, 1.0),
+    ]
+    with atomic_file(path) as part:
+        write_panels(part, panels, rows=3)
+
+
+def _panel(title: str, picture: Array) -> Panel:
+    low, high = (float(each) for each in np.nanpercentile(picture, PERCENTILES))
+    if low == high:  # a uniform picture is grey
+        low, high = low - 0.5, high + 0.5
+    return title, picture, low, high
+
+
+PANEL_WIDTH = 460  # px
+PANEL_HEIGHTS = (260, 900)  # px, least and greatest
+LEGEND_SHARE = 0.3  # of the height of the losses, kept free above them
+
+
+def write_summary(path: Path, result: Result, example: Array) -> None:
+    """Write the picture; `example` is a raw frame (h, w)."""
+    size = PANEL_WIDTH, int(np.clip(map_height(example.shape, PANEL_WIDTH), *PANEL_HEIGHTS))
+    scene = result.scene
+    above = [
+        draw_map(example, "raw frame", WHITE_HOT, size),
+        draw_map(scene if scene.ndim == 2 else scene[0], "scene", WHITE_HOT, size),
+    ]
+    if scene.ndim == 3:
+        above.append(draw_map(montage(scene), f"some of the {len(scene)} scenes", WHITE_HOT, size))
+    elif "scene" in result.uncertainty:
+        title = "standard deviation of the scene"
+        above.append(draw_map(result.uncertainty["scene"], title, DEVIATIONS, size))
+    else:
+        above.append(draw_map(scene, "scene, inferno", "inferno", size))
+    below = [
+        draw_map(
+            montage(result.gain), f"gain, std {100 * result.gain.std():.1f} %", SIGNED, size, centre=1.0
+        ),
+        draw_map(montage(result.offset), f"offset, std {result.offset.std():.3g}", SIGNED, size, centre=0.0),
+    ]
+    if result.history:
+        below.append(_loss(result.history, size))
+    more = {name: each for name, each in result.extra.items() if each.shape == result.gain.shape}
+    for k, (name, each) in enumerate(more.items()):
+        row = (above, below)[k % 2]
+        row.append(draw_map(montage(each), f"{name}, std {each.std():.3g}", SIGNED, size, centre=0.0))
+    write_figure(path, [above, below])
+
+
+def _loss(history: list[dict[str, Any]], size: tuple[int, int]) -> Image.Image:
+    stages = {
+        stage: np.array([row["loss"] for row in history if row["stage"] == stage])
+        for stage in dict.fromkeys(row["stage"] for row in history)
+    }
+    fallen = {stage: loss - loss.min() + 1 for stage, loss in stages.items()}
+    highest = max(float(np.nanmax(each)) for each in fallen.values())
+    title = "loss in each stage, less its least (nats)"
+    limits = 0.8, 1.4 * highest * highest**LEGEND_SHARE
+    axes = Axes(size, title, (0, len(history)), limits, "iteration", log=True)
+    start, colours = 0, dict[str, str]()
+    for stage, loss in fallen.items():
+        kind = stage.rstrip(" 0123456789")  # the rounds of a stage share a colour and a name
+        name = "" if kind in colours else kind
+        colour = colours.setdefault(kind, COLOURS[len(colours) % len(COLOURS)])
+        axes.line(np.arange(start, start + len(loss)), loss, colour, name)
+        start += len(loss)
+    return axes.picture()

@@ -4,7 +4,7 @@ Symbols as in docs/reference/conventions.md.
 """
 
 from deepir.simulate.burst import Simulation, Truth, simulate
-from deepir.simulate.detector.sensor import ADC_MAX
+from deepir.simulate.detector import ADC_MAX
 from deepir.simulate.optics.rendering import render
 from deepir.simulate.settings import Settings
 

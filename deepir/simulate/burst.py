@@ -9,10 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from deepir.simulate.detector.bolometer import bolometer_pixels, housing_flux
-from deepir.simulate.detector.line_noise import line_noise
-from deepir.simulate.detector.sensor import add_defects, expose, fixed_pattern
-from deepir.simulate.detector.thermal_lag import apply_lag, smooth_path, time_constants
+from deepir.simulate.detector import (
+    add_defects,
+    apply_lag,
+    bolometer_pixels,
+    expose,
+    fixed_pattern,
+    housing_flux,
+    line_noise,
+    smooth_path,
+    time_constants,
+)
 from deepir.simulate.events import observe
 from deepir.simulate.files import save_with_truth
 from deepir.simulate.optics.blur import psf

@@ -16,7 +16,7 @@ from deepir.errors import DataError
 
 @dataclass(frozen=True)
 class FileCheckpoint:
-    """File with the state of a solve, see `deepir.optim.position.Checkpoint`.
+    """File with the state of a solve, see `deepir.optim.objective.Checkpoint`.
 
     Attributes:
         path: The file.

@@ -25,8 +25,7 @@ from deepir.report.progress import ProgressLines
 from deepir.result import Result
 from deepir.runner import Callbacks, execute, machine, prepare, versions
 from deepir.storage.checkpoint import FileCheckpoint
-from deepir.storage.folder import RUN_FILES, Record, RunFolder
-from deepir.storage.lock import Lock
+from deepir.storage.folder import RUN_FILES, Lock, Record, RunFolder
 
 log = logging.getLogger("deepir")
 

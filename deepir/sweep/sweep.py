@@ -11,11 +11,9 @@ from pathlib import Path
 from deepir.config import dump, load
 from deepir.errors import ConfigError
 from deepir.paths import expanded
-from deepir.storage.folder import Record
-from deepir.storage.lock import locked_folder, remove_temporaries
+from deepir.storage.folder import Record, locked_folder, remove_temporaries
 from deepir.sweep import cluster, table
-from deepir.sweep.axes import SWEEP_FILES, Axis
-from deepir.sweep.cells import Cell, check_cells, check_inputs, make_cells
+from deepir.sweep.cells import SWEEP_FILES, Axis, Cell, check_cells, check_inputs, make_cells
 
 
 @dataclass
@@ -46,8 +44,7 @@ class Sweep:
 
     def write(self, title: str) -> list[table.Row]:
         """Write `table.csv`, `table.md`, `quality.png` and `report.html`; the rows."""
-        from deepir.sweep.html import write_report
-        from deepir.sweep.plots import write_plots
+        from deepir.sweep.table import write_plots, write_report
 
         found = table.make_rows(self.cells, self.errors)
         table.write_markdown(self.folder / "table.md", found, title)

@@ -13,8 +13,8 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import gaussian_filter
 from torch import Tensor, nn
 
-from deepir.arrays.differences import squared_gradient
-from deepir.estimation.spatial_weights import smoothness_exponent, weight_from_gradients
+from deepir.arrays.windows import squared_gradient
+from deepir.estimation.prior_weight import smoothness_exponent, weight_from_gradients
 from deepir.operators.bspline import to_pixels
 from deepir.priors.penalties.foe import Experts, foe_energy
 from deepir.registry import register

@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from deepir.analysis import flat_statistics, map_statistics
-from deepir.analysis.statistics import correlation_length
+from deepir.analysis.burst_assessment import correlation_length
 from deepir.simulate import Settings, simulate
 
 SIZE = (160, 192)

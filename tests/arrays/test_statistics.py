@@ -4,8 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir.arrays.noise_level import median_sigma
-from deepir.arrays.statistics import MAX_SAMPLES_PER_FRAME, masked_values, median, subsample
+from deepir.arrays.statistics import MAX_SAMPLES_PER_FRAME, masked_values, median, median_sigma, subsample
 
 
 @given(height=st.integers(200, 600), width=st.integers(200, 800))

@@ -29,7 +29,7 @@ def simulation():
 @pytest.fixture(autouse=True)
 def no_plots(monkeypatch):
     """The plots of a comparison take longer than its runs: they have tests of their own."""
-    monkeypatch.setattr("deepir.sweep.plots.write_plots", lambda path, _: path.write_bytes(b""))
+    monkeypatch.setattr("deepir.sweep.table.write_plots", lambda path, _: path.write_bytes(b""))
 
 
 @pytest.fixture

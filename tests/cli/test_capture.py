@@ -136,7 +136,7 @@ def test_a_camera_that_sends_nothing_ends_it(fake, take):
 
 
 def test_ctrl_c_gives_the_camera_back(fake, take, folder):
-    from deepir.cli.signals import Interrupted
+    from deepir.cli.terminal import Interrupted
 
     fake.frames = [*fake.frames[:2], Interrupted(2)]
     status, _, err = take("--frames", 3)

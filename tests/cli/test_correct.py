@@ -11,7 +11,7 @@ from deepir.correct_recording import correct
 from deepir.io import read_frames
 from deepir.recording.keyframes import choose_keyframes
 from deepir.recording.segments import estimate_segments
-from deepir.storage.lock import locked_files
+from deepir.storage.folder import locked_files
 
 SIZE = (60, 80)
 

@@ -13,10 +13,10 @@ import tifffile
 from deepir import registry
 from deepir.calibration import CorrectionMaps
 from deepir.cameras.camera import Camera
-from deepir.cli import live_page
-from deepir.cli.signals import Interrupted
+from deepir.cli import live_camera
+from deepir.cli.terminal import Interrupted
 from deepir.errors import DataError
-from deepir.live import kept_maps
+from deepir.live import recorder
 
 
 @pytest.fixture
@@ -127,9 +127,9 @@ def test_the_page_shows_the_last_frame_until_ctrl_c(deepir, recording, monkeypat
         raise Interrupted(2)
 
     page = SimpleNamespace(sleep=None)
-    monkeypatch.setattr(live_page, "time", page)
-    keep_page = live_page.keep_page
-    monkeypatch.setattr(live_page, "keep_page", keep)
+    monkeypatch.setattr(live_camera, "time", page)
+    keep_page = live_camera.keep_page
+    monkeypatch.setattr(live_camera, "keep_page", keep)
     status, _, err = deepir("live", "drive.npy", "--fast", "--page", "--port", 0, "output.tones=clahe")
     assert status == 0, err
     assert re.search(r"shown at http://127\.0\.0\.1:\d+/\n", err)
@@ -195,14 +195,14 @@ def test_the_maps_of_a_camera_are_kept_for_the_next_time(deepir, recording, monk
     maps = CorrectionMaps(
         np.ones(recording.shape[1:]), np.zeros(recording.shape[1:]), np.zeros(recording.shape[1:], bool)
     )
-    monkeypatch.setattr(kept_maps, "user_data_path", lambda name: tmp_path / name)
+    monkeypatch.setattr(recorder, "user_data_path", lambda name: tmp_path / name)
     monkeypatch.setitem(registry._components["camera"], "fake", Fake)
     assert "begins with" not in deepir("live", "--camera", "fake", "--fast")[2]
 
-    kept_maps.KeptMaps(Fake.identity).save(maps)
+    recorder.KeptMaps(Fake.identity).save(maps)
 
     assert (tmp_path / "deepir" / "cameras" / "fake_4711.npz").exists()
     assert "begins with the camera's maps of 2" in deepir("live", "--camera", "fake", "--fast")[2]
     wider = CorrectionMaps(*(np.pad(each, 1) for each in (maps.gain, maps.offset, maps.bad_pixels)))
-    kept_maps.KeptMaps(Fake.identity).save(wider)  # of another mode
+    recorder.KeptMaps(Fake.identity).save(wider)  # of another mode
     assert "begins with" not in deepir("live", "--camera", "fake", "--fast")[2]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepir.api import run
-from deepir.cli.signals import Interrupted, Interruptible
+from deepir.cli.terminal import Interrupted, Interruptible
 from deepir.errors import DataError
 
 RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=8")
@@ -193,7 +193,7 @@ def test_a_checkpoint_of_another_run_is_reported_and_the_run_starts_again(
     "field", [{"history": 5}, {"history": [3]}, {"stage": "x"}, {"iteration": 99}, {"more": 1}]
 )
 def test_a_history_of_odd_types_is_one_line(small_nuc, tmp_path, field):
-    from deepir.optim.position import Position, restore_state, save_state
+    from deepir.optim.objective import Position, restore_state, save_state
     from deepir.storage.checkpoint import FileCheckpoint
 
     checkpoint, problem = FileCheckpoint(tmp_path / "a.safetensors"), small_nuc()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.config import dump, find, load, prior_names, read, shipped_names
-from deepir.config.yaml import parse_yaml
+from deepir.config.overrides import parse_yaml
 from deepir.errors import ConfigError
 
 

@@ -67,6 +67,6 @@ def test_a_shipped_file_says_in_its_first_line_what_it_is(path):
     "path", sorted((SHIPPED_CONFIGS / "prior").glob("*.yaml")), ids=lambda path: path.stem
 )
 def test_a_preset_of_a_prior_holds_a_scene_and_nothing_else(path):
-    from deepir.config.yaml import parse_yaml
+    from deepir.config.overrides import parse_yaml
 
     assert list(parse_yaml(path.read_text())) == ["scene"]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.closed_form.weighted_least_squares import sensor_least_squares
+from deepir.closed_form.normal_equations import sensor_least_squares
 from deepir.errors import ConfigError
 from deepir.fields.line_noise import ColumnNoise, RowNoise
 from deepir.simulate import Settings, simulate

@@ -8,8 +8,8 @@ from scipy.ndimage import binary_dilation
 from skimage.data import camera
 
 import deepir
-from deepir.comparison import compare_to_truth
-from deepir.io.inspection.saturated_samples import saturated_samples
+from deepir.io.inspection.samples import saturated_samples
+from deepir.result import compare_to_truth
 from deepir.simulate import Settings, simulate
 
 CAMERA = Settings(

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import deepir
-from deepir.arrays.fill import fill_pull_push
+from deepir.arrays.windows import fill_pull_push
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.effects.unobserved import fill_unobserved
+from deepir.effects.outliers import fill_unobserved
 from deepir.simulate import Settings, simulate
 
 

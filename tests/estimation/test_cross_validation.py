@@ -14,7 +14,7 @@ from deepir.estimation.cross_validation import (
     start_trials,
     weight_from_cross_validation,
 )
-from deepir.optim.held_out import hold_out
+from deepir.optim.objective import hold_out
 from deepir.optim.solve import solve
 from deepir.priors.penalties.tv import TV
 from deepir.storage.checkpoint import FileCheckpoint

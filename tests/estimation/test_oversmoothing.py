@@ -6,13 +6,13 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 import deepir
-from deepir.estimation.oversmoothing import (
+from deepir.estimation.prior_weight import (
     WEIGHT_REDUCTION,
     is_oversmoothed,
     reduce_weight,
     store_reference_misfit,
+    weigh_scene,
 )
-from deepir.estimation.penalty_weights import weigh_scene
 from deepir.priors.penalties.foe import FoE
 from deepir.priors.penalties.tv import TV
 from deepir.simulate import Settings, simulate

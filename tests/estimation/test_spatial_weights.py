@@ -7,8 +7,7 @@ import torch
 from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.estimation.penalty_weights import weigh_scene
-from deepir.estimation.spatial_weights import adapt_weight_map
+from deepir.estimation.prior_weight import adapt_weight_map, weigh_scene
 from deepir.priors.penalties.tv import TV
 
 NOISE = 0.01

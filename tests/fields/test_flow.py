@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from deepir.fields.dense_motion import Flow
-from deepir.operators.homography import displacement_at, displacements, homographies
+from deepir.operators.motion_models import displacement_at, displacements, homographies
 from deepir.operators.warp import project_pixels
 
 SIZE = (40, 50)

@@ -7,8 +7,8 @@ import pytest
 import skimage.data
 
 import deepir
-from deepir.diagnostics.equalised_histogram import is_equalised
-from deepir.io.inspection.display_range import clipped_samples, is_contrast_stretched
+from deepir.diagnostics.repeating_scene import is_equalised
+from deepir.io.inspection.samples import clipped_samples, is_contrast_stretched
 from deepir.metrics import scores
 from deepir.optim.solve import Progress
 from deepir.simulate import Settings, simulate

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.io import read_frames, stream_frames
-from deepir.io.inspection.fill_values import FILL_VALUES, lost_samples
+from deepir.io.inspection.samples import FILL_VALUES, lost_samples
 
 
 @pytest.fixture

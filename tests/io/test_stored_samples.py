@@ -7,7 +7,7 @@ import tifffile
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import read_frames, stream_frames
-from deepir.io.inspection.stored_samples import are_swapped, have_wrapped
+from deepir.io.inspection.samples import are_swapped, have_wrapped
 from deepir.simulate import Settings, simulate
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.config.schema import Output
-from deepir.io.output.palettes import PALETTES, colour_table
-from deepir.io.output.tone_mapping import TONE_MAPPINGS, apply_palette
+from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS, apply_palette, colour_table
 
 
 @pytest.fixture

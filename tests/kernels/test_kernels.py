@@ -10,8 +10,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir.arrays.differences import squared_gradient
-from deepir.closed_form import weighted_least_squares
+from deepir.arrays.windows import squared_gradient
+from deepir.closed_form import normal_equations
 from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCPU
 from deepir.kernels.compile import parallel_for
 from deepir.priors.penalties.tv import TV
@@ -84,8 +84,8 @@ def test_the_weighted_residuals_and_their_sum(size, dtype, one):
         100 + torch.randn(3, 1, *size),
     )
     data, precision = data.to(dtype), torch.rand(3, 1, *size, dtype=dtype)
-    gradient, loss = weighted_least_squares.gradient_and_loss_cpu(prediction, data, precision)
-    residuals, wanted = weighted_least_squares.gradient_and_loss(prediction, data, precision)
+    gradient, loss = normal_equations.gradient_and_loss_cpu(prediction, data, precision)
+    residuals, wanted = normal_equations.gradient_and_loss(prediction, data, precision)
     assert torch.equal(gradient, residuals)
     assert float(loss) == pytest.approx(float(wanted), rel=1e-5 if dtype == torch.float32 else 1e-12)
 
@@ -100,13 +100,11 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
     data, precision = (50 + torch.randn(shape)).double(), torch.rand(shape).double()
     gain, offset = 1 + 0.1 * torch.randn(1, *shape[1:]).double(), torch.randn(1, *shape[1:]).double()
     level = torch.randn(3, 1, 1, 1, dtype=torch.float64, requires_grad=True)
-    wanted = factor * weighted_least_squares.weighted_least_squares(
-        gain * flux + offset + level, data, precision
-    )
+    wanted = factor * normal_equations.weighted_least_squares(gain * flux + offset + level, data, precision)
     given = [each.detach().to(dtype) for each in (flux, data, precision, gain, offset, level)]
     given[0].requires_grad_()
     given[-1].requires_grad_()
-    found = factor * weighted_least_squares.sensor_least_squares(
+    found = factor * normal_equations.sensor_least_squares(
         given[0].expand(shape), *given[1:3], tuple(given[3:])
     )
     tolerance = 1e-4 if dtype == torch.float32 else 1e-12
@@ -127,8 +125,8 @@ def test_what_the_pixels_own_parts_add_to_the_slope(size, u, v):
     level, system = torch.randn(3, 1, 1, 1, dtype=torch.float64), torch.rand(5, *size, dtype=torch.float64)
     given = (*frames, *maps, level, torch.tensor([u, v], dtype=torch.float64), system)
     found, wanted = (
-        weighted_least_squares.sensor_gradients_and_loss_cpu(*given),
-        weighted_least_squares.sensor_gradients_and_loss(*given),
+        normal_equations.sensor_gradients_and_loss_cpu(*given),
+        normal_equations.sensor_gradients_and_loss(*given),
     )
     assert all(torch.allclose(*pair) for pair in zip(found, wanted, strict=True))
 

@@ -12,9 +12,9 @@ from PIL import Image
 from deepir.live.corrector import Corrector
 from deepir.live.estimation import SynchronousEstimator
 from deepir.live.page.server import serve
-from deepir.live.page.session import Session
-from deepir.live.playback import play
+from deepir.live.page.views import Session
 from deepir.live.recorder import Recorder
+from deepir.live.sources import play
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.segments import Segment
 

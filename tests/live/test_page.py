@@ -19,7 +19,7 @@ from deepir.io.output.tone_mapping import apply_palette, percentile
 from deepir.io.radiometry import Linear
 from deepir.live.page import views
 from deepir.live.page.server import serve
-from deepir.live.playback import play
+from deepir.live.sources import play
 
 
 def get(address, path="", **headers):

@@ -7,8 +7,7 @@ import pytest
 
 from deepir.live.corrector import Corrector
 from deepir.live.estimation import SynchronousEstimator
-from deepir.live.playback import play
-from deepir.live.sources import Paced
+from deepir.live.sources import Paced, play
 
 
 def test_the_rate_is_that_of_the_frames_and_drops_are_counted(frames):

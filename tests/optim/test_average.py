@@ -2,7 +2,7 @@
 
 import torch
 
-from deepir.optim.held_out import held_out_error
+from deepir.optim.objective import held_out_error
 from deepir.optim.solve import solve
 from deepir.schedule import Stage, Step
 

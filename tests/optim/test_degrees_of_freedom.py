@@ -9,7 +9,7 @@ from scipy.interpolate import BSpline
 
 import deepir
 import deepir.optim.objective
-from deepir.optim.degrees_of_freedom import GRADIENT_WEIGHT, degrees_of_freedom
+from deepir.optim.fourier_hessian import GRADIENT_WEIGHT, degrees_of_freedom
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import sky
 

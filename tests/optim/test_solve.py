@@ -10,7 +10,7 @@ from deepir.errors import DataError, SolverError
 from deepir.fields.constant import Constant
 from deepir.fields.pixels import Pixels
 from deepir.operators import Chain, Operator, Sensor
-from deepir.optim.held_out import held_out_error
+from deepir.optim.objective import held_out_error
 from deepir.optim.solve import solve
 from deepir.priors.penalties.ridge import Ridge
 from deepir.problem import Problem

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deepir.errors import ConfigError
-from deepir.pipeline.frame_order import demand_order, interpolate_missing_motion, interpolation_message
+from deepir.pipeline.schedule import demand_order, interpolate_missing_motion, interpolation_message
 
 
 @pytest.mark.parametrize("select", [None, 8, "8", "2:10", "3:", [4, 5, 6], ":-1"])

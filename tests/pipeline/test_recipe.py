@@ -7,7 +7,7 @@ import deepir
 from deepir.config import load
 from deepir.effects.effect import Effect
 from deepir.errors import ConfigError
-from deepir.pipeline.recipe import make_recipe
+from deepir.pipeline.schedule import make_recipe
 from deepir.registry import components
 from deepir.simulate import Settings, simulate
 

@@ -8,7 +8,7 @@ import deepir
 from deepir.errors import ConfigError
 from deepir.fields.dense_motion import Flow
 from deepir.metrics import scores
-from deepir.operators.homography import displacements
+from deepir.operators.motion_models import displacements
 from deepir.operators.warp import project_pixels
 from deepir.problems.optical_flow import optical_flow
 from deepir.simulate import Settings, simulate

@@ -10,8 +10,8 @@ from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects import gain_drift
 from deepir.errors import ConfigError, DataError
+from deepir.estimation.prior_weight import adapt_weight_map
 from deepir.estimation.single_frame_stray import tv_minimising_fit
-from deepir.estimation.spatial_weights import adapt_weight_map
 from deepir.fields.basis_expansion import DCT, Radial
 from deepir.metrics import scores
 from deepir.problems import narcissus as module

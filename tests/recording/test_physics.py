@@ -7,8 +7,14 @@ from skimage import data
 
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.findings import findings_lines
-from deepir.recording.neighbours import LENGTH, MAX_RUNS, OFFSETS, NeighbouringFrames
-from deepir.recording.thermal_lag import ThermalLag, thermal_lag
+from deepir.recording.thermal_lag import (
+    LENGTH,
+    MAX_RUNS,
+    OFFSETS,
+    NeighbouringFrames,
+    ThermalLag,
+    thermal_lag,
+)
 
 SIZE = (96, 128)
 NOISE = 2.0

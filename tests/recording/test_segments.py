@@ -5,8 +5,7 @@ import pytest
 
 from deepir.correct_recording import correct
 from deepir.errors import ConfigError, DataError
-from deepir.recording.pattern_jumps import pattern_jumps
-from deepir.recording.segments import Segment, segment_at
+from deepir.recording.segments import Segment, pattern_jumps, segment_at
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 JUMP = 62  # first frame with the second pattern

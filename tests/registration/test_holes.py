@@ -5,7 +5,7 @@ import pytest
 import torch
 from registered import apart, camera_of_tones
 
-from deepir.arrays.fill import fill_nearest
+from deepir.arrays.windows import fill_nearest
 from deepir.registration import register
 from deepir.simulate import simulate
 from deepir.simulate.scenes.procedural import procedural

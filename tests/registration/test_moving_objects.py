@@ -10,7 +10,7 @@ from registered import apart, camera_of_tones, simulated
 from deepir.operators.motion_models import identity
 from deepir.registration import moving_objects, register
 from deepir.registration.motion_search import estimate_motion
-from deepir.registration.moving_object_masks import inpaint_background, inpaint_mean, moving_object_mask
+from deepir.registration.moving_objects import inpaint_background, inpaint_mean, moving_object_mask
 from deepir.registration.preprocess import preprocess
 from deepir.simulate import simulate
 from deepir.simulate.scenes.pictures import load_picture as scene

@@ -10,7 +10,7 @@ from torch.testing import assert_close
 from deepir.kernels import threads
 from deepir.operators.motion_models import rotation
 from deepir.registration import register
-from deepir.registration.pyramid import Level, sample
+from deepir.registration.preprocess import Level, sample
 
 
 @pytest.mark.parametrize("camera", [{"n_frames": 3, "max_rotation": 5.0}, {**COUNTS, "dead_pixels": 0.02}])

@@ -2,11 +2,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepir.io.output.palettes import COLOURS, DEVIATIONS, SIGNED, WHITE_HOT, colour_table
-from deepir.report.drawing.axes import Axes
-from deepir.report.drawing.figure import write_figure
-from deepir.report.drawing.scaled_map import MISSING_COLOUR, draw_map, enlarged
-from deepir.report.drawing.ticks import labels, linear_ticks, log_ticks
+from deepir.io.output.tone_mapping import COLOURS, DEVIATIONS, SIGNED, WHITE_HOT, colour_table
+from deepir.report.drawing import (
+    MISSING_COLOUR,
+    Axes,
+    draw_map,
+    enlarged,
+    labels,
+    linear_ticks,
+    log_ticks,
+    write_figure,
+)
 from deepir.report.panels import write_panels
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from deepir.messages import labelled
 from deepir.report.html import write_report
-from deepir.report.maps import MISSING_LEVEL, pack_map
+from deepir.report.panels import MISSING_LEVEL, pack_map
 from deepir.result import neutral
 
 

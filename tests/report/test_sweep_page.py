@@ -2,8 +2,7 @@
 
 import pytest
 
-from deepir.sweep.html import write_report
-from deepir.sweep.table import Row
+from deepir.sweep.table import Row, write_report
 
 HOSTILE = "<img src=x onerror=alert(1)>"
 

@@ -3,7 +3,7 @@
 import pytest
 
 from deepir.messages import DISTRUSTED, NOTES, WARNINGS, Message
-from deepir.report.verdict import verdict
+from deepir.report.html import verdict
 
 
 def test_a_separated_pattern_is_said_in_figures(result):

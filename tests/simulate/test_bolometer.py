@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.detector.bolometer import bolometer_pixels, housing_flux
+from deepir.simulate.detector import bolometer_pixels, housing_flux
 
 CAMERA = Settings(
     n_frames=4, shape=(60, 80), bolometer=True, counts=True, dead_pixels=0.0, tau=10.0, substeps=2

@@ -7,7 +7,7 @@ import pytest
 
 from deepir.errors import ConfigError
 from deepir.simulate import Settings, render, simulate
-from deepir.simulate.detector.thermal_lag import apply_lag, smooth_path
+from deepir.simulate.detector import apply_lag, smooth_path
 
 IDEAL = Settings(
     n_frames=6, shape=(24, 32), scale=2.0, motion="shift", max_shift=4.0, gain_pixel=0.0, gain_column=0.0,

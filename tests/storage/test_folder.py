@@ -12,8 +12,7 @@ import pytest
 
 import deepir.result
 from deepir.errors import ConfigError
-from deepir.storage.folder import RUN_FILES, Record, RunFolder
-from deepir.storage.lock import locked_files, locked_folder
+from deepir.storage.folder import RUN_FILES, Record, RunFolder, locked_files, locked_folder
 
 
 @pytest.fixture
@@ -72,7 +71,7 @@ def test_all_files_of_a_result_are_known():
 
 def test_a_lock_ends_with_its_process_even_by_sigkill(tmp_path):
     program = (
-        "import os, signal, sys; from pathlib import Path; from deepir.storage.lock import locked_folder\n"
+        "import os, signal, sys; from pathlib import Path; from deepir.storage.folder import locked_folder\n"
         "with locked_folder(Path(sys.argv[1])): os.kill(os.getpid(), signal.SIGKILL)"
     )
     done = subprocess.run([sys.executable, "-c", program, tmp_path / "run"], check=False)

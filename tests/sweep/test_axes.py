@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepir.errors import ConfigError, DataError
-from deepir.sweep.axes import SWEEP_FILES, burst_axis, folder_name, parse_axes, split_at_commas
+from deepir.sweep.cells import SWEEP_FILES, burst_axis, folder_name, parse_axes, split_at_commas
 
 PLAIN = st.text("abc0.:- ", min_size=1)
 BRACKETED = st.lists(PLAIN, min_size=1).map(lambda parts: f"[{', '.join(parts)}]")

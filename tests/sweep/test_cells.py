@@ -8,8 +8,7 @@ from documentation import ROOT, blocks
 
 from deepir.errors import ConfigError, DataError
 from deepir.storage.stored import run_into
-from deepir.sweep.axes import burst_axis, parse_axes
-from deepir.sweep.cells import check_cells, check_inputs, make_cells
+from deepir.sweep.cells import burst_axis, check_cells, check_inputs, make_cells, parse_axes
 from deepir.sweep.sweep import prepare
 
 SMALL = "data.simulate={counts: true, shape: [40, 48], max_shift: 4}"

@@ -8,8 +8,6 @@ from PIL import Image
 from deepir.errors import ConfigError
 from deepir.storage.folder import Record, RunFolder
 from deepir.sweep.cells import Cell
-from deepir.sweep.html import write_report
-from deepir.sweep.plots import write_plots
 from deepir.sweep.table import (
     Row,
     check_free,
@@ -19,6 +17,8 @@ from deepir.sweep.table import (
     table_lines,
     write_csv,
     write_markdown,
+    write_plots,
+    write_report,
 )
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 from scipy.optimize import nnls
 from torch import Tensor
 
-from deepir.arrays.noise_level import sample_noise
+from deepir.arrays.statistics import sample_noise
 from deepir.baselines.average import register_burst
 from deepir.build.problem import build
 from deepir.burst import Burst

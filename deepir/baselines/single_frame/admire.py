@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.arrays.noise_level import noise_in_flat_windows
+from deepir.arrays.statistics import noise_in_flat_windows
 from deepir.baselines.average import Array, average_frames, fill_invalid
 from deepir.baselines.single_frame.mire import GAUSSIAN_WIDTHS, midway_equalise
 from deepir.burst import Burst

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
-from deepir.arrays.fill import fill_nearest
+from deepir.arrays.windows import fill_nearest
 from deepir.baselines.average import Array
 from deepir.build.problem import build
 from deepir.burst import Burst

@@ -36,7 +36,7 @@ def analyze(
     file's format.
     """
     from deepir.analysis.burst_assessment import report_lines
-    from deepir.cli.signals import Interrupted, report_aborted
+    from deepir.cli.terminal import Interrupted, report_aborted
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
     from deepir.report.analysis import write_analysis
@@ -103,7 +103,7 @@ def _of_burst(
     path: Path, settings: list[str]
 ) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
     import deepir
-    from deepir.cli.signals import Interruptible
+    from deepir.cli.terminal import Interruptible
     from deepir.messages import labelled, shown
     from deepir.report.progress import show_progress
 

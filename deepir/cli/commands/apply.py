@@ -12,10 +12,10 @@ from deepir.cli.arguments import (
     RECORDING_SETTINGS,
     Overwrite,
     ReadingSettings,
+    held_outputs,
     recording_config,
     recording_radiometry,
 )
-from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def apply(
     data.radiometry, output.palette, output.tones.
     """
     from deepir.calibration import read_maps
-    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
     from deepir.messages import shown
 
     config = recording_config(file, settings or (), RECORDING_SETTINGS)

@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import DATA_SETTINGS, Overwrite, recording_config, split_arguments
-from deepir.cli.outputs import check_output_name, held_outputs
+from deepir.cli.arguments import (
+    DATA_SETTINGS,
+    Overwrite,
+    check_output_name,
+    held_outputs,
+    recording_config,
+    split_arguments,
+)
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -83,7 +89,7 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
 
 def _from_burst(file: str, settings: Sequence[str]) -> CorrectionMaps | int:
     from deepir.calibration import CorrectionMaps
-    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
     from deepir.config import load
     from deepir.report.progress import show_progress
     from deepir.runner import execute, prepare

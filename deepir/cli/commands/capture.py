@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, load_plugins
-from deepir.cli.outputs import check_output_name, held_outputs
+from deepir.cli.arguments import Overwrite, Plugins, check_output_name, held_outputs, load_plugins
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ def capture(
     """Take a burst from a live camera, with advice on its motion: deepir capture burst.npz device=/dev/video2."""
     load_plugins(plugin)
     from deepir.cameras.capture import FREEZE_TIME
-    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
     from deepir.io import write_npz
 
     check_output_name(out, ".npz")
@@ -58,7 +57,7 @@ def capture(
 def _capture(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
     from deepir.cameras.camera import Array
     from deepir.cameras.capture import advice, capture, motion_span
-    from deepir.cli.camera import open_camera
+    from deepir.cli.live_camera import open_camera
 
     def on_frame(frames: Sequence[Array]) -> None:
         next_move = advice(motion_span(frames)) if len(frames) > 1 else "move the camera, in a small circle"

@@ -94,8 +94,8 @@ def _registered_step(config: Config) -> float:
 
     from deepir.burst import load
     from deepir.errors import DataError
-    from deepir.pipeline.recipe import make_recipe
     from deepir.pipeline.register import register_frames
+    from deepir.pipeline.schedule import make_recipe
 
     burst = load(config.data, needs=2)
     some = np.unique(np.linspace(0, len(burst.frames) - 1, MOTION_FRAMES).astype(int))

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, load_plugins, split_arguments
-from deepir.cli.outputs import config_stem
+from deepir.cli.arguments import Overwrite, Plugins, config_stem, load_plugins, split_arguments
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def compare(
     quality.png. The same command again continues an interrupted comparison.
     """
     plugins = load_plugins(plugin)
-    from deepir.sweep.axes import parse_axes
+    from deepir.sweep.cells import parse_axes
     from deepir.sweep.sweep import prepare
 
     fixed, axes = parse_axes(settings or ())
@@ -96,7 +95,7 @@ def batch(
     """
     plugins = load_plugins(plugin)
     from deepir.errors import ConfigError, DataError
-    from deepir.sweep.axes import burst_axis, parse_axes
+    from deepir.sweep.cells import burst_axis, parse_axes
     from deepir.sweep.sweep import prepare
 
     patterns, settings = split_arguments(what)
@@ -136,7 +135,7 @@ def run_and_report(
     Returns:
         The exit status.
     """
-    from deepir.cli.signals import Interrupted, Interruptible
+    from deepir.cli.terminal import Interrupted, Interruptible
 
     status = 0
     try:

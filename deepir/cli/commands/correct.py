@@ -12,10 +12,10 @@ from deepir.cli.arguments import (
     RECORDING_SETTINGS,
     Overwrite,
     ReadingSettings,
+    held_outputs,
     recording_config,
     recording_radiometry,
 )
-from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import echo, notify
 from deepir.messages import labelled
 
@@ -43,7 +43,7 @@ def correct(
     The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.crop, data.swap_bytes,
     data.radiometry, output.palette, output.tones.
     """
-    from deepir.cli.signals import Interrupted, Interruptible, report_aborted
+    from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
 
     config = recording_config(file, settings or (), RECORDING_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
@@ -66,15 +66,15 @@ def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded
     import functools
     from concurrent.futures import ThreadPoolExecutor
 
-    from deepir.cli.signals import Interrupted
-    from deepir.cli.tracking import track
+    from deepir.cli.arguments import track
+    from deepir.cli.terminal import Interrupted
     from deepir.correct_recording import sensor_of_burst
     from deepir.io import atomic_files, stream_data
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording
     from deepir.recording.findings import findings_lines
-    from deepir.report.correction import write_correction
+    from deepir.report.panels import write_correction
 
     data, shown = config.data, config.output
     begun = time.perf_counter()

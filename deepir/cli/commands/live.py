@@ -17,19 +17,19 @@ from deepir.cli.arguments import (
     Overwrite,
     Plugins,
     ReadingSettings,
+    held_outputs,
     load_plugins,
     recording_config,
 )
-from deepir.cli.outputs import held_outputs
 from deepir.cli.terminal import notify
 
 if TYPE_CHECKING:
     from deepir.config.schema import Output
     from deepir.io.output.recording import Array, Write
     from deepir.live.corrector import Corrector
-    from deepir.live.kept_maps import KeptMaps
-    from deepir.live.page.session import Session
-    from deepir.live.playback import CorrectedFrame
+    from deepir.live.page.views import Session
+    from deepir.live.recorder import KeptMaps
+    from deepir.live.sources import CorrectedFrame
 
 STATUS_EVERY = 1.0  # s between two lines of status
 OF_THE_PAGE = ("port", "host", "record_to")  # options
@@ -135,7 +135,7 @@ class _Options:
 
 def _run(options: _Options, corrector: Corrector) -> int:
     """Correct frames until they end, or Ctrl-C; the exit status."""
-    from deepir.cli.signals import Interrupted, Interruptible
+    from deepir.cli.terminal import Interrupted, Interruptible
     from deepir.errors import DataError
 
     status, count, ended = 0, 0, "the recording has ended"
@@ -178,9 +178,8 @@ def _open_source(
     options: _Options, corrector: Corrector, stack: ExitStack
 ) -> tuple[Iterable[Array], KeptMaps | None]:
     """The frames of the camera or of the recording, and the maps that are kept for the camera."""
-    from deepir.cli.camera import open_camera
-    from deepir.cli.live_camera import camera_frames
-    from deepir.live.kept_maps import KeptMaps
+    from deepir.cli.live_camera import camera_frames, open_camera
+    from deepir.live.recorder import KeptMaps
 
     if not options.camera:
         rate = None if options.fast else options.rate
@@ -213,7 +212,7 @@ def _open_page(options: _Options, corrector: Corrector, stack: ExitStack) -> Ses
     """The session of the page; None if no page is wanted."""
     if options.page is None:
         return None
-    from deepir.cli.live_page import open_page
+    from deepir.cli.live_camera import open_page
 
     source, settings = options.source, options.settings
     config = recording_config(source, settings, RECORDING_SETTINGS) if source else None
@@ -229,8 +228,7 @@ def _play(
     stack: ExitStack,
 ) -> Iterator[CorrectedFrame]:
     """Correct, write and show frame after frame, and print the status every second."""
-    from deepir.live.playback import play
-    from deepir.live.virtual_camera import virtual_camera
+    from deepir.live.sources import play, virtual_camera
 
     display = _display(options.settings)
     viewers: list[Callable[[CorrectedFrame], None]] = [session.show] if session else []
@@ -266,7 +264,7 @@ def _finish(
 
         keep(corrector, kept)
     if session and ended:
-        from deepir.cli.live_page import keep_page
+        from deepir.cli.live_camera import keep_page
 
         keep_page(session, ended)
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, Settings, load_plugins
-from deepir.cli.outputs import config_stem
+from deepir.cli.arguments import Overwrite, Plugins, Settings, config_stem, load_plugins
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def resume(
 ) -> int:
     """Finish a run that was interrupted, from its last checkpoint."""
     plugins = load_plugins(plugin)
-    from deepir.cli.signals import Interrupted, Interruptible, report_interrupted
+    from deepir.cli.terminal import Interrupted, Interruptible, report_interrupted
     from deepir.report.progress import show_progress
     from deepir.storage import stored
 
@@ -75,7 +74,7 @@ def run_and_store(config: Config, folder: Path, *, overwrite: bool, plugins: lis
     Returns:
         The exit status.
     """
-    from deepir.cli.signals import Interrupted, Interruptible, report_interrupted
+    from deepir.cli.terminal import Interrupted, Interruptible, report_interrupted
     from deepir.report.progress import show_progress
     from deepir.storage.stored import run_into
 

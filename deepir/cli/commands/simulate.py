@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite
-from deepir.cli.outputs import check_output_name, held_outputs
+from deepir.cli.arguments import Overwrite, check_output_name, held_outputs
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:

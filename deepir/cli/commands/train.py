@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, load_plugins
-from deepir.cli.outputs import check_output_name, held_outputs
+from deepir.cli.arguments import Overwrite, Plugins, check_output_name, held_outputs, load_plugins
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:

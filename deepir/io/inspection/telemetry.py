@@ -1,4 +1,4 @@
-"""Telemetry rows: rows at the upper or lower edge of frames that hold numbers of the camera."""
+"""Rows of a frame that are no picture: telemetry, and frames that were torn while they were transferred."""
 
 from __future__ import annotations
 
@@ -84,3 +84,100 @@ def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
         "telemetry-rows",
         f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off",
     )
+
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
+MIN_SEAM_ROWS = 16  # rows of either part, where only their seam shows it
+MIN_FRAMES = 3  # frames whose common fixed pattern is left out
+BLOCK_SIDE = 4  # px, of blocks within those that a codec leaves as they were
+MAX_EQUAL_BLOCKS = (
+    0.02  # share of them that repeat a neighbour's in the other part; above, a codec repeats rows too
+)
+MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
+CHUNK = 16  # frames that are compared with each other
+COLUMNS = 100  # of wide frames in which seams are sought
+#: Step across a seam over the largest of usual frames, the next largest of its own, and those of the frames beside it.
+MIN_SEAM_RATIO = 1.9
+MAX_EDGE_MOTION = 8  # rows from frame to frame of an edge of the scene, which those frames show too
+
+
+def torn_frames(frames: Array) -> dict[int, int]:
+    """Numbers of torn frames (N, h, w), and the first row of their lower part.
+
+    Either a part of rows is that of a neighbour, sample for sample, or one step from row to row stands out over the
+    whole width. Steps that all frames show are the fixed pattern's.
+    """
+    if frames.shape[1] < 2 * MIN_PART_ROWS or frames.shape[2] < BLOCK_SIDE:
+        return {}
+    found = {k: row for k in range(len(frames)) if (row := _repeated_rows(frames, k))}
+    if len(found) > MAX_REPEATING * len(frames):
+        found = {}
+    for start in range(0, len(frames), CHUNK):
+        some = frames[start : start + CHUNK]
+        if len(some) >= MIN_FRAMES:
+            found |= {start + k: row for k, row in _seams(some).items() if start + k not in found}
+    return dict(sorted(found.items()))
+
+
+def torn_message(torn: dict[int, int], count: int) -> list[str]:
+    """A warning on torn frames of `count`; [] if there are none."""
+    if not torn:
+        return []
+    some = ", ".join(f"{k} (at row {row})" for k, row in torn.items())
+    rest = ", ".join(str(k) for k in range(count) if k not in torn)
+    advice = (
+        f"leave them out: data.frames=[{rest}]" if count <= 2 * CHUNK else "leave them out by data.frames"
+    )
+    return [Message("torn-frames", f"torn frame(s), of two times above and below a row: {some}; {advice}")]
+
+
+def _repeated_rows(frames: Array, k: int) -> int:
+    """First row of the lower part of frame k if one part repeats a neighbour's, else 0."""
+    height = frames.shape[1]
+    for other in (k - 1, k + 1):
+        edge = 0 if other < k else -1  # from which a repeated part reaches inwards
+        if not 0 <= other < len(frames) or (frames[k, edge] != frames[other, edge]).any():
+            continue
+        same = (frames[k] == frames[other]).all(1) & (frames[k] != frames[k][:, :1]).any(1)
+        count = int((same if other < k else same[::-1]).cumprod().sum())
+        row = count if other < k else height - count
+        elsewhere = slice(row, None) if other < k else slice(row)
+        if not MIN_PART_ROWS <= count <= height - MIN_PART_ROWS:
+            continue
+        if _equal_blocks(frames[k, elsewhere], frames[other, elsewhere]) < MAX_EQUAL_BLOCKS:
+            return row
+    return 0
+
+
+def _equal_blocks(part: Array, other: Array) -> float:
+    """Share of the blocks of two parts (h, w) that are equal, sample for sample, and not of one value."""
+    height, width = (side // BLOCK_SIDE * BLOCK_SIDE for side in part.shape)
+    a, b = (
+        each[:height, :width].reshape(height // BLOCK_SIDE, BLOCK_SIDE, width // BLOCK_SIDE, BLOCK_SIDE)
+        for each in (part, other)
+    )
+    return float(((a == b).all((1, 3)) & (a != a[:, :1, :, :1]).any((1, 3))).mean())
+
+
+def _seams(frames: Array) -> dict[int, int]:
+    """Frames in which one step from row to row stands out, and the row below it."""
+    some = frames[:, :, :: max(2, frames.shape[2] // COLUMNS)]
+    steps = np.nan_to_num(np.diff(np.where(np.isfinite(some), some, np.nan).astype(np.float32), axis=1))
+    steps = np.median(np.abs(steps - np.median(steps, axis=0)), axis=-1)  # (N, h - 1)
+    rows, largest = steps.argmax(1), steps.max(1)
+    usual = float(np.median(largest))
+    unit = float(
+        np.array_equal(some, np.rint(some), equal_nan=True)
+    )  # a count: steps of fewer are rounded ones
+    found = {}
+    for k, row in enumerate(rows.tolist()):
+        beside = np.concatenate((steps[k, : max(0, row - 2)], steps[k, row + 3 :]))
+        inside = MIN_SEAM_ROWS <= row + 1 <= frames.shape[1] - MIN_SEAM_ROWS
+        here = slice(max(0, row - MAX_EDGE_MOTION), row + MAX_EDGE_MOTION + 1)
+        near = [steps[other, here].max() for other in (k - 1, k + 1) if 0 <= other < len(frames)]
+        others = float(max(usual, beside.max(initial=0), *near))
+        if inside and usual > 0 and beside.size and largest[k] > max(MIN_SEAM_RATIO * others, others + unit):
+            found[k] = row + 1
+    return found

@@ -13,8 +13,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.extras import import_optional
-from deepir.io.output.palettes import colour_table
-from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, display_limits, stretch
+from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, colour_table, display_limits, stretch
 from deepir.io.output.write import atomic_file
 
 Array = np.ndarray[Any, Any]

@@ -14,8 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.output.palettes import WHITE_HOT
-from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, apply_palette
+from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, WHITE_HOT, apply_palette
 
 PathLike = str | os.PathLike[str]
 

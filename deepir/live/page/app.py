@@ -15,14 +15,11 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from deepir.io.output.palettes import PALETTES
-from deepir.io.output.tone_mapping import TONE_MAPPINGS
+from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS
 from deepir.io.radiometry import unit_metadata
-from deepir.live.page.pictures import png, swatch, tiff
-from deepir.live.page.session import Session
-from deepir.live.page.views import ViewerRequest, respond
-from deepir.live.playback import CorrectedFrame
-from deepir.report.page import WEB_FOLDER, json_for_html
+from deepir.live.page.views import Session, ViewerRequest, png, respond, swatch, tiff
+from deepir.live.sources import CorrectedFrame
+from deepir.report.html import WEB_FOLDER, json_for_html
 
 STATIC = Path(__file__).parent / "static"
 #: What the page loads, and its type: what it shares with the reports, and its own.

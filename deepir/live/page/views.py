@@ -1,20 +1,68 @@
-"""Requests of viewers, and the responses: the newest frame in the palette they ask for, and the status."""
+"""Pictures of the live page and what its viewers see."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Annotated, Any
+import io
+import queue
+from collections.abc import Collection, Mapping
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from PIL import Image
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from deepir.io.output.palettes import PALETTES
-from deepir.io.output.tone_mapping import TONE_MAPPINGS
-from deepir.io.output.write import to_json_types
-from deepir.io.radiometry import unit_metadata
-from deepir.live.page.pictures import jpeg
-from deepir.live.page.session import Command, Session
-from deepir.live.playback import CorrectedFrame
+from deepir.arrays.windows import as_float32
+from deepir.io.output.tone_mapping import (
+    PALETTES,
+    PERCENTILE,
+    TONE_MAPPINGS,
+    WHITE_HOT,
+    apply_palette,
+    colour_table,
+    display_limits,
+    stretch,
+)
+from deepir.io.output.write import save_tiff, to_json_types
+from deepir.io.radiometry import Radiometry, unit_metadata
+from deepir.live.corrector import Corrector
+from deepir.live.recorder import Recorder
+from deepir.live.sources import CorrectedFrame
+
+Array = np.ndarray[Any, Any]
+Limits = tuple[float, float]
+
+JPEG_QUALITY = 90  # of 100: 150 kB for 640 x 480 px in colour
+
+
+def jpeg(frame: Array, palette: str, tones: str) -> tuple[bytes, Limits | None]:
+    """A frame (h, w) to look at, and the values that the palette begins and ends with, if all pixels share them."""
+    values = as_float32(frame)
+    limits = display_limits(values) if tones == PERCENTILE else None
+    shades = stretch(values, *limits) if limits else TONE_MAPPINGS[tones](values)
+    return _encoded(apply_palette(shades, palette), "JPEG", quality=JPEG_QUALITY, subsampling=0), limits
+
+
+def png(frame: Array, palette: str, tones: str) -> bytes:
+    """A frame (h, w) in a palette and tones, without loss."""
+    return _encoded(apply_palette(TONE_MAPPINGS[tones](frame), palette), "PNG")
+
+
+def tiff(frame: Array, metadata: Mapping[str, Any]) -> bytes:
+    """The values of a frame (h, w), float32."""
+    file = io.BytesIO()
+    save_tiff(file, frame, metadata)
+    return file.getvalue()
+
+
+def swatch(palette: str) -> bytes:
+    """The colours of a palette side by side, 256 x 1 px, PNG."""
+    return _encoded(colour_table(palette)[None], "PNG")
+
+
+def _encoded(picture: Array, form: str, **options: int) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, form, **options)
+    return file.getvalue()
 
 
 def _one_of(names: Collection[str]) -> AfterValidator:
@@ -100,3 +148,71 @@ def _unit(frame: CorrectedFrame, session: Session) -> str:
 def _kelvin(values: Any, session: Session) -> Any:
     """The temperature of values, if it is known."""
     return session.radiometry.kelvin(np.asarray(values)) if session.radiometry else None
+
+
+Command = Literal["hold", "learn", "reset", "record", "stop"]  # of a viewer
+
+
+class Session:
+    """The newest frame for viewers in other threads, and their commands.
+
+    Only the newest frame is kept, and nothing is computed until a viewer asks for it. Commands are executed
+    between two frames, in the correcting thread.
+
+    Args:
+        corrector: Of the frames.
+        recorder: For recordings that viewers start.
+        title: Name of the recording or camera.
+        radiometry: Of the frames, if known.
+        palette, tones: That a viewer begins with.
+
+    Attributes:
+        newest: The newest frame; None before the first.
+        ended: Why no more frames come; empty as long as they do.
+    """
+
+    def __init__(
+        self,
+        corrector: Corrector,
+        recorder: Recorder,
+        *,
+        title: str = "",
+        radiometry: Radiometry | None = None,
+        palette: str = WHITE_HOT,
+        tones: str = PERCENTILE,
+    ) -> None:
+        self.recorder, self.title, self.radiometry = recorder, title, radiometry
+        self.palette, self.tones = palette, tones
+        self.newest: CorrectedFrame | None = None
+        self.ended = ""
+        self._corrector = corrector
+        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+
+    def show(self, frame: CorrectedFrame) -> None:
+        """The next frame; executes the commands that wait."""
+        self.recorder.add(frame.raw, frame.corrected)
+        self.newest = frame
+        while not self._commands.empty():
+            self._execute(self._commands.get())
+
+    def end(self, reason: str) -> None:
+        """No more frames come."""
+        self.recorder.stop()
+        self.ended = reason
+
+    def submit(self, command: Command) -> None:
+        """A command of a viewer; executed with the next frame."""
+        self._commands.put(command)
+
+    def _execute(self, command: Command) -> None:
+        match command:
+            case "hold":
+                self._corrector.hold = True
+            case "learn":
+                self._corrector.hold = False
+            case "reset":
+                self._corrector.reset()
+            case "record":
+                self.recorder.start()
+            case "stop":
+                self.recorder.stop()

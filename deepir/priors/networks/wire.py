@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.fields.base import Shape, check_counts
-from deepir.priors.networks.coordinates import Coordinates
+from deepir.priors.networks.base import Coordinates
 from deepir.registry import register
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.arrays.differences import squared_gradient
+from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Shape
 from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 from deepir.priors.penalties.tv import TV

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.arrays.differences import squared_gradient
+from deepir.arrays.windows import squared_gradient
 from deepir.priors.penalties.base import Penalty
 from deepir.registry import register
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.arrays.differences import squared_gradient
+from deepir.arrays.windows import squared_gradient
 from deepir.kernels.dispatch import is_compiled
 from deepir.priors.penalties.smoothed_norm import SmoothedNorm
 from deepir.registry import register

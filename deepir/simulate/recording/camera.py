@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from deepir.io.extras import import_optional
-from deepir.simulate.detector.sensor import fixed_pattern
-from deepir.simulate.detector.thermal_lag import lag_coefficients
+from deepir.simulate.detector import fixed_pattern, lag_coefficients
 from deepir.simulate.recording.settings import RecordingSettings
 
 CLOSURE_DURATION = 0.1  # s that the shutter stays closed

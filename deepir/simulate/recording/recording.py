@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepir.simulate.detector.sensor import expose, fixed_pattern
+from deepir.simulate.detector import expose, fixed_pattern
 from deepir.simulate.files import save_with_truth
 from deepir.simulate.recording.camera import (
     automatic_gain,

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from deepir.simulate.recording import raster
 from deepir.simulate.recording.raster import SAMPLES_PER_PIXEL
-from deepir.simulate.scenes.drawing import Canvas
+from deepir.simulate.scenes.objects import Canvas
 
 #: Unit vectors of the world, see `deepir.simulate.recording.paths`.
 RIGHT, DOWN, AHEAD = np.eye(3)

@@ -7,8 +7,7 @@ import numpy as np
 from deepir.simulate.recording.paths import CAMERA_HEIGHTS, CAMERA_SPEEDS, LANE_CENTRE, PAVEMENT_CENTRE
 from deepir.simulate.recording.settings import RecordingSettings
 from deepir.simulate.recording.surfaces import AHEAD, DOWN, RIGHT, Surface, Texture, cut_out, texture
-from deepir.simulate.scenes.drawing import Canvas
-from deepir.simulate.scenes.objects import person
+from deepir.simulate.scenes.objects import Canvas, person
 
 CAR_SIZE = (1.8, 4.3, 1.4)  # width, length and height, m
 ONCOMING_SPEED = 9.0  # speed of oncoming cars, m/s

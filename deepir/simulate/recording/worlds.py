@@ -8,8 +8,7 @@ from deepir.simulate.recording.paths import CAMERA_SPEEDS, LANE_CENTRE, MAX_PAN_
 from deepir.simulate.recording.settings import RecordingSettings
 from deepir.simulate.recording.surfaces import AHEAD, DOWN, RIGHT, Surface, Texture, World, cut_out, texture
 from deepir.simulate.recording.traffic import box, cars_ahead, cars_below, people, people_across
-from deepir.simulate.scenes.drawing import Canvas, fractal_noise
-from deepir.simulate.scenes.objects import house, tree
+from deepir.simulate.scenes.objects import Canvas, fractal_noise, house, tree
 from deepir.simulate.scenes.procedural import procedural
 
 GROUND_LENGTH = 1500.0  # m at which the ground ends

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.scenes.drawing import Canvas
-from deepir.simulate.scenes.objects import car, deer, house, person, tree, window, wires
+from deepir.simulate.scenes.objects import Canvas, car, deer, house, person, tree, window, wires
 
 
 def procedural(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray:

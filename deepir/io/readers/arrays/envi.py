@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.containers.planes import stream_planes
+from deepir.io.containers.file_bytes import stream_planes
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 

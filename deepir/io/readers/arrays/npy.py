@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib import format as npy_format
 
 from deepir.errors import DataError
-from deepir.io.containers.planes import read_planes
+from deepir.io.containers.file_bytes import read_planes
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 

@@ -1,13 +1,17 @@
-"""Spatially adaptive weights of the scene's penalties: stronger in smooth regions, weaker in texture."""
+"""The weight of the prior of the scene: where it holds, and whether it is too strong."""
 
 from __future__ import annotations
+
+import math
 
 import torch
 from torch import Tensor
 
-from deepir.arrays.differences import squared_gradient
-from deepir.arrays.windows import box_sum
+from deepir.arrays.statistics import masked_values, median, subsample
+from deepir.arrays.windows import box_sum, squared_gradient
+from deepir.joint_problem import AnyProblem
 from deepir.operators import Sensor
+from deepir.priors.penalties.base import Penalty
 from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
 from deepir.problem import Problem
 
@@ -109,3 +113,92 @@ def _information(problem: Problem) -> tuple[Tensor, float]:
 def _mean(image: Tensor, window: int) -> Tensor:
     """Mean over each window of an image (1, 1, H, W), at the border over its inner part."""
     return box_sum(image, window) / box_sum(torch.ones_like(image), window)
+
+
+def weigh_scene(problem: AnyProblem, factor: float = 1.0) -> None:
+    """Set the weights of the scenes' penalties and adapt their state to the present scenes.
+
+    Args:
+        problem: Its penalties are changed.
+        factor: Factor on the weight of the configuration, or on the default weight for the noise.
+    """
+    for name, shown_by in problem.scenes.items():
+        first, averages = shown_by[0], [_average_noise(each) for each in shown_by]
+        with torch.no_grad():
+            scene = problem.fields[name]()
+        for penalty in first.penalties["scene"].values() if "scene" in first.penalties else ():
+            each = [_scene_noise(*one, penalty) for one in zip(shown_by, averages, strict=True)]
+            # Of data sets that show the same scene the information adds up.
+            noise = each[0] if len(each) == 1 else sum(one**-2 for one in each) ** -0.5
+            default = penalty.default_weight(noise)
+            if isinstance(penalty, SpatiallyWeighted) and not penalty.adapts:  # by places, as the others do
+                default *= 2 ** float(first.smoothness_exponent)
+            default *= 2 ** max(float(first.smoothness_exponent) - penalty.smooth_scene_threshold, 0.0)
+            penalty.weight.fill_(factor * (default if penalty.user_weight is None else penalty.user_weight))
+            with torch.no_grad():
+                penalty.adapt(first.shown("scene", scene, penalty), noise)
+
+
+def _average_noise(problem: Problem) -> float:
+    """Standard deviation of the noise of the frames' average."""
+    # Of frames that show the same scene the information adds up.
+    shared = problem.fields["scene"].shape[0] == 1
+    precision = problem.precision.sum(0) if shared else subsample(problem.precision)[0]
+    return median(masked_values(precision, precision > 0)) ** -0.5
+
+
+def _scene_noise(problem: Problem, average: float, penalty: Penalty) -> float:
+    """The same of what a penalty sees of the scene."""
+    first, noise = problem.operator.named()[0][1], average * problem.operator.noise_gain
+    if penalty.acts_on_pixels and first.moves:  # it sees pixels, not the spline's coefficients
+        noise /= first.noise_gain
+    return noise
+
+
+#: Excess of the squared residual over pure noise from which a scene is oversmoothed, noise variances per pixel.
+MAX_EXCESS_MISFIT = 0.1
+#: Fraction of the scene that must be flat for the test: beside much texture the residual varies by more.
+MIN_FLAT_FRACTION = 0.4
+#: Factor on the weight of a penalty that oversmooths.
+WEIGHT_REDUCTION = 2**-0.5
+
+
+@torch.no_grad()
+def store_reference_misfit(problem: Problem) -> None:
+    """Store the squared residual of the present estimate, obtained with a weak prior, as the reference."""
+    problem.reference_misfit.copy_(_squared_residual(problem))
+
+
+def is_oversmoothed(problem: AnyProblem) -> bool:
+    """Whether the prior has removed more than noise from a scene; False if the test does not apply."""
+    return any(map(_is_oversmoothed, problem.data_sets))
+
+
+def _is_oversmoothed(problem: Problem) -> bool:
+    flat = _flat_fraction(problem)
+    if not flat > MIN_FLAT_FRACTION:
+        return False
+    taken = float(_squared_residual(problem) - problem.reference_misfit) / int(problem.alive().sum())
+    return taken - flat > MAX_EXCESS_MISFIT
+
+
+def reduce_weight(problem: AnyProblem) -> None:
+    """Multiply the weights of the penalties by `WEIGHT_REDUCTION` where a scene is oversmoothed."""
+    for each in filter(_is_oversmoothed, problem.data_sets):
+        for penalty in each.penalties["scene"].values():
+            penalty.weight.mul_(WEIGHT_REDUCTION)
+
+
+@torch.no_grad()
+def _squared_residual(problem: Problem) -> torch.Tensor:
+    return 2 * problem.misfit(problem.values(), (), problem.precision)
+
+
+@torch.no_grad()
+def _flat_fraction(problem: Problem) -> float:
+    """Fraction of the scene that its penalty flattens; NaN unless there is one penalty with an automatic weight."""
+    penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
+    if len(penalties) != 1 or penalties[0].user_weight is not None:
+        return math.nan
+    scene = problem.values()["scene"]
+    return penalties[0].fraction_shrunk_to_zero(problem.shown("scene", scene, penalties[0]))

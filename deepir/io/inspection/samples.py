@@ -1,0 +1,249 @@
+"""The samples of a file: how they are stored, and which of them say nothing of the scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import convolve
+
+from deepir.errors import DataError
+from deepir.messages import Message
+
+Array = np.ndarray[Any, Any]
+MAX_CLIPPED_SHARE = 0.5  # share of a frame at the ends of the range from which its samples are kept
+
+
+def is_contrast_stretched(frames: Array) -> bool:
+    """True if frames may have individual contrasts: 8 bits, or all of one range.
+
+    An automatic gain control gives such frames, and so does normalisation of each frame to [0, 1]. Pixels at an end of
+    the range in all frames are dead and are ignored.
+
+    Args:
+        frames: (N, h, w), NaN where unknown.
+    """
+    if has_eight_bits(frames):
+        return True
+    ends = [frames == end for end in (np.nanmin(frames), np.nanmax(frames))]
+    return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
+
+
+def has_eight_bits(frames: Array) -> bool:
+    """True if frames (N, h, w), NaN where unknown, hold nothing but integers from 0 to 255."""
+    low, high = np.nanmin(frames), np.nanmax(frames)
+    return bool(low >= 0 and 1 < high <= 255) and np.array_equal(frames, np.rint(frames), equal_nan=True)
+
+
+def clipped_samples(frames: Array) -> Array:
+    """Samples of frames (N, h, w), bool, at an end of the range; none of frames that mostly are."""
+    cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
+    return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MAX_CLIPPED_SHARE))
+
+
+MAX_SHARE = 0.2  # of the pixels; more: the frames hardly change
+MIN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
+MIN_PIXELS = 20  # fewer are defective ones
+COMMON_VALUES, MIN_COMMON_SHARE = 3, 0.6  # shades of what is drawn, and share of its pixels that have them
+
+
+def drawn_pixels(frames: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Such pixels (h, w) of frames (N, h, w), bool, side by side; none of frames that are all alike."""
+    same = (frames == frames[:1]).all(0)
+    if len(frames) < 2 or same.mean() > MAX_SHARE:
+        return np.zeros_like(same)
+    around = convolve(same.astype(np.int8), np.ones((3, 3), np.int8), mode="constant") - same
+    drawn: np.ndarray[Any, np.dtype[np.bool_]] = same & (around >= MIN_NEIGHBOURS)
+    shades = np.sort(np.unique(frames[0][drawn], return_counts=True)[1])
+    is_drawn = drawn.sum() >= MIN_PIXELS and shades[-COMMON_VALUES:].sum() >= MIN_COMMON_SHARE * drawn.sum()
+    return drawn if is_drawn else np.zeros_like(same)
+
+
+def drawn_message(drawn: np.ndarray[Any, np.dtype[np.bool_]]) -> list[str]:
+    """A warning on such pixels (h, w); [] if there are none."""
+    if not drawn.any():
+        return []
+    y, x = drawn.nonzero()
+    return [
+        Message(
+            "drawn-pixels",
+            f"{len(y)} pixel(s) between rows {y.min()} and {y.max()}, columns {x.min()} and {x.max()} hold one value "
+            "in all frames: text or marks that are drawn over the picture, or cut off at an end of the range. "
+            "data.mask, or data.crop, leaves them out",
+        )
+    ]
+
+
+#: Of GDAL, Pix4D, ENVI, NetCDF and others, for floats and signed integers.
+FILL_VALUES = (
+    *(-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -10000.0, -32768.0, -32767.0, -2147483648.0),
+    *(-3.4028234663852886e38, 3.4028234663852886e38, 1e20, -1e20, 9.969209968386869e36, -1e30, 1e30, -1e31),
+)
+UNSIGNED_FILL = 65535.0  # of 16-bit counts
+MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
+SAMPLES = 100_000  # that the range of the others is measured of
+
+Frames = np.ndarray[Any, np.dtype[np.float32]]
+
+
+def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dtype[np.bool_]] | None:
+    """Samples that hold a fill value, further away from all others than their range.
+
+    Args:
+        frames: (N, h, w), float32.
+        stored: Type that they were stored in: unsigned counts have no fill value but the largest of 16 bits.
+
+    Returns:
+        (N, h, w) bool; None if there are none.
+    """
+    if stored.kind == "u" and stored.itemsize != 2:
+        return None
+    values = (UNSIGNED_FILL,) if stored.kind == "u" else FILL_VALUES
+    if stored.kind == "f":
+        values = (*values, 0.0)
+    found = None
+    least, largest = np.fmin.reduce(frames, axis=None), np.fmax.reduce(frames, axis=None)
+    for value in (each for each in values if least <= np.float32(each) <= largest):
+        if not (lost := frames == np.float32(value)).any() or lost.all():
+            continue
+        others = frames[~lost]
+        others = others[:: max(1, len(others) // SAMPLES)]
+        others = others[np.isfinite(others) & ~np.isin(others, np.array(values, np.float32))]
+        if not len(others):
+            continue
+        low, high = float(others.min()), float(others.max())
+        gap = MIN_ZERO_GAP if value == 0 else 1.0
+        if max(low - value, value - high) > gap * (high - low):
+            found = lost if found is None else found | lost
+    return found
+
+
+ADC_LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # largest integers of common converters
+CHANCE_COUNT = 20  # samples that may share an end of the range by chance
+PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
+NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
+
+
+def saturated_samples(frames: Array) -> Array | None:
+    """Samples that are cut off at an end of the range.
+
+    Integers cannot exceed the largest value of a converter. A cut-off end of the range holds many more samples than any
+    neighbouring value. Pixels at the end in all frames are ignored: they may be dead.
+
+    Args:
+        frames: (N, h, w), NaN where unknown.
+
+    Returns:
+        (N, h, w), int8: 1 at the top, -1 at the bottom, else 0; None if nothing is cut off.
+    """
+    found = np.zeros(frames.shape, np.int8)
+    for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
+        there = frames == end
+        passing = int((there & ~(there | np.isnan(frames)).all(0)).sum())
+        limit = end in ADC_LIMITS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
+        if (passing and limit) or (passing >= CHANCE_COUNT and _piled_up(sign * frames, passing)):
+            found[there] = sign
+    return found if found.any() else None
+
+
+def _piled_up(frames: Array, count: int) -> bool:
+    """True if `count` is far above the number of samples at any value next to the largest."""
+    _, counts = np.unique(frames[np.isfinite(frames)], return_counts=True)
+    return len(counts) > 1 and count > PILE_UP_RATIO * counts[-NEIGHBOUR_VALUES - 1 : -1].max()
+
+
+SAMPLED_FRAMES = 4  # frames that are inspected
+SAMPLED_SIDE = 512  # rows and columns of them
+MIN_HIGH_BYTES = 32  # values of the high byte from which it varies like a low byte
+MIN_BYTES_RATIO = 2.0  # values of the high byte over those of the low byte in samples of swapped bytes
+MAX_ROUGHNESS_RATIO = (
+    1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
+)
+MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swapped, which alone is enough
+MAX_EXTENT, MAX_LIKELY_EXTENT = (
+    22.0,
+    20.0,
+)  # powers of two of samples whose bytes are swapped, and are not
+SIGNED_GAP = (
+    8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
+)
+MAX_IN_GAP = 0.01  # share of the samples that may lie in it all the same
+
+
+def in_order(frames: Array, swap: bool | None, source: str, *, advice: str = "") -> Array:
+    """Frames (N, h, w) with the bytes of each sample in the right order.
+
+    Args:
+        frames: As stored.
+        swap: Whether to swap the bytes; None: no, and it is an error where they look swapped.
+        source: The file, for messages.
+        advice: What else to do about it.
+
+    Raises:
+        DataError: They look swapped, and `swap` does not say.
+    """
+    if swap:
+        return swapped(frames)
+    if swap is None and are_swapped(frames):
+        raise DataError(
+            f"{source}: the bytes of its samples look swapped, as of big-endian numbers that a file calls "
+            f"little-endian: data.swap_bytes=true swaps them, data.swap_bytes=false takes them as they are{advice}"
+        )
+    return frames
+
+
+def swapped(frames: Array) -> Array:
+    """Integers with the bytes of each in the opposite order."""
+    found: Array = np.ma.getdata(frames).byteswap()
+    return np.ma.masked_array(found, np.ma.getmaskarray(frames)) if np.ma.isMaskedArray(frames) else found
+
+
+def are_swapped(frames: Array) -> bool:
+    """Whether samples (N, h, w) are likelier with their bytes swapped.
+
+    The low byte of 16-bit counts takes many values, the high byte few; and pictures are smooth. Longer numbers of
+    swapped bytes are far from those that pictures hold.
+    """
+    if frames.dtype.itemsize > 2:
+        return _extent(frames) > MAX_EXTENT > MAX_LIKELY_EXTENT > _extent(frames.byteswap())
+    if frames.dtype.kind not in "iu" or frames.dtype.itemsize != 2:
+        return False
+    some = _some(frames)
+    if some.any() and not (some & 0xFF).all():  # counts that are aligned to the left, such as 14 bits x 4
+        spare = int(np.bitwise_or.reduce(some, axis=None))
+        some = some >> ((spare & -spare).bit_length() - 1)
+    low, high = (np.unique(part).size for part in (some & 0xFF, some >> 8))
+    here, other = _roughness(some), _roughness(some.byteswap())
+    varied = high >= MIN_HIGH_BYTES and high >= MIN_BYTES_RATIO * low
+    return (varied and other < MAX_ROUGHNESS_RATIO * here) or here > MIN_ROUGHNESS_RATIO * other > 0
+
+
+def have_wrapped(frames: Array) -> bool:
+    """Whether counts above 32767 have become negative in signed 16-bit samples (..., h, w), none around zero."""
+    if frames.dtype.newbyteorder("=") != np.int16:
+        return False
+    some = _some(frames).view(np.int16)
+    above, below = some >= SIGNED_GAP, (some < -SIGNED_GAP) & (some > np.iinfo(np.int16).min + 1)
+    return bool(above.any() and below.any() and 1 - (above | below).mean() < MAX_IN_GAP)
+
+
+def _some(frames: Array) -> Array:
+    """Some frames of (..., h, w) as unsigned integers of the machine's order of bytes."""
+    frames = np.ma.getdata(frames).reshape(-1, *frames.shape[-2:])
+    some = frames[:: -(-len(frames) // SAMPLED_FRAMES), :SAMPLED_SIDE, :SAMPLED_SIDE]
+    return some.astype(some.dtype.newbyteorder("="), copy=False).view(np.uint16)
+
+
+def _extent(frames: Array) -> float:
+    """Powers of two between one and a typical sample; below one they count for floats only."""
+    some = np.abs(np.ma.getdata(frames)[:1, :SAMPLED_SIDE, :SAMPLED_SIDE].astype(np.float64))
+    powers = np.log2(some[np.isfinite(some) & (some > 0)])
+    return float(np.median(np.abs(powers) if frames.dtype.kind == "f" else powers)) if powers.size else 0.0
+
+
+def _roughness(frames: Array) -> float:
+    """Mean step from sample to sample over the mean deviation from the median, of (N, h, w)."""
+    values = frames.astype(np.float32)
+    spread = float(np.abs(values - np.median(values)).mean())
+    steps = min(float(np.abs(np.diff(values, axis=axis)).mean()) for axis in (-1, -2))
+    return steps / spread if spread else 0.0

@@ -1,1 +1,0 @@
-"""From flux to data: fixed pattern, defects, noise, thermal lag."""
