@@ -24,10 +24,10 @@ from written import write
 
 import deepir
 from deepir.effects.noise import update_noise
+from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
 from deepir.fields.dense_motion import Flow
 from deepir.fields.motion import Homography
-from deepir.fields.pixels import Pixels
 from deepir.metrics import scores
 from deepir.operators import Chain, Sensor, Warp
 from deepir.operators.motion_models import displacements

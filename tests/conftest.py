@@ -53,9 +53,9 @@ def small_nuc():
 
     `make(...)` returns the problem, at the true motion and with the scene near the true one.
     """
+    from deepir.fields.base import Pixels
     from deepir.fields.constant import Constant
     from deepir.fields.motion import Shift
-    from deepir.fields.pixels import Pixels
     from deepir.fields.sensor_maps import Column, Pixel, Row, SumField
     from deepir.operators import Sensor, Warp
     from deepir.priors.penalties.ridge import Ridge

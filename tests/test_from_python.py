@@ -9,9 +9,9 @@ import torch
 import deepir
 from deepir import registry
 from deepir.errors import ConfigError, DataError
+from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
 from deepir.fields.motion import Shift
-from deepir.fields.pixels import Pixels
 from deepir.fields.sensor_maps import Column, SumField
 from deepir.operators import Sensor, Warp
 from deepir.optim.solve import solve

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
-from deepir.fields.pixels import Pixels
 from deepir.fields.sensor_maps import Column, Pixel, SumField
 from deepir.joint_problem import JointProblem
 from deepir.operators import Chain, Sensor

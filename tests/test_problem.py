@@ -3,8 +3,8 @@
 import pytest
 import torch
 
+from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
-from deepir.fields.pixels import Pixels
 from deepir.fields.sensor_maps import Column, Pixel, SumField
 from deepir.likelihoods import Huber
 from deepir.operators import Blur, Chain, Sensor, Warp

@@ -24,8 +24,8 @@ from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity
 from deepir.operators import Chain, Operator, Sensor, Warp
+from deepir.operators.base import Trajectory
 from deepir.operators.motion_models import Canvas, Geometry, footprint, locate_first_frame
-from deepir.operators.trajectory import Trajectory
 from deepir.priors.penalties.base import Penalty
 from deepir.problem import Problem
 from deepir.registry import lookup

@@ -14,18 +14,14 @@ import typer
 
 import deepir
 from deepir.cli.commands.analyze import analyze
-from deepir.cli.commands.apply import apply
-from deepir.cli.commands.calibrate import calibrate
-from deepir.cli.commands.capture import capture
+from deepir.cli.commands.apply import apply, calibrate
+from deepir.cli.commands.capture import capture, simulate
 from deepir.cli.commands.check import check
 from deepir.cli.commands.compare import batch, compare
 from deepir.cli.commands.correct import correct
-from deepir.cli.commands.demo import demo
 from deepir.cli.commands.listing import list_components
 from deepir.cli.commands.live import live
-from deepir.cli.commands.run import resume, run
-from deepir.cli.commands.simulate import simulate
-from deepir.cli.commands.train import train
+from deepir.cli.commands.run import demo, resume, run, train
 from deepir.cli.terminal import echo, notify, printed_warnings, standard_streams
 from deepir.errors import DeepIRError, SolverError
 

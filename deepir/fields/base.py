@@ -1,4 +1,4 @@
-"""The interface of fields, and Gaussian ones."""
+"""The interface of fields, and the plain ones: pixels, a number, a constant."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import torch
 from torch import Tensor, nn
+
+from deepir.registry import register
 
 if TYPE_CHECKING:
     from deepir.fields.sensor_maps import GaussianMap
@@ -102,3 +104,48 @@ class GaussianField(Field):
         self.register_buffer("sigma", torch.tensor(sigma or 0.0))
         #: Change of the value per unit of a parameter, see `Field`.
         self.register_buffer("preconditioning_scale", torch.tensor(1.0))
+
+
+@register("field", "pixels")
+class Pixels(Field):
+    """One free value for each element: the scene's pixels, or the level of each frame."""
+
+    center: Tensor
+    scale: Tensor
+
+    def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
+        super().__init__(shape, neutral)
+        self.values = nn.Parameter(torch.zeros(self.shape))
+        self.register_buffer("center", torch.tensor(float(neutral)))
+        self.register_buffer("scale", torch.tensor(1.0))
+
+    def forward(self) -> Tensor:
+        """`center + scale * values`."""
+        return self.center + self.scale * self.values
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take the value over; its mean and deviation become centre and scale."""
+        value = value.to(self.values).expand(self.shape)
+        deviation = value.std() if value.numel() > 1 else value.new_zeros(())
+        self.center.copy_(value.mean())
+        self.scale.copy_(torch.where(deviation > 0, deviation, torch.ones_like(deviation)))
+        self.values.copy_((value - self.center) / self.scale)
+
+
+@register("field", "uniform")
+class Scalar(Field):
+    """One number for all elements, such as a time constant that all pixels share."""
+
+    def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
+        super().__init__(shape, neutral)
+        self.value = nn.Parameter(torch.tensor(float(neutral)))
+
+    def forward(self) -> Tensor:
+        """The number, expanded."""
+        return self.value.expand(self.shape)
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """The mean."""
+        self.value.copy_(value.to(self.value).mean())

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.kernels.compile import compiled
-from deepir.kernels.constants import DETERMINANTS_PER_LOG
+from deepir.kernels.dispatch import DETERMINANTS_PER_LOG
 
 
 @compiled

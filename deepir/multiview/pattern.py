@@ -1,18 +1,15 @@
-"""The sensor's pattern from frames of different scenes, of which none can be registered to another.
-
-`deepir.multiview.gradients` holds the statistics of the frames. The parts of gain and offset are Gaussian, with
-standard deviations of maximum marginal likelihood. Low-order slopes are common to many scenes (the sky is above): a
-polynomial that all frames share is attributed to the scenes, unless the offset has a `shading`.
-"""
+"""The pattern that frames of different scenes share."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy import ndimage
 from scipy.fft import dctn, idctn
 from torch import Tensor
 
@@ -20,9 +17,94 @@ from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
+from deepir.kernels.block_means import block_means
 from deepir.multiview.coloured_pixels import ColouredPixels
 from deepir.multiview.gradients import AXES, Edges, WhiteParts, median_gradients
-from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
+from deepir.multiview.low_order_pattern import coarsening, is_implausible, low_order_part, low_order_pattern
+from deepir.multiview.texture_flow import TEXTURE_SIGMA, displacements
+
+Array = np.ndarray[Any, Any]
+
+#: Pairs of frames, half the recording apart, that are compared.
+PAIRS = 5
+DETAIL = 5  # px, of the box average that is taken off for the fine part of what all frames share
+#: Deviation of the coarser texture that all frames share, in that of its fine part, from which it may be a scene's:
+#: white pixels have 0.2, a raw pattern that hides the scene 0.3 to 0.7, a camera at rest behind a shutter 2.
+SCENE_RATIO = 1.0
+#: Share of the frame that two frames of a camera at rest both show, at least, and upper quartile of its displacements,
+#: px, at most.
+SHARED, REST = 0.5, 1.0
+
+
+def is_at_rest(frames: Array, usable: Array) -> bool:
+    """Whether frames (N, h, w) show the same scene at the same place, whatever moves through it."""
+    shared = median_pattern(frames, usable)
+    coarse = ndimage.uniform_filter(shared, DETAIL)
+    detail, texture = shared - coarse, coarse - ndimage.gaussian_filter(shared, TEXTURE_SIGMA)
+    if np.median(np.abs(texture)) < SCENE_RATIO * np.median(np.abs(detail)):
+        return False
+    factor, half = coarsening(frames.shape[1:]), len(frames) // 2
+    blocks = block_means(frames - detail, usable, factor)
+    first = np.unique(np.linspace(0, len(frames) - half - 1, PAIRS).round().astype(int))
+    shares, quartiles = [], []
+    for found in displacements(blocks, [(k, k + half) for k in first]):
+        moved = np.hypot(*found.vectors)[found.known]
+        shares.append(found.known.mean())
+        quartiles.append(np.quantile(moved, 0.75) * factor if moved.size else np.inf)
+    return bool(np.median(shares) >= SHARED and np.median(quartiles) <= REST)
+
+
+GAIN_ROUNDS = 10  # of reweighting
+#: Largest gradients of the pattern, in their root mean square, that count: of a defect they say nothing.
+GRADIENT_LIMIT = 6.0
+#: Gradients that say the same: those of neighbours.
+CORRELATED_GRADIENTS = 4.0
+#: Root mean square of (f_k - 1) in its standard errors, and by itself, from which frames have gains of their own.
+SIGNIFICANCE, MIN_SPREAD = 4.0, 0.05
+
+
+def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | None:
+    """Gains (N,) of frames (N, h, w), of geometric mean one; None where they are not clearly different.
+
+    Args:
+        frames: in any units.
+        usable: which samples count, same shape.
+        pattern: what they share, (h, w).
+    """
+    found = [pattern_gain(frame, good, pattern) for frame, good in zip(frames, usable, strict=True)]
+    gains, errors = torch.stack([each[0] for each in found]), torch.stack([each[1] for each in found])
+    if not bool((gains > SIGNIFICANCE * errors).all()):
+        return None
+    gains = gains / gains.log().mean().exp()
+    apart = gains - gains.median()
+    spread = float((apart / errors).square().mean().sqrt())
+    return gains if spread > SIGNIFICANCE and float(apart.square().mean().sqrt()) > MIN_SPREAD else None
+
+
+def pattern_gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tensor]:
+    """How strong the pattern (h, w) is in a frame, and the standard error of that."""
+    steps, shared = [], []
+    for axis in AXES:
+        counts = usable.narrow(axis, 1, usable.shape[axis] - 1) & usable.narrow(
+            axis, 0, usable.shape[axis] - 1
+        )
+        steps.append(frame.double().diff(dim=axis)[counts])
+        shared.append(pattern.double().diff(dim=axis)[counts])
+    y, p = torch.cat(steps), torch.cat(shared)
+    bulk = p.abs() < GRADIENT_LIMIT * p.square().mean().sqrt()
+    y, p = y[bulk], p[bulk]
+    gain, weight = y.new_ones(()), torch.ones_like(y)
+    for _ in range(GAIN_ROUNDS):
+        gain = (weight * y * p).sum() / (weight * p * p).sum().clamp_min(1e-300)
+        rest = (y - gain * p).square()
+        weight = 1 / (rest.median().clamp_min(1e-300) + rest)
+    variance = (
+        CORRELATED_GRADIENTS
+        * (weight.square() * rest * p * p).sum()
+        / (weight * p * p).sum().square().clamp_min(1e-300)
+    )
+    return gain, variance.sqrt()
+
 
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
 DEGREE = 8  # of the polynomial that scenes share

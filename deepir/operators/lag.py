@@ -7,8 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from deepir.operators.base import Operator, Shape
-from deepir.operators.trajectory import Trajectory
+from deepir.operators.base import Operator, Shape, Trajectory
 from deepir.registry import register
 
 #: Smallest time constant, in time steps; below, a pixel follows at once.

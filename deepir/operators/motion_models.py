@@ -11,7 +11,7 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from deepir.kernels.constants import MIN_DEPTH
+from deepir.kernels.dispatch import MIN_DEPTH
 from deepir.operators import Chain, Warp
 from deepir.operators.warp import project_pixels
 

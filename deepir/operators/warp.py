@@ -5,11 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from deepir.kernels.constants import MAX_ENTRY, MIN_DEPTH
-from deepir.kernels.dispatch import is_compiled
-from deepir.operators.base import Operator, Shape
+from deepir.kernels.dispatch import MAX_ENTRY, MIN_DEPTH, is_compiled
+from deepir.operators.base import Operator, Shape, Trajectory
 from deepir.operators.bspline import MIN_CANVAS_SIDE, NOISE_GAIN, SplineWarp, sample, to_pixels, warp_adjoint
-from deepir.operators.trajectory import Trajectory
 from deepir.registry import register
 
 EVERY_FRAME = Trajectory()

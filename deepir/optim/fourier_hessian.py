@@ -13,8 +13,8 @@ from torch import Tensor
 
 from deepir.arrays.statistics import median_sigma
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
+from deepir.fields.base import Pixels
 from deepir.fields.motion import Motion
-from deepir.fields.pixels import Pixels
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import displacement_at
 from deepir.optim.low_order_model import Variances, pattern_variances

@@ -12,7 +12,7 @@ from deepir.burst import Burst
 from deepir.effects.outliers import observed
 from deepir.effects.saturation import bounded, clipping_message
 from deepir.effects.shading import added_flux
-from deepir.estimation.uncertainty import uncertainty
+from deepir.estimation.prior_weight import uncertainty
 from deepir.fields.line_noise import LineNoise
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.messages import Message

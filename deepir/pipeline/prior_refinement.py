@@ -20,7 +20,7 @@ from deepir.config import Config
 from deepir.config.components import validate
 from deepir.config.schema import Fit
 from deepir.estimation.prior_weight import is_oversmoothed, reduce_weight, weigh_scene
-from deepir.fields.pixels import Pixels
+from deepir.fields.base import Pixels
 from deepir.joint_problem import AnyProblem
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.problem import Problem

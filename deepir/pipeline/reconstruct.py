@@ -17,7 +17,7 @@ from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
 from deepir.effects.gain_drift import has_exposures
 from deepir.errors import ConfigError, DataError
-from deepir.estimation.uncertainty import pattern_cost_db
+from deepir.estimation.prior_weight import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.operators.motion_models import homographies
 from deepir.optim.objective import Checkpoint, hold_out

@@ -1,17 +1,46 @@
-"""The method `recording`: a whole recording corrected as by `deepir correct`, for runs, comparisons and batches."""
+"""Methods as the pipeline calls them, and that of whole recordings."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from deepir.burst import Burst
 from deepir.config import Config
+from deepir.config.components import options_schema, validate
 from deepir.io.inspection.samples import has_eight_bits
 from deepir.recording.correct import CorrectedRecording
-from deepir.registry import register
+from deepir.registry import lookup, register
 from deepir.result import Result, neutral
+
+
+def chosen(config: Config) -> tuple[str, Callable[..., Result]]:
+    """The name of `config.method`, and the method with its options.
+
+    What is returned is called as `method(burst, config, callbacks=..., checkpoint=...)`; a method that has no use for
+    the last two need not take them.
+
+    Raises:
+        ConfigError: No method has this name, or it does not take these options.
+    """
+    given = config.method if isinstance(config.method, dict) else {"type": config.method}
+    name = str(given.get("type", "joint"))
+    method = lookup("method", name, "method")
+    options = {key: value for key, value in given.items() if key != "type"}
+    values = validate(options_schema(method), options, f"method '{name}'")
+    takes = inspect.signature(method).parameters
+
+    @functools.wraps(method)
+    def run(*data: Any, **context: Any) -> Result:
+        result: Result = method(*data, **{k: v for k, v in context.items() if k in takes}, **values)
+        return result
+
+    return name, run
 
 
 @register("method", "recording")

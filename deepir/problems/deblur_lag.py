@@ -9,10 +9,10 @@ from typing import ClassVar
 import torch
 
 from deepir.build.problem import PIXELS_WITH_TV, build_scene
-from deepir.fields.scalar import Scalar
+from deepir.fields.base import Scalar
 from deepir.messages import Message
 from deepir.operators import Lag, Warp
-from deepir.operators.trajectory import Trajectory
+from deepir.operators.base import Trajectory
 from deepir.optim.low_order_model import apply_lag
 from deepir.optim.solve import solve
 from deepir.problem import Problem

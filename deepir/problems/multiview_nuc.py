@@ -16,10 +16,8 @@ from deepir.estimation.prior_weight import weigh_scene
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.messages import Message
-from deepir.multiview.camera_at_rest import is_at_rest
-from deepir.multiview.frame_gains import frame_gains
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
-from deepir.multiview.pattern import find_pattern, shrink_shading
+from deepir.multiview.pattern import find_pattern, frame_gains, is_at_rest, shrink_shading
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.recipe import Recipe

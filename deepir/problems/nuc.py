@@ -7,8 +7,7 @@ from typing import Any, ClassVar
 import torch
 
 from deepir.effects.sensor_pattern import pattern_to_noise
-from deepir.estimation.prior_weight import adapt_weight_map, store_reference_misfit
-from deepir.estimation.uncertainty import pattern_cost_db
+from deepir.estimation.prior_weight import adapt_weight_map, pattern_cost_db, store_reference_misfit
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem

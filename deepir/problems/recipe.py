@@ -1,4 +1,4 @@
-"""What a problem's recipe is: how it is initialised, scheduled and reported."""
+"""What the recipes of problems share; the problem `generic` has nothing else."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import torch
 
 from deepir.effects.effect import Effect
 from deepir.estimation.prior_weight import weigh_scene
-from deepir.joint_problem import JointProblem
+from deepir.joint_problem import AnyProblem, JointProblem
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
-from deepir.registry import lookup
+from deepir.registry import lookup, register
 from deepir.schedule import Schedule, Stage, Step
 
 
@@ -162,3 +162,24 @@ def _forget_pattern(problem: Any) -> None:
             part.assign(torch.zeros_like(part.values))
             if not part.sigma_is_fixed:
                 part.sigma.zero_()
+
+
+@register("problem", "generic")
+class Generic(Recipe):
+    """Any operator and any unknowns: all are estimated together; gain and offset in closed form where they have one."""
+
+    several = True
+    effect_names = (
+        "saturation",
+        "bad_pixels",
+        "frame_gain",
+        "frame_offset",
+        "noise",
+        "sensor_pattern",
+        "shading",
+        "outliers",
+    )
+
+    def initialise(self, problem: AnyProblem, seed: int) -> None:
+        """All samples are fitted."""
+        self.start(problem)

@@ -14,7 +14,7 @@ from deepir.recording.alignment import REFINE_SIGMA, TURN, Links, Spectrum, refi
 from deepir.recording.burst import Burst
 from deepir.recording.canvas import Canvas, centred, project
 from deepir.recording.consensus import gradient_consensus
-from deepir.recording.noise import noise_deviation
+from deepir.recording.defective_pixels import noise_deviation
 
 Array = np.ndarray[Any, Any]
 

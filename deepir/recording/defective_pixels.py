@@ -1,8 +1,4 @@
-"""Pixels of a camera that do not respond to the scene, or are not steady, from frames of a moving scene.
-
-What a pixel should show is known from registered frames, or else is the median of its neighbours. A constant offset is
-no defect, however large.
-"""
+"""Defective pixels, and the noise of a sample."""
 
 from __future__ import annotations
 
@@ -14,6 +10,22 @@ from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.median_filter import median_filter
 
 Array = np.ndarray[Any, Any]
+
+FRAMES_OF_NOISE = 8  # that the noise is measured in
+
+
+def noise_deviation(frames: Array) -> float:
+    """Robust standard deviation of a sample's noise, from mixed second differences of frames (N, h, w)."""
+    some = frames[:: max(1, len(frames) // FRAMES_OF_NOISE)]
+    mixed = some[:, 1:, 1:] - some[:, :-1, 1:] - some[:, 1:, :-1] + some[:, :-1, :-1]
+    return max(MAD_TO_SIGMA * float(np.nanmedian(np.abs(mixed))) / 2, float(np.finfo(np.float32).tiny))
+
+
+def rounding_deviation(frame: Array) -> float:
+    """Standard deviation of the rounding error of the samples of a frame (h, w); zero of a uniform one."""
+    steps = np.diff(np.unique(frame[np.isfinite(frame)]))
+    return float(steps.min()) / 12**0.5 if steps.size else 0.0
+
 
 FRAMES = 24  # of all, that are looked at
 CLEAR = 10.0  # nats by which a constant is likelier than the scene, of a pixel that does not respond

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.multiview.texture_flow import Displacement, displacements, sampled
+from deepir.recording.defective_pixels import noise_deviation
 from deepir.recording.joint_solve import LowOrderSystem, low_order_step
 from deepir.recording.low_order import (
     LowOrderModes,
@@ -22,7 +23,6 @@ from deepir.recording.low_order import (
     low_order_equations,
     low_order_modes,
 )
-from deepir.recording.noise import noise_deviation
 from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius, shared_share
 
 Array = np.ndarray[Any, Any]

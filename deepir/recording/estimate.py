@@ -28,11 +28,16 @@ from deepir.recording.bursts import (
     find_burst,
     shared_pattern,
 )
-from deepir.recording.defective_pixels import defective_pixels, of_neighbours, some_frames
+from deepir.recording.defective_pixels import (
+    defective_pixels,
+    noise_deviation,
+    of_neighbours,
+    rounding_deviation,
+    some_frames,
+)
 from deepir.recording.displaced import enlarged, fine_part, low_order_part, solve_low_order
 from deepir.recording.joint_solve import SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes
-from deepir.recording.noise import noise_deviation, rounding_deviation
 
 Array = np.ndarray[Any, Any]
 

@@ -14,7 +14,7 @@ from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
 from deepir.multiview.low_order_pattern import coarsening
 from deepir.multiview.texture_flow import Displacement, displacements, sampled
-from deepir.recording.noise import noise_deviation
+from deepir.recording.defective_pixels import noise_deviation
 
 Array = np.ndarray[Any, Any]
 

@@ -205,7 +205,7 @@ def test_simulate_takes_a_picture(deepir, folder):
 
 
 def test_demo_prints_what_it_gains_and_runs_again(deepir, folder, monkeypatch):
-    monkeypatch.setattr(sys.modules["deepir.cli.commands.demo"], "DEMO_SHAPE", (40, 48))
+    monkeypatch.setattr(sys.modules["deepir.cli.commands.run"], "DEMO_SHAPE", (40, 48))
     for _ in range(2):
         status, out, err = deepir("demo")
         assert status == 0, err

@@ -24,7 +24,7 @@ ENDED = {
     "metrics.json",
 }
 PLUGIN = '''
-from deepir.fields.pixels import Pixels
+from deepir.fields.base import Pixels
 from deepir.registry import register
 
 @register("field", "my_pixels")

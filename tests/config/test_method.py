@@ -8,7 +8,7 @@ from pydantic import Field
 from deepir import registry
 from deepir.config import dump, load, read
 from deepir.errors import ConfigError
-from deepir.pipeline.method import chosen
+from deepir.pipeline.whole_recording import chosen
 from deepir.registry import register
 
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from deepir.fields.pixels import Pixels
+from deepir.fields.base import Pixels
 
 
 def test_any_value_is_represented_with_its_pedestal():

@@ -6,7 +6,7 @@ from scipy import ndimage
 from skimage import data
 
 import deepir
-from deepir.multiview.frame_gains import frame_gains
+from deepir.multiview.pattern import frame_gains
 
 SIZE = (96, 112)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from deepir.operators import Chain, Lag, Sensor, Warp
-from deepir.operators.trajectory import Trajectory
+from deepir.operators.base import Trajectory
 from deepir.testing import check_operator
 
 FPS = 60.0

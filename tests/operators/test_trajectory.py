@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepir.operators.trajectory import Trajectory
+from deepir.operators.base import Trajectory
 
 
 def test_one_instant_a_frame_is_the_frames_own():

@@ -89,10 +89,10 @@ def test_it_stands_aside_for_other_scenes_than_pixels_behind_a_warp(problem):
 
 def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
     """With it, a few iterations tell a slope of the scene from one of the stray flux."""
+    from deepir.fields.base import Pixels
     from deepir.fields.basis_expansion import DCT
     from deepir.fields.constant import Constant
     from deepir.fields.motion import Shift
-    from deepir.fields.pixels import Pixels
     from deepir.operators import Add, Sensor, Warp
     from deepir.problem import Problem
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from deepir.errors import DataError, SolverError
+from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
-from deepir.fields.pixels import Pixels
 from deepir.operators import Chain, Operator, Sensor
 from deepir.optim.objective import held_out_error
 from deepir.optim.solve import solve

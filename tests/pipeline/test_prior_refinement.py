@@ -12,7 +12,7 @@ from deepir.errors import ConfigError, DeepIRError
 from deepir.optim.solve import solve
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.pipeline.schedule import plan
-from deepir.problems.generic import Generic
+from deepir.problems.recipe import Generic
 from deepir.registry import lookup
 from deepir.storage.checkpoint import FileCheckpoint
 

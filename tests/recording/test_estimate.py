@@ -8,8 +8,7 @@ import deepir
 from deepir.correct_recording import correct
 from deepir.errors import DataError
 from deepir.recording.consensus import gradient_consensus
-from deepir.recording.defective_pixels import defective_pixels, of_neighbours
-from deepir.recording.noise import rounding_deviation
+from deepir.recording.defective_pixels import defective_pixels, of_neighbours, rounding_deviation
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 

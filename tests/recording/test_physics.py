@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
+from deepir.recording.correct import findings_lines
 from deepir.recording.estimate import SensorEstimate
-from deepir.recording.findings import findings_lines
 from deepir.recording.thermal_lag import (
     LENGTH,
     MAX_RUNS,

@@ -72,8 +72,7 @@ def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded
     from deepir.io import atomic_files, stream_data
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
-    from deepir.recording.correct import CorrectedRecording
-    from deepir.recording.findings import findings_lines
+    from deepir.recording.correct import CorrectedRecording, findings_lines
     from deepir.report.panels import write_correction
 
     data, shown = config.data, config.output

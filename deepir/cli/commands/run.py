@@ -1,4 +1,4 @@
-"""`deepir run` and `deepir resume`."""
+"""The commands `run`, `demo` and `train`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, Settings, config_stem, load_plugins
+from deepir.cli.arguments import (
+    Overwrite,
+    Plugins,
+    Settings,
+    check_output_name,
+    config_stem,
+    held_outputs,
+    load_plugins,
+)
 from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.config import Config
     from deepir.result import Result
+    from deepir.training.training import TrainingProgress
 
 
 def run(
@@ -107,3 +116,93 @@ def report_result(result: Result, folder: Path) -> None:
     echo(
         f"results: {folder}/result.npz, {folder}/scene.tiff; to look at: {folder}/report.html, {folder}/summary.png"
     )
+
+
+DEMO_FOLDER = Path("runs/demo")  # where the demo writes
+DEMO_SHAPE = (256, 320)  # height and width of its frames, px
+
+
+def demo() -> int:
+    """Correct a simulated burst of five frames in counts; results and pictures in runs/demo/."""
+    from deepir.cli.commands.run import run_and_store
+    from deepir.config import load
+    from deepir.simulate import Settings, simulate
+    from deepir.storage.folder import RunFolder
+
+    folder = RunFolder(DEMO_FOLDER)
+    with folder.lock():
+        folder.check_free(overwrite=True)
+        burst = simulate(None, Settings(n_frames=5, shape=DEMO_SHAPE, counts=True, max_rotation=1.0), seed=0)
+        path, truth = burst.save(DEMO_FOLDER / "burst.npz")
+    echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
+    config = load("nuc", [f"data.path={path}", f"data.truth={truth}"])
+    status = run_and_store(config, DEMO_FOLDER, overwrite=True, plugins=[])
+    if status == 0:
+        _compare()
+    return status
+
+
+def _compare() -> None:
+    """PSNR of one frame, of the registered average, and of the result."""
+    import json
+
+    from deepir.config import read
+    from deepir.metrics import scores
+    from deepir.runner import execute, prepare
+
+    config = read(DEMO_FOLDER / "config.yaml").model_copy(update={"method": "average"})
+    data = prepare(config)
+    rows = {
+        "one frame": scores(data.frames[0], data.truth["scene"]),
+        "registered average": execute(config, data).metrics,
+        "deepir": json.loads((DEMO_FOLDER / "metrics.json").read_text(encoding="utf-8")),
+    }
+    echo("PSNR after the best gain and level:")
+    for name, found in rows.items():
+        echo(f"  {name:<20} {found['psnr_aligned']:6.2f} dB")
+
+
+REPORT_INTERVAL = 250  # iterations between two lines of progress
+
+
+def train(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="What to train: see `deepir list`.", show_default=False)
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.safetensors", help="File of the weights; default: NAME.safetensors."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of initial weights and training samples.")] = 0,
+    iterations: Annotated[
+        int | None, typer.Option(min=0, help="Number of iterations; default: that of the training.")
+    ] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Number of threads; the weights depend on it.")] = 1,
+    overwrite: Overwrite = False,
+    plugin: Plugins = None,
+) -> None:
+    """Train a network on the CPU: deepir train denoiser."""
+    load_plugins(plugin)
+    import torch
+
+    import deepir
+    from deepir import weights
+    from deepir.registry import lookup
+    from deepir.training import training
+
+    kind = lookup("training", name, "train")
+    path = out or Path(f"{name}.safetensors")
+    check_output_name(path, ".safetensors")
+    torch.set_num_threads(threads)
+    about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
+    about |= {"deepir": deepir.__version__, "torch": torch.__version__}
+    with held_outputs(path, overwrite=overwrite):
+        network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
+        weights.save(network, path, about)
+    echo(f"weights: {path}")
+
+
+def _report_progress(now: TrainingProgress) -> None:
+    if now.iteration % REPORT_INTERVAL == 0 or now.iteration == now.iterations:
+        left = now.seconds / now.iteration * (now.iterations - now.iteration)
+        echo(f"{now.iteration}/{now.iterations}: loss {now.loss:.4f}, about {left:.0f} s to go", err=True)

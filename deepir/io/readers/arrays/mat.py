@@ -10,8 +10,7 @@ import numpy as np
 import scipy.io
 
 from deepir.errors import DataError
-from deepir.io.containers.matlab_elements import check_elements
-from deepir.io.containers.named_arrays import can_be_frames, choose_array
+from deepir.io.containers.named_arrays import can_be_frames, check_elements, choose_array
 from deepir.io.guards import check_size
 from deepir.io.readers import Array
 
