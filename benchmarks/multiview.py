@@ -21,7 +21,7 @@ from deepir.metrics import scores
 from deepir.report.panels import write_panels
 from deepir.result import Result
 from deepir.simulate import Settings, Simulation, simulate
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 PICTURES = "coffee,rocket,coins,brick,chelsea,clock,cell,retina,immunohistochemistry,stereo_motorcycle"
 SEEDS = (101, 102, 103)

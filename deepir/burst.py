@@ -14,7 +14,7 @@ import torch
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, fit_truth, read_data, read_mask, read_truth, validate
-from deepir.io.frames import is_banded
+from deepir.io.frames import is_banded, select_frames, selected_in_float32, to_float32, unselected_pairs
 from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
@@ -27,7 +27,6 @@ from deepir.io.inspection.samples import (
 )
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows, torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
-from deepir.io.selection import select_frames, selected_in_float32, to_float32, unselected_pairs
 from deepir.messages import Message
 
 Array = np.ndarray[Any, Any]

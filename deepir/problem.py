@@ -14,8 +14,7 @@ from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity, Gaussian
 from deepir.operators import Chain, Operator, Sensor
 from deepir.operators.base import slots_of
-from deepir.priors.penalties.base import Penalty
-from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
+from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
 from deepir.registered_average import RegisteredAverage
 
 Values = dict[str, Tensor]

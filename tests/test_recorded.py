@@ -9,7 +9,7 @@ from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.runner import prepare
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 SMALL = {"counts": True, "shape": [40, 48], "max_shift": 4, "motion": "shift"}
 

@@ -34,7 +34,7 @@ def median(values: Tensor) -> float:
     ):
         return float(values.median())
     from deepir.kernels.compile import parallel_for
-    from deepir.kernels.median import median as median_of_bits
+    from deepir.kernels.median_filter import median as median_of_bits
 
     found = torch.empty(1)
     parallel_for(median_of_bits, 1, values.contiguous().flatten().view(torch.int32), found.view(torch.int32))

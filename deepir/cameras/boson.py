@@ -6,7 +6,7 @@ import warnings
 
 from deepir.cameras.camera import Array, Camera
 from deepir.errors import DataError
-from deepir.io.extras import import_optional
+from deepir.io.guards import import_optional
 from deepir.registry import register
 
 

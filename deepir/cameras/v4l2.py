@@ -8,7 +8,7 @@ from typing import Any
 
 from deepir.cameras.camera import Array, Camera
 from deepir.errors import DataError
-from deepir.io.extras import import_optional
+from deepir.io.guards import import_optional
 from deepir.registry import register
 
 PIXEL_FORMAT = "gray16le"  # FFmpeg's name of 16-bit grey, little-endian (Y16)

@@ -16,10 +16,9 @@ import deepir
 from deepir.cli.commands.analyze import analyze
 from deepir.cli.commands.apply import apply, calibrate
 from deepir.cli.commands.capture import capture, simulate
-from deepir.cli.commands.check import check
+from deepir.cli.commands.check import check, list_components
 from deepir.cli.commands.compare import batch, compare
 from deepir.cli.commands.correct import correct
-from deepir.cli.commands.listing import list_components
 from deepir.cli.commands.live import live
 from deepir.cli.commands.run import demo, resume, run, train
 from deepir.cli.terminal import echo, notify, printed_warnings, standard_streams

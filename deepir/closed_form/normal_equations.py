@@ -100,7 +100,7 @@ def gradient_and_loss(prediction: Tensor, data: Tensor, precision: Tensor) -> tu
 def gradient_and_loss_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
     """`gradient_and_loss` in one pass over the frames, by a compiled loop."""
     from deepir.kernels.compile import parallel_for
-    from deepir.kernels.weighted_least_squares import weighted_residuals
+    from deepir.kernels.normal_equations import weighted_residuals
 
     prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
     gradient = torch.empty_like(prediction)
@@ -126,7 +126,7 @@ def sensor_gradients_and_loss(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def sensor_gradients_and_loss_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """`sensor_gradients_and_loss` in one pass over the frames, by a compiled loop."""
     from deepir.kernels.compile import parallel_for
-    from deepir.kernels.weighted_least_squares import sensor_weighted_residuals
+    from deepir.kernels.normal_equations import sensor_weighted_residuals
 
     flux, data, precision, gain, offset, level, variances, system = given
     frames = [each.contiguous().flatten(1, -2) for each in (flux, data, precision)]

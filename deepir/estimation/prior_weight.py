@@ -13,8 +13,7 @@ from deepir.arrays.windows import box_sum, squared_gradient
 from deepir.joint_problem import AnyProblem
 from deepir.operators import Sensor
 from deepir.optim.fourier_hessian import spline_response, variance_spectrum
-from deepir.priors.penalties.base import Penalty
-from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
+from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
 from deepir.problem import Problem
 
 #: Side of the windows over which gradients are averaged, px.

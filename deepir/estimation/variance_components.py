@@ -121,7 +121,7 @@ def reference_level_nats(information: Tensor, means: Tensor, sigma: Tensor, leve
 def _nats(values: Tensor, inliers: Tensor, sigma: np.ndarray) -> Expansion:
     """Expansion of twice the mean negative log posterior in the logarithms of the standard deviations."""
     from deepir.kernels.compile import parallel_for
-    from deepir.kernels.marginal_likelihood import negative_log_likelihood
+    from deepir.kernels.normal_equations import negative_log_likelihood
 
     sums, (u, v) = torch.empty(6, dtype=torch.float64), sigma**2
     parallel_for(negative_log_likelihood, 1, values, inliers, u, v, sums)

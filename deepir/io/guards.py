@@ -1,8 +1,9 @@
-"""Checks of all readers: plausible sizes, and colours that carry numbers."""
+"""Guards of input and output: files, their size, and packages that a format needs."""
 
 from __future__ import annotations
 
 import functools
+import importlib
 import logging
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,29 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
+
+
+def import_optional(library: str, extra: str, what: str) -> Any:
+    """Import a library that only some formats need.
+
+    Args:
+        library: Name of the module.
+        extra: Extra of deepir that installs it.
+        what: File or option that needs it, for the message.
+
+    Returns:
+        The module.
+
+    Raises:
+        DataError: It is not installed; the message names the extra.
+    """
+    try:
+        return importlib.import_module(library)
+    except ImportError:
+        raise DataError(
+            f"{what}: this needs {library}, which is not installed: pip install 'deepir[{extra}]'"
+        ) from None
+
 
 GIB = 2**30  # bytes
 MAX_ARRAY_BYTES = 8 * GIB  # largest array that is read at once

@@ -10,10 +10,9 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.frames import to_stack
+from deepir.io.frames import to_float32, to_stack
 from deepir.io.inspection.checks import Mask
 from deepir.io.readers.arrays import npz
-from deepir.io.selection import to_float32
 from deepir.paths import expanded
 
 Shape = tuple[int, int]

@@ -1,9 +1,5 @@
 # mypy: disable-error-code="no-untyped-def"
-"""Passes over the pixels' normal equations; see `deepir.closed_form.normal_equations` for what they compute.
-
-A range is of bands of `ROWS_PER_BAND` rows. Columns are summed by band, so that no two parts of a range write to the
-same element.
-"""
+"""Residuals weighted, and the normal equations of gain and offset solved."""
 
 from __future__ import annotations
 
@@ -11,6 +7,79 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 from deepir.kernels.dispatch import DETERMINANTS_PER_LOG
+
+
+@compiled
+def weighted_residuals(first, last, prediction, data, precision, weighted, nats):
+    """Rows [first, last) of (rows, w): the `weighted` residuals, and their part of the sum, `nats` (rows)."""
+    for i in range(first, last):
+        p, y, w, into, total = prediction[i], data[i], precision[i], weighted[i], 0.0
+        for j in range(len(p)):
+            residual = p[j] - y[j]
+            into[j] = w[j] * residual
+            total += residual * into[j]
+        nats[i] = total / 2
+
+
+@compiled
+def sensor_weighted_residuals(
+    first, last, flux, data, precision, gain, offset, level, u, v, system, slope, nats, drift
+):
+    """Rows [first, last) of frames (N, h, w) that a sensor made of `flux`, with gain and offset (h, w).
+
+    The `slope` in the flux, (N, h, w), the rows' parts of the sum, `nats` (N, h), and of its slope in the level,
+    `drift`. To the slope comes what the covariance of a pixel's own gain and offset makes of the flux; u and v are
+    their prior variances, `system` (aa, ab) that of all others.
+    """
+    for i in range(first, last):
+        g, o = gain[i], offset[i]
+        for k in range(len(flux)):
+            z, y, w, into = flux[k, i], data[k, i], precision[k, i], slope[k, i]
+            less, total, along = level[k], 0.0, 0.0
+            if u > 0:
+                aa, ab = system[0, i], system[1, i]
+                for j in range(len(z)):
+                    residual = g[j] * z[j] + o[j] + less - y[j]
+                    weighted = w[j] * residual
+                    into[j] = g[j] * weighted + w[j] * ((u - u * u * aa[j]) * z[j] - u * v * ab[j])
+                    total += residual * weighted
+                    along += weighted
+            else:
+                for j in range(len(z)):
+                    residual = g[j] * z[j] + o[j] + less - y[j]
+                    weighted = w[j] * residual
+                    into[j] = g[j] * weighted
+                    total += residual * weighted
+                    along += weighted
+            nats[k, i], drift[k, i] = total / 2, along
+
+
+@compiled
+def negative_log_likelihood(first, last, values, counts, u, v, sums):
+    """Sums over those of the values (aa, ab, bb, s, t), (5, K), that count (K,), for variances u and v: `sums` (6,).
+
+    Of `log det(1 + A V) - s' V (1 + A V)^-1 s`, of its slope in u and v, and of its curvature (uu, uv, vv).
+    """
+    nats, by_u, by_v, by_uu, by_uv, by_vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for start in range(0, values.shape[1], DETERMINANTS_PER_LOG):
+        product = 1.0
+        for k in range(start, min(start + DETERMINANTS_PER_LOG, values.shape[1])):
+            aa, ab, bb, s, t = values[0, k], values[1, k], values[2, k], values[3, k], values[4, k]
+            one, whole = 1.0 if counts[k] else 0.0, aa * bb - ab * ab
+            system = 1 + u * aa + v * bb + u * v * whole
+            # (1 + A V)^-1 times A, and times s.
+            scale = one / system
+            p, q, r = (aa + v * whole) * scale, ab * scale, (bb + u * whole) * scale
+            x, y = (s + v * (bb * s - ab * t)) * scale, (t + u * (aa * t - ab * s)) * scale
+            product *= system if counts[k] else 1.0
+            nats -= u * s * x + v * t * y
+            by_u, by_v = by_u + p - x * x, by_v + r - y * y
+            by_uu += p * (2 * x * x - p)
+            by_uv += q * (2 * x * y - q)
+            by_vv += r * (2 * y * y - r)
+        nats += np.log(product)
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = nats, by_u, by_v, by_uu, by_uv, by_vv
+
 
 #: Rows of a band, the unit of parallel work.
 ROWS_PER_BAND = 32

@@ -15,7 +15,7 @@ from deepir.cameras.camera import Camera
 from deepir.cameras.capture import FRAME_TIMEOUT, POLL_INTERVAL
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io.extras import import_optional
+from deepir.io.guards import import_optional
 from deepir.io.output.tone_mapping import TONE_MAPPINGS, apply_palette
 from deepir.io.raw import clear_unused_bits, sample_type
 from deepir.kernels import memory

@@ -17,7 +17,7 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.config.components import make
 from deepir.errors import ConfigError, nearest
-from deepir.io.selection import select_frames
+from deepir.io.frames import select_frames
 from deepir.joint_problem import AnyProblem
 from deepir.messages import Message
 from deepir.operators.motion_models import rescale_motion

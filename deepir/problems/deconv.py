@@ -15,11 +15,10 @@ from deepir.estimation.cross_validation import (
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
 from deepir.fields.psf.airy import Airy
-from deepir.fields.psf.base import PSF
+from deepir.fields.psf.base import PSF, Simplex
 from deepir.fields.psf.defocus import Defocus
 from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
-from deepir.fields.psf.simplex import Simplex
 from deepir.messages import Message
 from deepir.optim import objective
 from deepir.optim.objective import hold_out

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.kernels.compile import parallel_for
-from deepir.kernels.shared_gradients import shared_gradients
+from deepir.kernels.gradients import shared_gradients
 
 Array = np.ndarray[Any, Any]
 

@@ -23,7 +23,7 @@ from deepir.simulate.detector import (
 from deepir.simulate.events import observe
 from deepir.simulate.files import save_with_truth
 from deepir.simulate.optics.blur import psf
-from deepir.simulate.optics.parallax import dense_flow, parallax, relief
+from deepir.simulate.optics.parallax import dense_flow, parallax, relief, stray_flux
 from deepir.simulate.optics.rendering import (
     draw_scene,
     homographies,
@@ -32,9 +32,7 @@ from deepir.simulate.optics.rendering import (
     render_reference,
     visible_reach,
 )
-from deepir.simulate.optics.stray_flux import stray_flux
-from deepir.simulate.scenes.pictures import Scene
-from deepir.simulate.scenes.procedural import procedural
+from deepir.simulate.scenes.procedural import Scene, procedural
 from deepir.simulate.settings import DEFAULT_SETTINGS, Settings
 from deepir.simulate.views import render_own_scenes
 

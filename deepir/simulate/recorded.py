@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.errors import ConfigError
 from deepir.simulate.burst import Simulation, simulate
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 from deepir.simulate.settings import Settings, settings_from_mapping
 
 

@@ -16,8 +16,7 @@ from deepir.simulate.optics.rendering import (
     render_reference,
     visible_reach,
 )
-from deepir.simulate.scenes.pictures import Scene
-from deepir.simulate.scenes.procedural import procedural
+from deepir.simulate.scenes.procedural import Scene, procedural
 from deepir.simulate.settings import Settings
 
 

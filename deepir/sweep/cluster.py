@@ -78,7 +78,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    from deepir.sweep.uninterrupted import IgnoreInterrupts
+    from deepir.sweep.work import IgnoreInterrupts
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters, cells report
     settings = {

@@ -1,11 +1,14 @@
-"""The work of a worker: one cell."""
+"""A run of a sweep in a process of its own."""
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+
+from distributed import Worker, WorkerPlugin
 
 from deepir.config import Config, Data
 from deepir.config.schema import Output, Solver
@@ -15,6 +18,17 @@ from deepir.runner import execute, prepare
 from deepir.simulate import Settings, simulate
 from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
+
+
+class IgnoreInterrupts(WorkerPlugin):
+    """Ignore Ctrl-C, which a terminal sends to the workers too; each would end with a traceback."""
+
+    name = "deepir-uninterrupted"
+
+    def setup(self, worker: Worker) -> None:
+        """Called in the main thread of each worker as it starts, replacements included."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
 
 #: One run at a time: torch's seed and the package's log belong to the process.
 PROCESS_LOCK = threading.Lock()

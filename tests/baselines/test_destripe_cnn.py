@@ -8,8 +8,7 @@ from skimage.transform import resize
 
 from deepir.baselines.single_frame.destripe_cnn import destripe
 from deepir.metrics import scores
-from deepir.simulate.scenes.pictures import load_picture
-from deepir.simulate.scenes.procedural import procedural
+from deepir.simulate.scenes.procedural import load_picture, procedural
 
 
 def scene(name="camera"):

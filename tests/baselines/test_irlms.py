@@ -5,7 +5,7 @@ import numpy as np
 from deepir.baselines.online import frame_sequence, gain_and_offset, normalise
 from deepir.baselines.registered.irlms import learn_correction, warp_bilinear
 from deepir.simulate import render
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 FULL = 16383  # of 14 bits
 

@@ -6,7 +6,7 @@ import pytest
 import deepir
 from deepir.baselines.single_frame.low_order_bias import block_means, estimate_bias, legendre_products
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 NOISE = 0.5  # counts, standard deviation
 

@@ -9,7 +9,7 @@ import pytest
 import deepir
 from deepir.registry import components
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 RIVALS = [
     name for name, each in components("method").items() if each.__module__.startswith("deepir.baselines")

@@ -11,7 +11,7 @@ from deepir.baselines.single_frame.bicubic import enlarge
 from deepir.baselines.single_frame.vdsr import sharpen
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 CLEAN = {
     "gain_pixel": 0.0, "gain_column": 0.0, "offset_pixel": 0.0, "offset_column": 0.0, "offset_row": 0.0,

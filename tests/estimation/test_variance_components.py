@@ -7,7 +7,7 @@ from torch.autograd.functional import hessian, jacobian
 from deepir.effects.sensor_pattern import high_order
 from deepir.estimation.variance_components import estimate_sigmas
 from deepir.kernels.compile import parallel_for
-from deepir.kernels.marginal_likelihood import negative_log_likelihood
+from deepir.kernels.normal_equations import negative_log_likelihood
 
 COUNT = 4000
 

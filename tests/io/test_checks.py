@@ -3,8 +3,8 @@ import pytest
 
 from deepir.errors import DataError
 from deepir.io import crop, validate
+from deepir.io.frames import selected_in_float32
 from deepir.io.inspection.checks import unrecorded_samples
-from deepir.io.selection import selected_in_float32
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from PIL import Image
 
 from deepir.errors import DeepIRError
 from deepir.io import read_frames, readers, stream_frames
-from deepir.io.selection import to_float32
+from deepir.io.frames import to_float32
 from deepir.runner import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)

@@ -9,7 +9,7 @@ import deepir
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
 from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
 ONE = {"threads": 1}

@@ -12,7 +12,7 @@ from registered import FAINT, SHAPE, errors, simulated
 from deepir.registration import register
 from deepir.registration.preprocess import variance_stabilise
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import load_picture as scene
+from deepir.simulate.scenes.procedural import load_picture as scene
 
 
 @pytest.mark.parametrize("name", ["camera", "moon", "gravel", "astronaut", "grass"])

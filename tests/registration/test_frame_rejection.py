@@ -8,7 +8,7 @@ from registered import COUNTS, SHAPE, apart, camera_of_tones, errors, simulated
 from deepir.registration import register, shift_likelihood
 from deepir.registration.preprocess import fill_bad_pixels, variance_stabilise
 from deepir.simulate import simulate
-from deepir.simulate.scenes.pictures import load_picture as scene
+from deepir.simulate.scenes.procedural import load_picture as scene
 from deepir.simulate.scenes.procedural import procedural, sky
 
 

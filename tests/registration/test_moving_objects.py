@@ -13,7 +13,7 @@ from deepir.registration.motion_search import estimate_motion
 from deepir.registration.moving_objects import inpaint_background, inpaint_mean, moving_object_mask
 from deepir.registration.preprocess import preprocess
 from deepir.simulate import simulate
-from deepir.simulate.scenes.pictures import load_picture as scene
+from deepir.simulate.scenes.procedural import load_picture as scene
 from deepir.simulate.scenes.procedural import procedural, sky
 
 WALKER = {"walker": 0.5, "walker_contrast": 0.3}

@@ -14,7 +14,7 @@ from deepir.registration import (
 )
 from deepir.registration.preprocess import variance_stabilise
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import load_picture as scene
+from deepir.simulate.scenes.procedural import load_picture as scene
 from deepir.simulate.scenes.procedural import procedural, sky
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
-from deepir.simulate.scenes.pictures import load_picture
+from deepir.simulate.scenes.procedural import load_picture
 
 VIEWS = Settings(n_frames=3, shape=(32, 40), own_scenes=True, dead_pixels=0.0)
 

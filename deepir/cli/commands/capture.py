@@ -113,7 +113,7 @@ def _burst(settings: list[str], scene: str | None, seed: int) -> Callable[[], Si
     """Check the settings of a burst; a function that simulates it."""
     from deepir import simulate as camera
     from deepir.config.overrides import parse_settings
-    from deepir.simulate.scenes.pictures import load_picture
+    from deepir.simulate.scenes.procedural import load_picture
     from deepir.simulate.settings import settings_from_mapping, settings_schema
 
     burst = settings_from_mapping(dict(parse_settings(settings, settings_schema())))

@@ -1,4 +1,4 @@
-"""Point-spread functions with one width."""
+"""Point spread functions as fields: the interface, a fixed one, and a free one."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from deepir.errors import ConfigError
 from deepir.fields.base import Field, Shape
+from deepir.fields.constant import Constant, read_map
 from deepir.fields.motion import PARAMETER_SCALE
+from deepir.registry import register
 
 #: Largest width, px.
 MAX_WIDTH = 1e2
@@ -89,3 +92,67 @@ def pixel_average(axis: Tensor, function: Callable[[Tensor, Tensor], Tensor]) ->
     ) / POINTS_PER_PIXEL - 0.5
     fine = (axis[:, None] + inside).flatten()
     return F.avg_pool2d(function(fine, fine[:, None])[None, None], POINTS_PER_PIXEL)[0, 0]
+
+
+@register("field", "kernel")
+class Kernel(Constant):
+    """A known point-spread function from a file, scaled to sum one; one pixel without.
+
+    Its sides are odd, and up to the slot's (2 r + 1, 2 r + 1), in whose middle it is put.
+    """
+
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, path: str | None = None) -> None:
+        super().__init__(shape, 0.0)
+        given = torch.ones(1, 1, 1) if path is None else read_map(path)
+        rest = [whole - side for whole, side in zip(shape[-2:], given.shape[-2:], strict=True)]
+        if len(given) > 1 or min(rest) < 0 or any(each % 2 for each in rest):
+            raise ConfigError(
+                f"{path}: a point-spread function has odd sides of up to {shape[-2]} px, "
+                f"not {tuple(given.shape[-2:])}; the blur's radius is half of that"
+            )
+        total = float(given.sum())
+        if not 0 < total < float("inf"):
+            raise ConfigError(f"{path}: a point-spread function has a positive sum, not {total:g}")
+        top, left = (each // 2 for each in rest)
+        self.values[..., top : shape[-2] - top, left : shape[-1] - left] = given / total
+
+    @classmethod
+    def example(cls) -> Kernel:
+        """A kernel of 3 x 3 px."""
+        return cls((1, 1, 3, 3))
+
+
+#: Smallest initial value relative to the largest: exact zeros would remain zero.
+MIN_INITIAL_RATIO = 1e-4
+
+
+@register("field", "simplex")
+class Simplex(Field):
+    """Free values that are not negative and sum to one: a point-spread function of any shape.
+
+    They are squares, scaled. It starts as a narrow Gaussian; from a file with `init`.
+    """
+
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int]) -> None:
+        super().__init__(shape, neutral)
+        self.preconditioning_scale = PARAMETER_SCALE / (size[0] * size[1]) ** 0.5
+        self.values = nn.Parameter(torch.zeros(self.shape))
+        y, x = (torch.arange(side) - side // 2 for side in self.shape[-2:])
+        self.init_from(torch.exp(-(x**2 + y[:, None] ** 2) / 2.0))
+
+    def forward(self) -> Tensor:
+        """`values² / Σ values²`."""
+        squares = self.values.square()
+        return squares / squares.sum()
+
+    @torch.no_grad()
+    def init_from(self, value: Tensor) -> None:
+        """Take over what is not negative, scaled to sum one."""
+        value = value.to(self.values).expand(self.shape).clamp(min=0)
+        value = value.clamp(min=MIN_INITIAL_RATIO * float(value.max()))
+        self.values.copy_((value / value.sum()).sqrt() / self.preconditioning_scale)
+
+    @classmethod
+    def example(cls) -> Simplex:
+        """A kernel of 5 x 5 px."""
+        return cls((1, 1, 5, 5), size=(60, 80))

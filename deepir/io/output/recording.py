@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.extras import import_optional
+from deepir.io.guards import import_optional
 from deepir.io.output.tone_mapping import PERCENTILE, TONE_MAPPINGS, colour_table, display_limits, stretch
 from deepir.io.output.write import atomic_file
 

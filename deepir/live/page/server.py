@@ -15,7 +15,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from deepir.errors import ConfigError
-from deepir.io.extras import import_optional
+from deepir.io.guards import import_optional
 from deepir.live.page.views import Session
 
 #: Of every answer: only the page's own files load and run, no other site may show or read them.

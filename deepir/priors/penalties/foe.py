@@ -153,7 +153,7 @@ class _CompiledEnergy(torch.autograd.Function):
         ctx: Any, value: Tensor, weight_map: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, e: float
     ) -> Tensor:
         from deepir.kernels.compile import parallel_for
-        from deepir.kernels.fields_of_experts import experts
+        from deepir.kernels.gradients import experts
 
         pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
         weight_map = weight_map.to(pictures).expand(pictures.shape[-2:]).contiguous()

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Shape
-from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
+from deepir.priors.penalties.base import SpatiallyWeighted
 from deepir.priors.penalties.tv import TV
 from deepir.registry import register
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.fields.base import Shape
-from deepir.priors.penalties.spatially_weighted import SpatiallyWeighted
+from deepir.priors.penalties.base import SpatiallyWeighted
 
 
 class SmoothedNorm(SpatiallyWeighted):

@@ -39,7 +39,7 @@ class _CompiledEnergy(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, value: Tensor, weight_map: Tensor, rounding: float) -> Tensor:
         from deepir.kernels.compile import parallel_for
-        from deepir.kernels.tv import total_variation
+        from deepir.kernels.gradients import total_variation
 
         pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
         weight_map = weight_map.to(pictures).expand(pictures.shape[-2:]).contiguous()

@@ -10,7 +10,7 @@ from scipy import ndimage
 from deepir.errors import DataError
 from deepir.simulate.optics.blur import blur_picture
 from deepir.simulate.optics.blur import blur_radius as radius_of
-from deepir.simulate.scenes.pictures import Scene
+from deepir.simulate.scenes.procedural import Scene
 from deepir.simulate.settings import Settings
 
 MAX_DEFORMATION = 0.01  # largest stretch, shear and keystone (change of scale at the frame's edge)

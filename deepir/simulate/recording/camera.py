@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from deepir.io.extras import import_optional
+from deepir.io.guards import import_optional
 from deepir.simulate.detector import fixed_pattern, lag_coefficients
 from deepir.simulate.recording.settings import RecordingSettings
 

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.recording.paths import CAMERA_SPEEDS, LANE_CENTRE, MAX_PAN_YAW, PAVEMENT_CENTRE
+from deepir.simulate.recording.paths import (
+    CAMERA_SPEEDS,
+    LANE_CENTRE,
+    MAX_PAN_YAW,
+    PAVEMENT_CENTRE,
+    box,
+    cars_ahead,
+    cars_below,
+    people,
+    people_across,
+)
 from deepir.simulate.recording.settings import RecordingSettings
 from deepir.simulate.recording.surfaces import AHEAD, DOWN, RIGHT, Surface, Texture, World, cut_out, texture
-from deepir.simulate.recording.traffic import box, cars_ahead, cars_below, people, people_across
 from deepir.simulate.scenes.objects import Canvas, fractal_noise, house, tree
 from deepir.simulate.scenes.procedural import procedural
 

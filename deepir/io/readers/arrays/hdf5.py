@@ -12,8 +12,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.containers.named_arrays import choose_array
-from deepir.io.extras import import_optional
-from deepir.io.guards import check_size
+from deepir.io.guards import check_size, import_optional
 from deepir.io.radiometry import ZERO_CELSIUS, Linear, Radiometry
 from deepir.io.readers import Array
 

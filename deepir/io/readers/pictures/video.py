@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.extras import import_optional
-from deepir.io.guards import LOSSY_TOLERANCE, check_size, stack_frames, to_grey, warn_once
+from deepir.io.guards import LOSSY_TOLERANCE, check_size, import_optional, stack_frames, to_grey, warn_once
 from deepir.io.readers import Array
 
 GENERIC = True
