@@ -111,6 +111,7 @@ class Axes:
         y: Limits, bottom and top.
         name: Below x.
         log: The scale of y is logarithmic.
+        log_x: That of x is.
         square: A pixel of x is as long as one of y.
     """
 
@@ -123,9 +124,11 @@ class Axes:
         name: str = "",
         *,
         log: bool = False,
+        log_x: bool = False,
         square: bool = False,
     ) -> None:
-        self.size, self.title, self.x, self.y, self.name, self.log = size, title, x, y, name, log
+        self.size, self.title, self.x, self.y, self.name = size, title, x, y, name
+        self.log, self.log_x = log, log_x
         width, height = size[0] - LEFT - 2 * MARGIN, size[1] - TITLE_HEIGHT - BOTTOM
         if square:
             width = height = min(width, height)
@@ -171,7 +174,7 @@ class Axes:
         draw.rectangle((self.left, TITLE_HEIGHT, right, bottom), outline=INK)
         write_text(draw, (middle, TITLE_HEIGHT - 8), self.title, "mb", TITLE_SIZE)
         write_text(draw, (middle, bottom + 28), self.name, "mt")
-        ticks = linear_ticks(min(self.x), max(self.x))
+        ticks = (log_ticks if self.log_x else linear_ticks)(min(self.x), max(self.x))
         for place, label in zip(self._across(ticks) / SMOOTHING, labels(ticks), strict=True):
             draw.line((self.left + place, bottom, self.left + place, bottom + 4), INK)
             write_text(draw, (self.left + place, bottom + 8), label, "mt")
@@ -195,14 +198,18 @@ class Axes:
             write_text(draw, (left + 33, y), name, "lm")
 
     def _across(self, x: Sequence[float] | Array) -> Array:
-        left, right = self.x
-        return (np.asarray(x, float) - left) / (right - left) * self.inside.width
+        return _share(np.asarray(x, float), self.x, log=self.log_x) * self.inside.width
 
     def _up(self, y: Sequence[float] | Array) -> Array:
-        bottom, top, values = *self.y, np.asarray(y, float)
-        if self.log:
-            bottom, top, values = np.log(bottom), np.log(top), np.log(values)
-        return (top - values) / (top - bottom) * self.inside.height
+        return (1 - _share(np.asarray(y, float), self.y, log=self.log)) * self.inside.height
+
+
+def _share(values: Array, limits: tuple[float, float], *, log: bool) -> Array:
+    """Places of values between two limits, which are at 0 and 1."""
+    low, high = limits
+    if log:
+        low, high, values = math.log(low), math.log(high), np.log(values)
+    return np.asarray((values - low) / (high - low))
 
 
 TITLE_HEIGHT = 32  # px

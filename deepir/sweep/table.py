@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,13 +13,23 @@ from statistics import median
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
+from PIL import Image
+
 from deepir.errors import ConfigError
 from deepir.io import atomic_file
 from deepir.paths import printable
+from deepir.report.drawing import COLOURS, Axes, write_figure
 from deepir.report.html import write_page
 from deepir.sweep.cells import BURST_AXIS, REPEAT_AXES, SWEEP_FILES, Cell
 
+Array = np.ndarray[Any, Any]
+
 FRAMES_AXIS = "data.frames"  # key of the axis of frame counts
+PLOT_SIZE = 640, 440  # px
+MAX_LEGEND = 20  # lines that are named
+LEGEND_ROW = 0.06  # of the range of values, for the name of each line
+MARGIN = 0.08  # of the range of values, beyond it
 AVERAGED_AXES = (*REPEAT_AXES, BURST_AXIS)  # axes over which curves take medians
 
 
@@ -27,36 +38,48 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
 
     Points are medians over seeds and bursts, with bars from the least to the greatest.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     metric = shown_metrics(found)[0]
     finished, against = plottable(found)
     if not against:
         path.unlink(missing_ok=True)
         return
-    figure = Figure(figsize=(6 * len(against), 4.5), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
     lines = curves(finished)
-    for axes, x in zip(figure.subplots(1, len(against), squeeze=False)[0], against, strict=True):
-        for label, groups in lines.items():
-            _draw(axes, groups, x, metric, printable(label).replace("$", r"\$"))  # a name is no formula
-        axes.set(xlabel=x, ylabel=TABLE_METRICS[metric][0])
-        axes.grid(alpha=0.3)
-        if x == "seconds":
-            axes.set_xscale("log")
-            axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axes.xaxis.set_minor_formatter(NullFormatter())
-            axes.xaxis.set_major_formatter("{x:g}")
-        else:
-            axes.set_xticks(sorted({row.metrics["frames"] for row in finished}))
-    if len(lines) > 1 and len(lines) <= 20:
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    with atomic_file(path) as part:
-        part.write_bytes(buffer.getvalue())
+    write_figure(path, [[_plot(lines, x, metric, legend=x == against[-1]) for x in against]])
+
+
+def _plot(lines: Mapping[str, Sequence[Group]], x: str, metric: str, *, legend: bool) -> Image.Image:
+    """A metric against another, a line through the medians of each group, with bars from the least to the greatest."""
+    spreads = {label: _spreads(groups, x, metric) for label, groups in lines.items()}
+    everything = np.concatenate(list(spreads.values()))
+    across = _limits(everything[:, 0], log=x == "seconds")
+    bottom, top = _limits(everything[:, 1], log=False)
+    if 1 < len(lines) <= MAX_LEGEND:
+        top += LEGEND_ROW * len(lines) * (top - bottom)
+    axes = Axes(PLOT_SIZE, TABLE_METRICS[metric][0], across, (bottom, top), x, log_x=x == "seconds")
+    named = legend and 1 < len(lines) <= MAX_LEGEND
+    for (label, points), colour in zip(spreads.items(), itertools.cycle(COLOURS)):
+        middles = points[:, :, 0]
+        axes.line(middles[:, 0], middles[:, 1], colour, printable(label) if named else "", dots=True)
+        for (at, height), (wide, tall) in zip(middles, points[:, :, 1:], strict=True):
+            axes.line(wide, np.full(2, height), colour)
+            axes.line(np.full(2, at), tall, colour)
+    return axes.picture()
+
+
+def _spreads(groups: Sequence[Group], x: str, metric: str) -> Array:
+    """Median, least and greatest (points, 2, 3) of two metrics of groups, in the order of their frames."""
+    ordered = sorted(groups, key=lambda group: group.median_range("frames") or ())
+    return np.array([[group.median_range(each) for each in (x, metric)] for group in ordered], float)
+
+
+def _limits(values: Array, *, log: bool) -> tuple[float, float]:
+    """The least and the greatest value, with a margin."""
+    low, high = float(values.min()), float(values.max())
+    if log:
+        low = max(low, 1e-3)
+        return low / (1 + MARGIN), max(high, low) * (1 + MARGIN)
+    margin = MARGIN * (high - low) or 0.5
+    return low - margin, high + margin
 
 
 def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
@@ -75,26 +98,6 @@ def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
         label = ", ".join(value for key, value in group.values.items() if key != FRAMES_AXIS)
         lines.setdefault(label, []).append(group)
     return lines
-
-
-def _draw(axes: Any, groups: Sequence[Group], x: str, metric: str, label: str) -> None:
-    """A line through the medians, with bars from the least to the greatest."""
-    ordered = sorted(groups, key=lambda group: group.median_range("frames") or ())
-    (across, aside), (up, beside) = (
-        _bars([group.median_range(each) for group in ordered]) for each in (x, metric)
-    )
-    axes.errorbar(
-        across, up, xerr=aside, yerr=beside, marker="o", markersize=4, capsize=2, linewidth=1, label=label
-    )
-
-
-def _bars(spreads: Sequence[Any]) -> tuple[list[float], list[list[float]]]:
-    """Medians, and distances to the least and the greatest."""
-    middles = [middle for middle, _, _ in spreads]
-    return middles, [
-        [middle - least for middle, least, _ in spreads],
-        [most - middle for middle, _, most in spreads],
-    ]
 
 
 def write_report(path: Path, found: Sequence[Row], title: str) -> None:
