@@ -23,10 +23,11 @@ test: setup lint  ## lint and tests
 test-all: setup lint  ## lint and all tests, the slow ones too
 	$(BIN)/python -m pytest -n 2
 
-lint: setup  ## ruff and mypy
+lint: setup  ## ruff, mypy, and the size of the package against its budget
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python benchmarks/size.py
 
 docs: setup  ## the documentation as a site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
