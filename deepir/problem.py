@@ -12,10 +12,10 @@ from deepir.closed_form.normal_equations import sensor_least_squares
 from deepir.closed_form.variable_projection import Elimination, eliminate
 from deepir.fields.base import Field
 from deepir.likelihoods import Fidelity, Gaussian
+from deepir.metrics import RegisteredAverage
 from deepir.operators import Chain, Operator, Sensor
 from deepir.operators.base import slots_of
 from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
-from deepir.registered_average import RegisteredAverage
 
 Values = dict[str, Tensor]
 #: Flux, data and precision of samples, (N, 1, h, w), and the levels of their frames, (N,).

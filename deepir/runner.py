@@ -18,8 +18,8 @@ import torch
 
 import deepir
 from deepir import burst as bursts
-from deepir.build.data_sets import FIRST, build_data_sets, data_sets
-from deepir.build.problem import build
+from deepir.assembly.data_sets import FIRST, build_data_sets, data_sets
+from deepir.assembly.problem import build
 from deepir.config import Config, Data
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.joint_problem import JointProblem

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from torch import Tensor
 
-from deepir.build.problem import build, make_operator
+from deepir.assembly.problem import build, make_operator
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError
@@ -35,13 +35,13 @@ def build_data_sets(
     Args:
         config: Already checked by `deepir.config.load`.
         burst: The frames that are used, with those of the other data sets.
-        motions: (N, 3, 3) of each data set, as `deepir.build.problem.build` takes it.
+        motions: (N, 3, 3) of each data set, as `deepir.assembly.problem.build` takes it.
 
     Returns:
         The data sets by name, and where the frame 0 of each lies in its scene.
 
     Raises:
-        ConfigError: See `deepir.build.problem.build`; or a data set names an unknown that there is not.
+        ConfigError: See `deepir.assembly.problem.build`; or a data set names an unknown that there is not.
     """
     sharing = [FIRST, *(name for name, given in config.datasets.items() if given.scene == "shared")]
     sets = list(data_sets(config, burst))

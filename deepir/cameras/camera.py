@@ -1,11 +1,16 @@
-"""The interface of a camera driver."""
+"""Cameras: their interface, and frames captured from them."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, ClassVar, Self
 
 import numpy as np
+
+from deepir.errors import DataError
 
 Array = np.ndarray[Any, Any]
 
@@ -42,3 +47,110 @@ class Camera:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+MAX_REGISTRATION_SIDE = 160  # px; frames are reduced to at most this side before registration
+MIN_CAPTURE_SPAN = 3.0  # px of motion along each axis that a burst needs
+FREEZE_TIME = 0.4  # s without a new picture that indicate a shutter closure; export cameras send 9 Hz
+FRAME_TIMEOUT = 5.0  # s without a new picture after which the capture fails
+POLL_INTERVAL = 0.005  # s between two reads of the camera
+
+
+@dataclass(frozen=True)
+class Captured:
+    """A burst as the camera gave it.
+
+    Attributes:
+        frames: (N, h, w).
+        times: (N,), s after the first frame.
+        longest_freeze: Longest time without a new picture between two frames, s.
+    """
+
+    frames: Array
+    times: Array
+    longest_freeze: float
+
+
+def capture(
+    camera: Camera, count: int, every: float, on_frame: Callable[[Sequence[Array]], None]
+) -> Captured:
+    """Take frames from a camera; pictures identical to the last one are skipped.
+
+    Args:
+        camera: The open camera.
+        count: Number of frames.
+        every: Least time between two frames, s.
+        on_frame: Called with all frames so far after each.
+
+    Raises:
+        DataError: No new picture arrives for `FRAME_TIMEOUT`, or the size changes.
+    """
+    frames: list[Array] = []
+    times: list[float] = []
+    last: Array | None = None
+    waiting: float | None = None  # since when nothing new came
+    longest_freeze = 0.0
+    while len(frames) < count:
+        frame, now = camera.read(), time.monotonic()
+        if frame is None or (last is not None and np.array_equal(frame, last)):
+            waiting = now if waiting is None else waiting
+            if now - waiting > FRAME_TIMEOUT:
+                raise _silence(last)
+            time.sleep(POLL_INTERVAL)
+            continue
+        if frame.ndim != 2 or (last is not None and frame.shape != last.shape):
+            raise DataError(f"the camera gives frames of shape {frame.shape}; one size (h, w) is needed")
+        if frames and waiting is not None:
+            longest_freeze = max(longest_freeze, now - waiting)
+        last, waiting = frame, None
+        if not times or now - times[-1] >= every:
+            frames.append(frame.copy())
+            times.append(now)
+            on_frame(frames)
+    return Captured(np.stack(frames), np.array(times) - times[0], longest_freeze)
+
+
+def _silence(last: Array | None) -> DataError:
+    if last is None:
+        return DataError(
+            f"the camera has sent nothing for {FRAME_TIMEOUT:.0f} s: unplug it and plug it in again, "
+            "and try once more"
+        )
+    return DataError(
+        f"the camera's picture has not changed for {FRAME_TIMEOUT:.0f} s, not even by noise: its shutter is closed, "
+        "it is frozen, or something reduces its noise to nothing"
+    )
+
+
+def motion_span(frames: Sequence[Array]) -> tuple[float, float] | None:
+    """Range of the frames' motion along x and along y, px; None if the last frame shows another place.
+
+    The frames (h, w) are registered as in a run, but by shifts only and at a reduced size.
+    """
+    import torch
+
+    from deepir.registration import register
+
+    stack = torch.from_numpy(np.stack(frames).astype(np.float32))
+    factor = -(-max(stack.shape[1:]) // MAX_REGISTRATION_SIDE)
+    found = register(torch.nn.functional.avg_pool2d(stack, factor), model="shift")
+    if not found.used[-1]:
+        return None
+    at = factor * found.motion[found.used][:, :2, 2]
+    x, y = (at.amax(0) - at.amin(0)).tolist()
+    return x, y
+
+
+def advice(span: tuple[float, float] | None) -> str:
+    """What the person with the camera should do next, given `motion_span`."""
+    if span is None:
+        return "this frame shows another place: move less at a time"
+    x, y = span
+    so_far = f"{x:.0f} px along x and {y:.0f} px along y so far"
+    if x < MIN_CAPTURE_SPAN and y < MIN_CAPTURE_SPAN:
+        return f"{so_far}: move the camera, in a small circle"
+    if x < MIN_CAPTURE_SPAN:
+        return f"{so_far}: move it sideways too"
+    if y < MIN_CAPTURE_SPAN:
+        return f"{so_far}: move it up and down too"
+    return f"{so_far}: well done, on in a circle"

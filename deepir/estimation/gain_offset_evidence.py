@@ -17,8 +17,12 @@ from torch import Tensor
 
 from deepir.arrays.statistics import masked_values, median
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
-from deepir.estimation.low_order_evidence import MIN_LOG_BAYES_FACTOR_DRIFT, frame_level_offsets
-from deepir.estimation.marginal_likelihood import MarginalLikelihood, normal_matrix
+from deepir.estimation.low_order_evidence import (
+    MIN_LOG_BAYES_FACTOR_DRIFT,
+    MarginalLikelihood,
+    frame_level_offsets,
+    normal_matrix,
+)
 from deepir.estimation.residuals import has_line_noise, subtract_line_means
 from deepir.fields.base import Field
 from deepir.fields.shading import Shading

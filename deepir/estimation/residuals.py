@@ -9,8 +9,8 @@ from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.fields.line_noise import LineNoise
 from deepir.fields.shading import Shading
 from deepir.likelihoods import CAUCHY_SCALE
+from deepir.metrics import RegisteredAverage
 from deepir.problem import Problem
-from deepir.registered_average import RegisteredAverage
 
 
 @torch.no_grad()

@@ -11,8 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from deepir.cameras.camera import Camera
-from deepir.cameras.capture import FRAME_TIMEOUT, POLL_INTERVAL
+from deepir.cameras.camera import FRAME_TIMEOUT, POLL_INTERVAL, Camera
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.guards import import_optional

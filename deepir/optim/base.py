@@ -10,8 +10,7 @@ from torch import Tensor, nn
 
 from deepir.fields.base import GaussianField
 from deepir.joint_problem import AnyProblem
-from deepir.optim.block_preconditioner import BlockPreconditioner
-from deepir.optim.preconditioner import Preconditioner
+from deepir.optim.preconditioner import BlockPreconditioner, Preconditioner
 from deepir.problem import Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]

@@ -16,8 +16,8 @@ from deepir.joint_problem import AnyProblem
 from deepir.likelihoods import CAUCHY_SCALE
 from deepir.operators import Warp
 from deepir.optim.base import Optimiser, free_parameters
-from deepir.optim.block_preconditioner import make_block_preconditioner
 from deepir.optim.fourier_hessian import degrees_of_freedom, is_joint_with_motion
+from deepir.optim.preconditioner import make_block_preconditioner
 from deepir.problem import Values
 from deepir.registry import lookup
 from deepir.schedule import Stage, Step

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.build.data_sets import FIRST, build_data_sets, data_sets
+from deepir.assembly.data_sets import FIRST, build_data_sets, data_sets
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import DataError

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from deepir.build.problem import build
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.diagnostics.motion_evidence import doubtful_motion

@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.build.problem import PIXELS_WITH_TV, build
+from deepir.assembly.problem import PIXELS_WITH_TV, build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.estimation.residuals import temporal_mean

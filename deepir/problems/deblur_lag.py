@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import torch
 
-from deepir.build.problem import PIXELS_WITH_TV, build_scene
+from deepir.assembly.problem import PIXELS_WITH_TV, build_scene
 from deepir.fields.base import Scalar
 from deepir.messages import Message
 from deepir.operators import Lag, Warp

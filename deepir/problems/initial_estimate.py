@@ -12,9 +12,9 @@ from deepir.arrays.windows import fill_nearest
 from deepir.effects.bad_pixels import static_pixels
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
+from deepir.metrics import RegisteredAverage
 from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem
-from deepir.registered_average import RegisteredAverage
 
 TURNS = 3  # of levels and gains of the frames, and of scene and outliers
 MAX_PASSES = 20  # over scene and pattern, where the pattern is strong

@@ -15,7 +15,7 @@ import torch
 from scipy.fft import dctn, idctn
 from torch import Tensor
 
-from deepir.closed_form.conjugate_gradient import conjugate_gradient
+from deepir.closed_form.normal_equations import conjugate_gradient
 from deepir.kernels.compile import parallel_for
 from deepir.kernels.gradients import shared_gradients
 

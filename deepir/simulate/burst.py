@@ -20,7 +20,6 @@ from deepir.simulate.detector import (
     smooth_path,
     time_constants,
 )
-from deepir.simulate.events import observe
 from deepir.simulate.files import save_with_truth
 from deepir.simulate.optics.blur import psf
 from deepir.simulate.optics.parallax import dense_flow, parallax, relief, stray_flux
@@ -34,7 +33,7 @@ from deepir.simulate.optics.rendering import (
 )
 from deepir.simulate.scenes.procedural import Scene, procedural
 from deepir.simulate.settings import DEFAULT_SETTINGS, Settings
-from deepir.simulate.views import render_own_scenes
+from deepir.simulate.views import observe, render_own_scenes
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from torch import Tensor, nn
 
 from deepir.denoisers.unet import UNet
 from deepir.registry import register
-from deepir.training.pictures import BATCH_SIZE, Pictures
-from deepir.training.training import Training
+from deepir.training.training import BATCH_SIZE, Pictures, Training
 
 CROP_SIDE = 64  # px of a crop
 NOISE_RANGE = (0.003, 0.15)  # standard deviations, in ranges of a picture; log-uniform

@@ -10,8 +10,7 @@ from torch import Tensor, nn
 
 from deepir.baselines.single_frame import destripe_cnn
 from deepir.registry import register
-from deepir.training.pictures import BATCH_SIZE, BENCHMARK_PHOTOGRAPHS, Pictures
-from deepir.training.training import Training
+from deepir.training.training import BATCH_SIZE, BENCHMARK_PHOTOGRAPHS, Pictures, Training
 
 CROP_SIDE = 64  # px of a crop
 GAIN_RANGE = (0.01, 0.25)  # standard deviations of the column gains; log-uniform

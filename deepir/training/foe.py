@@ -19,8 +19,7 @@ from deepir.operators.bspline import to_pixels
 from deepir.priors.penalties.foe import Experts, foe_energy
 from deepir.registry import register
 from deepir.simulate.scenes.procedural import procedural, sky
-from deepir.training.pictures import FIRST_SCENE_SEED
-from deepir.training.training import Training
+from deepir.training.training import FIRST_SCENE_SEED, Training
 
 #: Pictures of scikit-to_pixels on which constants are tuned; none of them is in a benchmark.
 FOE_PHOTOGRAPHS = ("camera", "astronaut", "gravel")

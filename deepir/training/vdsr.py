@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from deepir.baselines.single_frame.bicubic import enlarge
 from deepir.baselines.single_frame.vdsr import VDSR
 from deepir.registry import register
-from deepir.training.pictures import BATCH_SIZE, BENCHMARK_PHOTOGRAPHS, Pictures
-from deepir.training.training import Training
+from deepir.training.training import BATCH_SIZE, BENCHMARK_PHOTOGRAPHS, Pictures, Training
 
 CROP_SIDE = 48  # px of a crop
 ENLARGEMENT_FACTORS = (2, 3, 4)  # reductions of a crop; one network learns all

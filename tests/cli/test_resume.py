@@ -194,7 +194,7 @@ def test_a_checkpoint_of_another_run_is_reported_and_the_run_starts_again(
 )
 def test_a_history_of_odd_types_is_one_line(small_nuc, tmp_path, field):
     from deepir.optim.objective import Position, restore_state, save_state
-    from deepir.storage.checkpoint import FileCheckpoint
+    from deepir.storage.stored import FileCheckpoint
 
     checkpoint, problem = FileCheckpoint(tmp_path / "a.safetensors"), small_nuc()
     save_state(problem, [], Position(), checkpoint)

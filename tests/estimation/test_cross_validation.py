@@ -17,7 +17,7 @@ from deepir.estimation.cross_validation import (
 from deepir.optim.objective import hold_out
 from deepir.optim.solve import solve
 from deepir.priors.penalties.tv import TV
-from deepir.storage.checkpoint import FileCheckpoint
+from deepir.storage.stored import FileCheckpoint
 
 
 def search(misfit):

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from deepir.estimation.marginal_likelihood import MarginalLikelihood, normal_matrix
+from deepir.estimation.low_order_evidence import MarginalLikelihood, normal_matrix
 
 FREE = 2
 

@@ -6,8 +6,7 @@ import torch
 
 from deepir.joint_problem import JointProblem
 from deepir.optim import free_parameters
-from deepir.optim.block_preconditioner import BlockPreconditioner, make_block_preconditioner
-from deepir.optim.preconditioner import Preconditioner
+from deepir.optim.preconditioner import BlockPreconditioner, Preconditioner, make_block_preconditioner
 
 SENSOR = ("gain", "offset")
 

@@ -16,7 +16,7 @@ from deepir.priors.penalties.ridge import Ridge
 from deepir.problem import Problem
 from deepir.registry import components
 from deepir.schedule import Stage, Step
-from deepir.storage.checkpoint import FileCheckpoint
+from deepir.storage.stored import FileCheckpoint
 
 OPTIMISERS = components("optimiser")
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from deepir.assembly.problem import build
 
 import deepir
-from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DeepIRError
@@ -14,7 +14,7 @@ from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.pipeline.schedule import plan
 from deepir.problems.recipe import Generic
 from deepir.registry import lookup
-from deepir.storage.checkpoint import FileCheckpoint
+from deepir.storage.stored import FileCheckpoint
 
 
 @pytest.fixture

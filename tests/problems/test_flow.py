@@ -12,7 +12,7 @@ from deepir.operators.motion_models import displacements
 from deepir.operators.warp import project_pixels
 from deepir.problems.optical_flow import optical_flow
 from deepir.simulate import Settings, simulate
-from deepir.storage.checkpoint import FileCheckpoint
+from deepir.storage.stored import FileCheckpoint
 
 SIZE = (64, 80)
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}

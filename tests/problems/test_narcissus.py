@@ -3,20 +3,19 @@
 import numpy as np
 import pytest
 import torch
+from deepir.assembly.problem import build
 
 import deepir
-from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects import gain_drift
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import adapt_weight_map
-from deepir.estimation.single_frame_stray import tv_minimising_fit
 from deepir.fields.basis_expansion import DCT, Radial
 from deepir.metrics import scores
 from deepir.problems import narcissus as module
 from deepir.problems.initial_estimate import start_scene
-from deepir.problems.narcissus import Narcissus
+from deepir.problems.narcissus import Narcissus, tv_minimising_fit
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepir.errors import DataError
-from deepir.storage.checkpoint import FileCheckpoint
+from deepir.storage.stored import FileCheckpoint
 
 TENSORS = {"scene": torch.arange(12.0).reshape(3, 4), "count": torch.tensor(3), "none": torch.zeros(0, 2)}
 POSITION = {"stage": 1, "history": [{"stage": "scene", "iteration": 1, "loss": 0.1}]}

@@ -13,8 +13,8 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from deepir.arrays.statistics import sample_noise
+from deepir.assembly.problem import build
 from deepir.baselines.average import register_burst
-from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError

@@ -9,8 +9,8 @@ import torch
 from scipy import ndimage
 
 from deepir.arrays.windows import fill_nearest
+from deepir.assembly.problem import build
 from deepir.baselines.average import Array
-from deepir.build.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register

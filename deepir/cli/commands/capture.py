@@ -12,7 +12,7 @@ from deepir.cli.arguments import Overwrite, Plugins, check_output_name, held_out
 from deepir.cli.terminal import echo, notify
 
 if TYPE_CHECKING:
-    from deepir.cameras.capture import Captured
+    from deepir.cameras.camera import Captured
     from deepir.simulate import Simulation
     from deepir.simulate.recording import Recording
 
@@ -33,7 +33,7 @@ def capture(
 ) -> int:
     """Take a burst from a live camera, with advice on its motion: deepir capture burst.npz device=/dev/video2."""
     load_plugins(plugin)
-    from deepir.cameras.capture import FREEZE_TIME
+    from deepir.cameras.camera import FREEZE_TIME
     from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
     from deepir.io import write_npz
 
@@ -57,8 +57,7 @@ def capture(
 
 
 def _capture(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
-    from deepir.cameras.camera import Array
-    from deepir.cameras.capture import advice, capture, motion_span
+    from deepir.cameras.camera import Array, advice, capture, motion_span
     from deepir.cli.live_camera import open_camera
 
     def on_frame(frames: Sequence[Array]) -> None:
