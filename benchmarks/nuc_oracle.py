@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from deepir.assembly.problem import build
 
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import Config, load
 from deepir.metrics import scores

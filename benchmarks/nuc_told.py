@@ -11,9 +11,9 @@ import dataclasses
 
 import numpy as np
 import torch
-from deepir.assembly.problem import build
 from nuc_oracle import aligned, climb, noise_variance
 
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.estimation.prior_weight import adapt_weight_map, weigh_scene

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.fields.sensor_maps import Pixel

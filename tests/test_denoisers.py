@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.denoisers.unit_range import unit_range

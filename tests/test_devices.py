@@ -8,9 +8,9 @@ from pathlib import Path
 import on_card
 import pytest
 import torch
-from deepir.assembly.problem import build
 from small_problems import PROBLEMS, difference, frames_of, solved
 
+from deepir.assembly.problem import build
 from deepir.burst import load as load_burst
 from deepir.config import load
 from deepir.kernels import dispatch

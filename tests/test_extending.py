@@ -9,11 +9,11 @@ import tomllib
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 from documentation import ROOT, blocks, files
 
 import deepir
 from deepir import registry
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.shading import low_order_unknowns

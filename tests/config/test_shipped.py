@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import SHIPPED_CONFIGS, headline, load, prior_names, shipped_names
 from deepir.optim.solve import solve

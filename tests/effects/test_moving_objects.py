@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 from skimage.data import camera
 
 import deepir
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.moving_objects import _restore_weight, down_weight_moving

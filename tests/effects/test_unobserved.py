@@ -2,12 +2,12 @@
 
 import numpy as np
 import torch
-from deepir.assembly.problem import build
 from hypothesis import given
 from hypothesis import strategies as st
 
 import deepir
 from deepir.arrays.windows import fill_pull_push
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.outliers import fill_unobserved

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.estimation.prior_weight import adapt_weight_map, weigh_scene

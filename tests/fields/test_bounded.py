@@ -2,8 +2,8 @@
 
 import pytest
 import torch
-from deepir.assembly.problem import make_field
 
+from deepir.assembly.problem import make_field
 from deepir.errors import ConfigError
 from deepir.fields.bounded import Bounded
 

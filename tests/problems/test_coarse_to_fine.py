@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import deepir
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.metrics import scores

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 
 import deepir
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.simulate.scenes.procedural import procedural

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
-from deepir.assembly.problem import build
 from scipy.interpolate import BSpline
 
 import deepir
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError

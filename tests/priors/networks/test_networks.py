@@ -4,9 +4,9 @@ import math
 
 import pytest
 import torch
-from deepir.assembly.problem import build_scene
 from torch import nn
 
+from deepir.assembly.problem import build_scene
 from deepir.config import load
 from deepir.priors.networks.base import Network
 from deepir.priors.networks.dip import DIP
