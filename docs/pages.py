@@ -58,15 +58,15 @@ SECTIONS = {
 }
 #: Pages of the reference: the modules of each, in order.
 REFERENCE = {
-    "Running": ["api", "runner", "config", "burst", "result", "storage", "errors"],
-    "Solving": ["problem", "schedule", "optim", "pipeline", "closed_form", "registered_average"],
+    "Running": ["api", "correct_recording", "runner", "config", "burst", "result", "storage", "errors"],
+    "Solving": ["problem", "schedule", "optim", "pipeline", "closed_form", "metrics"],
     "Estimating": ["effects", "estimation", "diagnostics", "multiview", "recording", "live"],
     "Operators": ["operators"],
     "Fields": ["fields"],
     "Priors": ["priors", "denoisers", "likelihoods"],
     "Problems": ["problems", "baselines"],
     "Registration": ["registration"],
-    "Simulator": ["simulate", "metrics", "comparison"],
+    "Simulator": ["simulate"],
     "Sweeps": ["sweep", "analysis", "training"],
     "Files": ["io", "calibration", "cameras"],
     "For plugins": ["registry", "testing"],
