@@ -11,6 +11,8 @@ from torch import Tensor
 if TYPE_CHECKING:
     from deepir.problem import Problem, Values
 
+Array = np.ndarray[Any, Any]
+
 
 class RegisteredAverage:
     """Weighted average of frames on the grid of the scene, `A' W (y - b) / A' W A 1` for the model `y = A x + b`.
@@ -43,9 +45,6 @@ class RegisteredAverage:
         # Without a warp, one prediction of its shape stands for all frames.
         each = (frames * self._weights).sum_to_size(self.at_zero.shape)
         return self._problem.operator.adjoint(each, self._shape, **self._slots)
-
-
-Array = np.ndarray[Any, Any]
 
 
 def scores(scene: Array, truth: Array) -> dict[str, float]:

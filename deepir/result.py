@@ -25,6 +25,8 @@ from deepir.paths import expanded
 if TYPE_CHECKING:
     from torch import Tensor
 
+Array = np.ndarray[Any, Any]
+
 
 def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:
     """Scores of the scene and errors of gain, offset, stray flux and motion, as far as the truth has them.
@@ -62,9 +64,6 @@ def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:
         error = motion_error(motion, truth["motion"], burst.size)
         found["motion_rmse"] = None if math.isnan(error) else error
     return found
-
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(eq=False, repr=False)

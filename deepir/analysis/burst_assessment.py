@@ -17,6 +17,15 @@ CORRELATION_LENGTH_LEVEL = 0.1
 #: Temporal autocorrelation down to which a pattern is unchanged; Saragadam et al. 2021.
 STABILITY_LEVEL = 0.8
 MIN_REPORTED_SHARE = 0.05  # share of the pattern's variance from which a component is reported
+#: Range of the motion along an axis below which lines and scene cannot be separated well, px.
+MIN_MOTION_SPAN = 3.0
+MIN_LATERAL_MOTION = 1.5  # px across a line; a burst that moves less across a line moves along that line only
+MIN_INDEPENDENT_LOOKS = 3.0  # independent views of the pattern that a burst needs
+UNCERTAIN_PIXEL_RATIO = 1.5  # scene deviation over its median from which a pixel is weakly determined
+MIN_PHASES = 0.9  # share of the sub-pixel phases that super-resolution needs
+#: Fewest and most frames; fewer cost over 1 dB, more are seldom worth their time.
+RECOMMENDED_FRAMES = (5, 20)
+MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at which the motion is evaluated
 
 
 @dataclass(frozen=True)
@@ -154,17 +163,6 @@ def temporal_autocorrelation(frames: Array, good: Array) -> Array:
     found = np.array([np.diagonal(products, k).mean() for k in range(1, max(2, len(frames) // 2 + 1))])
     start = 2 * found[0] - found[1] if len(found) > 1 else found[0]
     return np.concatenate([[1.0], found / start]) if start > 0 else np.ones(1)
-
-
-#: Range of the motion along an axis below which lines and scene cannot be separated well, px.
-MIN_MOTION_SPAN = 3.0
-MIN_LATERAL_MOTION = 1.5  # px across a line; a burst that moves less across a line moves along that line only
-MIN_INDEPENDENT_LOOKS = 3.0  # independent views of the pattern that a burst needs
-UNCERTAIN_PIXEL_RATIO = 1.5  # scene deviation over its median from which a pixel is weakly determined
-MIN_PHASES = 0.9  # share of the sub-pixel phases that super-resolution needs
-#: Fewest and most frames; fewer cost over 1 dB, more are seldom worth their time.
-RECOMMENDED_FRAMES = (5, 20)
-MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at which the motion is evaluated
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,16 @@ CHI_SQUARED_MEDIAN = MAD_TO_SIGMA**-2  # of one degree of freedom
 MIN_SIZE_OF_COMPILED_MEDIAN = 5_000
 #: Samples of a frame that suffice for a median or a mean.
 MAX_SAMPLES_PER_FRAME = 40_000
+#: Side of the windows whose medians are compared, px.
+NOISE_WINDOW = 15
+#: Quantile of the windows' medians that is taken for the noise.
+FLAT_WINDOW_QUANTILE = 0.1
+#: That quantile in windows of pure noise, relative to the median of the noise.
+FLAT_WINDOW_BIAS = 0.885
+#: Samples of a frame that suffice for the step between its values.
+MAX_SAMPLES_FOR_QUANTISATION = 5000
+#: Standard deviation of a rounding error, in quantisation steps.
+ROUNDING_SIGMA = 12**-0.5
 
 
 def median(values: Tensor) -> float:
@@ -68,18 +78,6 @@ def masked_values(values: Tensor, mask: Tensor) -> Tensor:
     if not is_compiled(values):
         return values[mask]
     return torch.from_numpy(values.numpy()[mask.numpy()])
-
-
-#: Side of the windows whose medians are compared, px.
-NOISE_WINDOW = 15
-#: Quantile of the windows' medians that is taken for the noise.
-FLAT_WINDOW_QUANTILE = 0.1
-#: That quantile in windows of pure noise, relative to the median of the noise.
-FLAT_WINDOW_BIAS = 0.885
-#: Samples of a frame that suffice for the step between its values.
-MAX_SAMPLES_FOR_QUANTISATION = 5000
-#: Standard deviation of a rounding error, in quantisation steps.
-ROUNDING_SIGMA = 12**-0.5
 
 
 def sample_noise(frames: Tensor, usable: Tensor) -> float:

@@ -10,6 +10,12 @@ import torch.nn.functional as F
 from scipy import fft
 from torch import Tensor
 
+Array = np.ndarray[Any, Any]
+#: Largest lag along an axis, px.
+MAX_LAG = 50
+#: Side of a neighbourhood, px.
+DEFAULT_WINDOW = 5
+
 
 def squared_gradient(value: Tensor) -> Tensor:
     """Squared gradient `|∇x|²` by forward differences; zero across the lower and right border.
@@ -23,11 +29,6 @@ def squared_gradient(value: Tensor) -> Tensor:
     down = value.diff(dim=-2, append=value[..., -1:, :])
     right = value.diff(dim=-1, append=value[..., :, -1:])
     return down.square() + right.square()
-
-
-Array = np.ndarray[Any, Any]
-#: Largest lag along an axis, px.
-MAX_LAG = 50
 
 
 def autocorrelation(pattern: Array, second: Array, good: Array) -> Array:
@@ -99,10 +100,6 @@ def fill_pull_push(image: Tensor, known: Tensor) -> Tensor:
     coarse = fill_pull_push(total / weight.clamp(min=1e-6), weight > 0)
     fine = F.interpolate(coarse, scale_factor=2, mode="bilinear")[..., :height, :width]
     return torch.where(known, image, fine)
-
-
-#: Side of a neighbourhood, px.
-DEFAULT_WINDOW = 5
 
 
 def median_filter(image: Tensor) -> Tensor:

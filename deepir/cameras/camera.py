@@ -13,6 +13,11 @@ import numpy as np
 from deepir.errors import DataError
 
 Array = np.ndarray[Any, Any]
+MAX_REGISTRATION_SIDE = 160  # px; frames are reduced to at most this side before registration
+MIN_CAPTURE_SPAN = 3.0  # px of motion along each axis that a burst needs
+FREEZE_TIME = 0.4  # s without a new picture that indicate a shutter closure; export cameras send 9 Hz
+FRAME_TIMEOUT = 5.0  # s without a new picture after which the capture fails
+POLL_INTERVAL = 0.005  # s between two reads of the camera
 
 
 class Camera:
@@ -47,13 +52,6 @@ class Camera:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-MAX_REGISTRATION_SIDE = 160  # px; frames are reduced to at most this side before registration
-MIN_CAPTURE_SPAN = 3.0  # px of motion along each axis that a burst needs
-FREEZE_TIME = 0.4  # s without a new picture that indicate a shutter closure; export cameras send 9 Hz
-FRAME_TIMEOUT = 5.0  # s without a new picture after which the capture fails
-POLL_INTERVAL = 0.005  # s between two reads of the camera
 
 
 @dataclass(frozen=True)

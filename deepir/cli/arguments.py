@@ -42,6 +42,8 @@ DATA_SETTINGS = (
 )  # of how a file is read
 RECORDING_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # of how it is read and displayed
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+LINE_EVERY = 10.0  # s between lines where there is no terminal
+T = TypeVar("T")
 
 
 def load_plugins(modules: Sequence[str] | None) -> list[str]:
@@ -147,11 +149,6 @@ def held_outputs(*paths: Path, overwrite: bool, source: str | Path | None = None
             if path.exists() and not overwrite:
                 raise DataError(f"{path} exists; replace it with --overwrite, or give another name")
         yield
-
-
-LINE_EVERY = 10.0  # s between lines where there is no terminal
-
-T = TypeVar("T")
 
 
 def track(frames: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:

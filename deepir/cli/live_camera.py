@@ -25,6 +25,8 @@ from deepir.live.page.views import Session
 from deepir.live.recorder import KeptMaps, Recorder
 from deepir.registry import lookup
 
+Array = np.ndarray[Any, Any]
+
 
 @contextmanager
 def open_camera(name: str, settings: Sequence[str]) -> Iterator[Camera]:
@@ -43,9 +45,6 @@ def open_camera(name: str, settings: Sequence[str]) -> Iterator[Camera]:
         if camera.correction:
             notify(camera.correction)
         yield camera
-
-
-Array = np.ndarray[Any, Any]
 
 
 def camera_frames(camera: Camera, kept: KeptMaps | None, corrector: Corrector) -> Iterable[Array]:

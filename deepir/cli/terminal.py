@@ -18,6 +18,8 @@ from deepir.paths import printable
 if TYPE_CHECKING:
     from deepir.optim.solve import Progress
 
+HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # signals that end a run where it can be continued
+
 
 def echo(line: str, *, err: bool = False) -> None:
     """Print one line; control characters, as names of files may hold them, are escaped."""
@@ -115,9 +117,6 @@ def _open_closed_descriptors() -> None:
 
 def _nowhere(mode: str) -> TextIO:
     return cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123 - for the rest of the process
-
-
-HANDLED_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # signals that end a run where it can be continued
 
 
 class Interrupted(BaseException):

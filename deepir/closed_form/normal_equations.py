@@ -10,6 +10,16 @@ from torch import Tensor
 
 from deepir.kernels.dispatch import is_compiled
 
+#: Relative residual at which conjugate gradients stop.
+TOLERANCE = 1e-12
+#: Most iterations of conjugate gradients.
+MAX_ITERATIONS = 200
+#: Prior standard deviation of lines relative to that of pixels up to which the system is stored in float32: its
+#: condition number grows with the square, and the rounding error is then some 1e-5 of the standard deviation.
+MAX_LINE_SIGMA_RATIO = 30
+#: Relative residual at which conjugate gradients stop if the system is in float32.
+FLOAT32_TOLERANCE = 1e-9
+
 
 def conjugate_gradient(
     multiply: Callable[[Tensor], Tensor],
@@ -189,17 +199,6 @@ def sensor_gradients_and_loss_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tenso
         level_gradient,
     )
     return gradient.reshape(flux.shape), level_gradient, loss.sum()
-
-
-#: Relative residual at which conjugate gradients stop.
-TOLERANCE = 1e-12
-#: Most iterations of conjugate gradients.
-MAX_ITERATIONS = 200
-#: Prior standard deviation of lines relative to that of pixels up to which the system is stored in float32: its
-#: condition number grows with the square, and the rounding error is then some 1e-5 of the standard deviation.
-MAX_LINE_SIGMA_RATIO = 30
-#: Relative residual at which conjugate gradients stop if the system is in float32.
-FLOAT32_TOLERANCE = 1e-9
 
 
 class PixelEquations:

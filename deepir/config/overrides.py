@@ -24,6 +24,8 @@ REPLACED_TAGS = ("int", "float", "bool", "timestamp")
 MAX_CHARACTERS = 100_000  # length of a YAML text
 MAX_VALUES = 10_000  # values of a YAML text, aliases expanded
 MAX_DEPTH = 30  # levels of nesting
+#: Sections that name components, whose keys the schema does not know.
+COMPONENT_SECTIONS = ("physics", "scene", "fidelity", "method")
 
 
 class _Loader(yaml.SafeLoader):
@@ -97,10 +99,6 @@ def _check_extent(value: Any) -> None:
         if not level:
             return
     raise ValueError(f"nested deeper than {MAX_DEPTH} levels")
-
-
-#: Sections that name components, whose keys the schema does not know.
-COMPONENT_SECTIONS = ("physics", "scene", "fidelity", "method")
 
 
 def parse_settings(pairs: Sequence[str], schema: type[BaseModel]) -> list[tuple[str, Any]]:

@@ -15,6 +15,27 @@ from deepir.registration.preprocess import Level, preprocess, sample, smooth_sha
 
 #: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
 MAX_DISTANCE_FROM_UNIFORM = 0.01
+MAX_PAIRS = 4  # of frames whose differences are taken
+#: Share of the autocorrelation one px from zero, where noise is no more, that it reaches at a period.
+MIN_REPETITION = 0.8
+MAX_BETWEEN = (
+    0.5  # the same share, below which it falls on the way to the period; smooth scenes, as clouds, stay above
+)
+PEAK_REACH = 1.5  # distance of the peak of a repetition over that of its nearest sample, at most
+#: Largest side of the central crop that is examined, px.
+MAX_CROP_SIDE = 320
+#: Most frames that are examined.
+MAX_FRAMES = 10
+#: Fewest frames: a scene and a pattern explain any two.
+MIN_FRAMES = 3
+#: Alternations between scene and pattern.
+N_ALTERNATIONS = 3
+#: Row classes modulo which shifts are estimated: two of each field.
+N_ROW_CLASSES = 4
+#: Shift between fields relative to that within a field; 2.5 at most in progressive frames, 9 at least in interlaced.
+MIN_FIELD_SHIFT_RATIO = 5.0
+#: Smallest shift between fields that counts, px.
+MIN_FIELD_SHIFT = 0.1
 
 
 def is_equalised(frames: Array) -> bool:
@@ -45,15 +66,6 @@ def equalised_message(frames: Array) -> list[str]:
     ]
 
 
-MAX_PAIRS = 4  # of frames whose differences are taken
-#: Share of the autocorrelation one px from zero, where noise is no more, that it reaches at a period.
-MIN_REPETITION = 0.8
-MAX_BETWEEN = (
-    0.5  # the same share, below which it falls on the way to the period; smooth scenes, as clouds, stay above
-)
-PEAK_REACH = 1.5  # distance of the peak of a repetition over that of its nearest sample, at most
-
-
 def scene_period(frames: Array, usable: Array) -> float | None:
     """Smallest displacement at which the scene repeats itself, px; None if it does not, or by more than is seen.
 
@@ -80,22 +92,6 @@ def scene_period(frames: Array, usable: Array) -> float | None:
         return None
     nearest = other & (apart < PEAK_REACH * apart[other].min())  # of a ridge, the part that is nearest
     return float(apart[nearest][total[nearest].argmax()])
-
-
-#: Largest side of the central crop that is examined, px.
-MAX_CROP_SIDE = 320
-#: Most frames that are examined.
-MAX_FRAMES = 10
-#: Fewest frames: a scene and a pattern explain any two.
-MIN_FRAMES = 3
-#: Alternations between scene and pattern.
-N_ALTERNATIONS = 3
-#: Row classes modulo which shifts are estimated: two of each field.
-N_ROW_CLASSES = 4
-#: Shift between fields relative to that within a field; 2.5 at most in progressive frames, 9 at least in interlaced.
-MIN_FIELD_SHIFT_RATIO = 5.0
-#: Smallest shift between fields that counts, px.
-MIN_FIELD_SHIFT = 0.1
 
 
 @torch.no_grad()

@@ -20,6 +20,26 @@ from deepir.problem import Problem, Values
 
 #: Regularisation of unknowns without a prior, relative to the mean of their diagonal: some are indistinguishable.
 IMPROPER_RIDGE = 1e-9
+#: Residual at which samples are clipped, in median absolute deviations.
+CLIP_MADS = 7.5
+#: Fractions of the chance contribution of lines to the low-order parts of a frame that are tried.
+LINE_VARIANCE_FRACTIONS = (1.0, 1 / 4, 1 / 16)
+#: Standard deviations of further errors of the low-order parts (parallax, distortion) that are tried, data contrasts.
+MODEL_ERROR_FRACTIONS = (3e-4, 1e-3, 3e-3, 1e-2)
+#: Minimum log Bayes factor, nats, of such a model error: before convergence the scene is slightly wrong, too.
+MIN_LOG_BAYES_FACTOR_MODEL_ERROR = 100
+#: Minimum log Bayes factor, nats, of shading if the frames have such a model error.
+MIN_LOG_BAYES_FACTOR_WITH_ERROR = 200
+#: Minimum log Bayes factor, nats, of shading or drift.
+MIN_LOG_BAYES_FACTOR = 3
+#: Minimum log Bayes factor, nats, of drift if shading competes, which is far more common.
+MIN_LOG_BAYES_FACTOR_DRIFT = 5
+#: Minimum log Bayes factor, nats, of shading in frames with automatic gain: their levels follow the motion as well.
+MIN_LOG_BAYES_FACTOR_AGC = 40
+#: Standard deviation of shading with drift, relative to that without, below which the drift is preferred.
+MAX_REMAINING_SHADING = 0.8
+#: Change of the scene by the drift from which it is preferred, standard deviations of the data.
+MIN_SCENE_CHANGE = 0.15
 
 
 class MarginalLikelihood:
@@ -85,28 +105,6 @@ def normal_matrix(columns: Iterable[Tensor], precision: Tensor, own: Tensor) -> 
     second = (shared[:, 1] - of_both * shared[:, 0]) / (d - of_both * b).sqrt()
     whitened = torch.cat((first, second), 1)  # by Cholesky's factors
     return whole - whitened @ whitened.T
-
-
-#: Residual at which samples are clipped, in median absolute deviations.
-CLIP_MADS = 7.5
-#: Fractions of the chance contribution of lines to the low-order parts of a frame that are tried.
-LINE_VARIANCE_FRACTIONS = (1.0, 1 / 4, 1 / 16)
-#: Standard deviations of further errors of the low-order parts (parallax, distortion) that are tried, data contrasts.
-MODEL_ERROR_FRACTIONS = (3e-4, 1e-3, 3e-3, 1e-2)
-#: Minimum log Bayes factor, nats, of such a model error: before convergence the scene is slightly wrong, too.
-MIN_LOG_BAYES_FACTOR_MODEL_ERROR = 100
-#: Minimum log Bayes factor, nats, of shading if the frames have such a model error.
-MIN_LOG_BAYES_FACTOR_WITH_ERROR = 200
-#: Minimum log Bayes factor, nats, of shading or drift.
-MIN_LOG_BAYES_FACTOR = 3
-#: Minimum log Bayes factor, nats, of drift if shading competes, which is far more common.
-MIN_LOG_BAYES_FACTOR_DRIFT = 5
-#: Minimum log Bayes factor, nats, of shading in frames with automatic gain: their levels follow the motion as well.
-MIN_LOG_BAYES_FACTOR_AGC = 40
-#: Standard deviation of shading with drift, relative to that without, below which the drift is preferred.
-MAX_REMAINING_SHADING = 0.8
-#: Change of the scene by the drift from which it is preferred, standard deviations of the data.
-MIN_SCENE_CHANGE = 0.15
 
 
 class LowOrderEvidence:

@@ -35,6 +35,12 @@ NOISE_GRADIENT = 1.77
 GRADIENT_OFFSET = 0.1
 #: Range of the information of samples at a pixel, relative to a typical one, that the weights follow.
 WEIGHT_INFORMATION_RANGE = (0.5, 1.0)
+#: Excess of the squared residual over pure noise from which a scene is oversmoothed, noise variances per pixel.
+MAX_EXCESS_MISFIT = 0.1
+#: Fraction of the scene that must be flat for the test: beside much texture the residual varies by more.
+MIN_FLAT_FRACTION = 0.4
+#: Factor on the weight of a penalty that oversmooths.
+WEIGHT_REDUCTION = 2**-0.5
 
 
 @torch.no_grad()
@@ -154,14 +160,6 @@ def _scene_noise(problem: Problem, average: float, penalty: Penalty) -> float:
     if penalty.acts_on_pixels and first.moves:  # it sees pixels, not the spline's coefficients
         noise /= first.noise_gain
     return noise
-
-
-#: Excess of the squared residual over pure noise from which a scene is oversmoothed, noise variances per pixel.
-MAX_EXCESS_MISFIT = 0.1
-#: Fraction of the scene that must be flat for the test: beside much texture the residual varies by more.
-MIN_FLAT_FRACTION = 0.4
-#: Factor on the weight of a penalty that oversmooths.
-WEIGHT_REDUCTION = 2**-0.5
 
 
 @torch.no_grad()

@@ -31,6 +31,9 @@ MAX_UNSELECTED_PAIRS = 6  # pairs of frames outside a burst that are kept to sco
 MAX_PAIR_GAP = 8  # frames between the two of a pair
 MIN_STEPS = 8  # steps of single precision that a frame spans; fewer hide what it shows
 MAX_JUDGED = 10_000  # samples of a frame that are enough to judge that
+MAX_BANDS = 16  # along the second axis of an array (N, C, h, w)
+JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is streamed are judged
+_RAW_ORDER = ", and data.raw.endian=big reads big-endian ones"
 
 
 def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
@@ -136,11 +139,6 @@ def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
     if any(isinstance(i, bool) or not isinstance(i, int | np.integer) for i in select):
         raise ValueError(select)
     return [int(i) for i in select]
-
-
-MAX_BANDS = 16  # along the second axis of an array (N, C, h, w)
-JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is streamed are judged
-_RAW_ORDER = ", and data.raw.endian=big reads big-endian ones"
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,16 @@ import numpy as np
 
 from deepir.errors import DataError
 
+GIB = 2**30  # bytes
+MAX_ARRAY_BYTES = 8 * GIB  # largest array that is read at once
+MAX_COMPRESSION_RATIO = 3000  # bytes out of one byte: deflate reaches 1032, LZW about 2700
+LOSSY_TOLERANCE = (
+    0.02  # difference of the channels that a lossy codec may give a grey pixel, share of the range
+)
+MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
+MAX_COLOURED_LOSSY = 0.05  # the same where a lossy codec spreads their colours over its blocks
+UNCHECKED_BYTES = GIB // 16  # size up to which a claim is not checked: an empty mask may be that compressible
+
 
 def import_optional(library: str, extra: str, what: str) -> Any:
     """Import a library that only some formats need.
@@ -37,16 +47,6 @@ def import_optional(library: str, extra: str, what: str) -> Any:
             f"{what}: this needs {library}, which is not installed: pip install 'deepir[{extra}]'"
         ) from None
 
-
-GIB = 2**30  # bytes
-MAX_ARRAY_BYTES = 8 * GIB  # largest array that is read at once
-MAX_COMPRESSION_RATIO = 3000  # bytes out of one byte: deflate reaches 1032, LZW about 2700
-LOSSY_TOLERANCE = (
-    0.02  # difference of the channels that a lossy codec may give a grey pixel, share of the range
-)
-MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
-MAX_COLOURED_LOSSY = 0.05  # the same where a lossy codec spreads their colours over its blocks
-UNCHECKED_BYTES = GIB // 16  # size up to which a claim is not checked: an empty mask may be that compressible
 
 log = logging.getLogger("deepir")
 

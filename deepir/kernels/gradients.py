@@ -7,6 +7,9 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
+#: Side of a filter, px.
+FILTER_SIDE = 5
+
 
 @compiled
 def total_variation(first, last, value, share, rounding, energy, gradient):
@@ -36,10 +39,6 @@ def total_variation(first, last, value, share, rounding, energy, gradient):
             for j in range(width):
                 into[j] = above[j] - down[j] + right[j] - to_right[j]
         above, down = down, above
-
-
-#: Side of a filter, px.
-FILTER_SIDE = 5
 
 
 @compiled

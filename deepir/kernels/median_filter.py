@@ -14,6 +14,8 @@ from deepir.kernels.compile import compiled, parallel_for
 BITS_PER_DIGIT = 11
 #: Passes: 33 bits hold a float32 and its sign.
 N_DIGITS = 3
+Array = np.ndarray[Any, Any]
+MIN_PARALLEL_PIXELS = 100_000  # of a picture, from which a second thread is faster
 
 
 @compiled
@@ -41,11 +43,6 @@ def median(first, last, bits, found):
             keys[left] = keys[i]
             left += keys[i] >> shift == key
     found[0] = key - 0x80000000 if key >= 0x80000000 else -1 - key
-
-
-Array = np.ndarray[Any, Any]
-
-MIN_PARALLEL_PIXELS = 100_000  # of a picture, from which a second thread is faster
 
 
 def median_filter(picture: Array, side: int) -> Array:

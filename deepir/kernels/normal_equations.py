@@ -8,6 +8,11 @@ import numpy as np
 from deepir.kernels.compile import compiled
 from deepir.kernels.dispatch import DETERMINANTS_PER_LOG
 
+#: Rows of a band, the unit of parallel work.
+ROWS_PER_BAND = 32
+#: Pixels whose sums stay in the cache.
+PIXELS_PER_BLOCK = 512
+
 
 @compiled
 def weighted_residuals(first, last, prediction, data, precision, weighted, nats):
@@ -79,12 +84,6 @@ def negative_log_likelihood(first, last, values, counts, u, v, sums):
             by_vv += r * (2 * y * y - r)
         nats += np.log(product)
     sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = nats, by_u, by_v, by_uu, by_uv, by_vv
-
-
-#: Rows of a band, the unit of parallel work.
-ROWS_PER_BAND = 32
-#: Pixels whose sums stay in the cache.
-PIXELS_PER_BLOCK = 512
 
 
 @compiled

@@ -33,6 +33,11 @@ Array = np.ndarray[Any, Any]
 
 RESERVE = 200e6  # bytes of the disk that are left free
 PENDING = 32  # frames that wait to be written, at most
+MAX_NEWEST = 64  # newest frames that are kept
+MIN_IN_GROUPS = 32  # keyframes in groups, below which the newest frames count too
+MAX_PENDING = 16  # frames since the camera last moved that are kept, in case it goes on
+#: Change since then, relative to that between frames, from which it moves: of a camera that stands still it is 1.
+MIN_CHANGE_RATIO = 1.5
 
 
 class Recorder:
@@ -166,11 +171,6 @@ class KeptMaps:
             raise DataError(f"{self.path}: the maps cannot be kept: {error}") from None
 
 
-MAX_NEWEST = 64  # newest frames that are kept
-MIN_IN_GROUPS = 32  # keyframes in groups, below which the newest frames count too
-MAX_PENDING = 16  # frames since the camera last moved that are kept, in case it goes on
-#: Change since then, relative to that between frames, from which it moves: of a camera that stands still it is 1.
-MIN_CHANGE_RATIO = 1.5
 Averaged = tuple[int, Array, Array]  # number, frame (h, w), the frame averaged over blocks
 
 

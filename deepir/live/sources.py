@@ -21,6 +21,11 @@ from deepir.kernels import memory
 from deepir.live.corrector import Corrector, Status
 
 Array = np.ndarray[Any, Any]
+NO_DEVICE = (
+    "no virtual camera: {}. On Linux load its driver: sudo modprobe v4l2loopback; on Windows and macOS install "
+    "OBS Studio and start its virtual camera once"
+)
+RATE_OVER = 30  # frames, over which the rate is measured
 
 
 def camera_frames(camera: Camera) -> Iterator[Array]:
@@ -75,12 +80,6 @@ class Paced:
             yield frame
 
 
-NO_DEVICE = (
-    "no virtual camera: {}. On Linux load its driver: sudo modprobe v4l2loopback; on Windows and macOS install "
-    "OBS Studio and start its virtual camera once"
-)
-
-
 @contextmanager
 def virtual_camera(rate: float, palette: str, tones: str) -> Iterator[Callable[[CorrectedFrame], None]]:
     """A context with a function that shows corrected frames as a camera; the camera begins with the first one.
@@ -114,9 +113,6 @@ def virtual_camera(rate: float, palette: str, tones: str) -> Iterator[Callable[[
     finally:
         if camera is not None:
             camera.close()
-
-
-RATE_OVER = 30  # frames, over which the rate is measured
 
 
 @dataclass(frozen=True)

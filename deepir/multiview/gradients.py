@@ -20,6 +20,7 @@ AXES = (-1, -2)
 FREEDOMS = (1.0, 2.0, 4.0)
 SAMPLES = 20_000  # gradients of a frame by which its distribution is chosen
 SCALE_STEPS = 10
+LOW = 0.05  # least strength, in the most: what falls to nothing does not come back
 
 
 class Edges:
@@ -192,9 +193,6 @@ def _adjoint(edges: Tensor, axis: int) -> Tensor:
 
 def _padded(edges: Tensor, axis: int) -> Tensor:
     return F.pad(edges, (1, 1) if axis == -1 else (0, 0, 1, 1))
-
-
-LOW = 0.05  # least strength, in the most: what falls to nothing does not come back
 
 
 class WhiteParts:

@@ -23,26 +23,6 @@ LOW_ORDER_SIGMA = 4.0
 FINE_SIDE = 5
 #: Largest ratio of the low-order part's standard deviation to the fine part's (robust) in a sensor's pattern.
 MAX_RATIO = 20.0
-
-
-def low_order_part(pattern: Array, usable: Array, sigma: float = LOW_ORDER_SIGMA) -> Array:
-    """A plane and, of what it leaves of the usable pixels of a pattern (h, w), the Gaussian mean; mean zero."""
-    rows, columns = np.indices(pattern.shape).astype(float) / max(pattern.shape)
-    axes = np.stack((np.ones_like(rows), rows, columns), -1)
-    plane = axes @ np.linalg.lstsq(axes[usable], pattern[usable], rcond=None)[0]
-    share = ndimage.gaussian_filter(usable.astype(float), sigma, mode="nearest")
-    mean = ndimage.gaussian_filter(np.where(usable, pattern - plane, 0.0), sigma, mode="nearest")
-    low_order = plane + mean / np.maximum(share, 1e-9)
-    return np.asarray(low_order - low_order.mean())
-
-
-def is_implausible(pattern: Array, usable: Array) -> bool:
-    """Whether the low-order part of a pattern (h, w) is stronger, by its fine part, than a sensor's."""
-    detail = (pattern - median_filter(pattern, FINE_SIDE))[usable]
-    fine = MAD_TO_SIGMA * float(np.median(np.abs(detail - np.median(detail)))) if usable.any() else 0.0
-    return fine > 0 and float(low_order_part(pattern, usable)[usable].std()) > MAX_RATIO * fine
-
-
 #: Frames between which displacements are sought, apart in the order of the frames.
 GAPS = (1, 2)
 #: Times that displacements are sought, each after what was found before is taken off.
@@ -61,6 +41,24 @@ REWEIGHTINGS = 5
 MIN_SCALE = 0.003
 #: Samples of a pair below which it is left out.
 MIN_SAMPLES = 50
+
+
+def low_order_part(pattern: Array, usable: Array, sigma: float = LOW_ORDER_SIGMA) -> Array:
+    """A plane and, of what it leaves of the usable pixels of a pattern (h, w), the Gaussian mean; mean zero."""
+    rows, columns = np.indices(pattern.shape).astype(float) / max(pattern.shape)
+    axes = np.stack((np.ones_like(rows), rows, columns), -1)
+    plane = axes @ np.linalg.lstsq(axes[usable], pattern[usable], rcond=None)[0]
+    share = ndimage.gaussian_filter(usable.astype(float), sigma, mode="nearest")
+    mean = ndimage.gaussian_filter(np.where(usable, pattern - plane, 0.0), sigma, mode="nearest")
+    low_order = plane + mean / np.maximum(share, 1e-9)
+    return np.asarray(low_order - low_order.mean())
+
+
+def is_implausible(pattern: Array, usable: Array) -> bool:
+    """Whether the low-order part of a pattern (h, w) is stronger, by its fine part, than a sensor's."""
+    detail = (pattern - median_filter(pattern, FINE_SIDE))[usable]
+    fine = MAD_TO_SIGMA * float(np.median(np.abs(detail - np.median(detail)))) if usable.any() else 0.0
+    return fine > 0 and float(low_order_part(pattern, usable)[usable].std()) > MAX_RATIO * fine
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,20 @@ SCENE_RATIO = 1.0
 #: Share of the frame that two frames of a camera at rest both show, at least, and upper quartile of its displacements,
 #: px, at most.
 SHARED, REST = 0.5, 1.0
+GAIN_ROUNDS = 10  # of reweighting
+#: Largest gradients of the pattern, in their root mean square, that count: of a defect they say nothing.
+GRADIENT_LIMIT = 6.0
+#: Gradients that say the same: those of neighbours.
+CORRELATED_GRADIENTS = 4.0
+#: Root mean square of (f_k - 1) in its standard errors, and by itself, from which frames have gains of their own.
+SIGNIFICANCE, MIN_SPREAD = 4.0, 0.05
+FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
+DEGREE = 8  # of the polynomial that scenes share
+GAIN = 0.02  # what parts of the gain start with
+#: Variance of the scenes' mean slopes, in that between the scenes: 0 if they point anywhere, 1 and more under one sky.
+MEAN_SHARE = 0.5
+ISOLATED = 10.0  # median gradients by which a pixel differs from all four neighbours
+PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for those before
 
 
 def is_at_rest(frames: Array, usable: Array) -> bool:
@@ -52,15 +66,6 @@ def is_at_rest(frames: Array, usable: Array) -> bool:
         shares.append(found.known.mean())
         quartiles.append(np.quantile(moved, 0.75) * factor if moved.size else np.inf)
     return bool(np.median(shares) >= SHARED and np.median(quartiles) <= REST)
-
-
-GAIN_ROUNDS = 10  # of reweighting
-#: Largest gradients of the pattern, in their root mean square, that count: of a defect they say nothing.
-GRADIENT_LIMIT = 6.0
-#: Gradients that say the same: those of neighbours.
-CORRELATED_GRADIENTS = 4.0
-#: Root mean square of (f_k - 1) in its standard errors, and by itself, from which frames have gains of their own.
-SIGNIFICANCE, MIN_SPREAD = 4.0, 0.05
 
 
 def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | None:
@@ -104,15 +109,6 @@ def pattern_gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor
         / (weight * p * p).sum().square().clamp_min(1e-300)
     )
     return gain, variance.sqrt()
-
-
-FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
-DEGREE = 8  # of the polynomial that scenes share
-GAIN = 0.02  # what parts of the gain start with
-#: Variance of the scenes' mean slopes, in that between the scenes: 0 if they point anywhere, 1 and more under one sky.
-MEAN_SHARE = 0.5
-ISOLATED = 10.0  # median gradients by which a pixel differs from all four neighbours
-PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for those before
 
 
 @torch.no_grad()

@@ -24,6 +24,15 @@ PYRAMID_SIGMA, GRADIENT_SIGMA = 1.0, 0.7  # px, of Gaussians before halving and 
 #: Share of the median structure tensor's trace that is added to its diagonal: without texture, flow stays as it was.
 DAMPING = 0.03
 MEDIAN_SIDE = 5  # px, of the median filter of the flow on each level
+SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
+TEXTURE_SIGMA = 8.0  # px of each resolution; Gaussian that separates texture from what is broader
+CONTRAST_SIGMA = 16.0  # px of each resolution; Gaussian over which the contrast of the texture is normalised
+CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
+MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
+MIN_CORRELATION = 0.7  # normalised local correlation of texture from which a displacement is trusted
+CORRELATION_SIGMA = 5.0  # px; Gaussian window of this correlation
+MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are no motion
+BORDER = 2  # px from the border within which no displacement is trusted
 
 
 class Pyramid:
@@ -91,16 +100,6 @@ def _enlarged(flow: Array, shape: tuple[int, ...]) -> Array:
 
 
 __all__ = ["RADIUS", "Displacement", "displacements", "sampled", "texture"]
-
-SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
-TEXTURE_SIGMA = 8.0  # px of each resolution; Gaussian that separates texture from what is broader
-CONTRAST_SIGMA = 16.0  # px of each resolution; Gaussian over which the contrast of the texture is normalised
-CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
-MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
-MIN_CORRELATION = 0.7  # normalised local correlation of texture from which a displacement is trusted
-CORRELATION_SIGMA = 5.0  # px; Gaussian window of this correlation
-MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are no motion
-BORDER = 2  # px from the border within which no displacement is trusted
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,10 @@ from deepir.operators.warp import project_pixels
 
 #: Width of the canvas beyond the registered footprints, px.
 CANVAS_MARGIN = 8
+#: Number of parameters of a frame, by model.
+PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
+#: Model name: rigid, or homographies if the frames are distorted.
+AUTO = "auto"
 
 
 @dataclass(frozen=True)
@@ -140,12 +144,6 @@ def homographies(motion: Tensor) -> Tensor:
         solved = torch.linalg.lstsq(rows, torch.cat((u, v))[:, None], driver="gels").solution[:, 0] * unit
         found.append(torch.cat((solved, one[:1])).reshape(3, 3))
     return torch.stack(found).to(motion)
-
-
-#: Number of parameters of a frame, by model.
-PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
-#: Model name: rigid, or homographies if the frames are distorted.
-AUTO = "auto"
 
 
 def identity(n: int) -> Tensor:

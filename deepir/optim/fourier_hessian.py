@@ -26,6 +26,19 @@ MAX_ADDITIVE_LINE_GAIN = 0.15
 N_MOTION_POSITIONS = 5
 #: Smallest curvature, relative to the mean.
 MIN_CURVATURE_RATIO = 1e-8
+#: Weight of the scene's squared gradient under the weak prior, relative to the precision of a frame.
+GRADIENT_WEIGHT = 0.001
+#: Frequencies along each axis of the spectrum.
+N_FREQUENCIES = 24
+#: Positions along each axis of the frame.
+N_POSITIONS = 5
+#: Polynomials in the sub-pixel shift: six times the weights of the four coefficients of a cubic B-spline.
+SPLINE_POLYNOMIALS = (
+    (1.0, -3.0, 3.0, -1.0),
+    (4.0, 0.0, -6.0, 3.0),
+    (1.0, 3.0, 3.0, -3.0),
+    (0.0, 0.0, 0.0, 1.0),
+)
 
 
 def has_fourier_model(problem: Problem) -> bool:
@@ -154,21 +167,6 @@ def frequencies(size: Sequence[int], device: torch.device) -> tuple[Tensor, Tens
     height, width = size
     y = 2 * math.pi * torch.fft.fftfreq(height, dtype=torch.float64, device=device)[:, None]
     return y, 2 * math.pi * torch.fft.rfftfreq(width, dtype=torch.float64, device=device)
-
-
-#: Weight of the scene's squared gradient under the weak prior, relative to the precision of a frame.
-GRADIENT_WEIGHT = 0.001
-#: Frequencies along each axis of the spectrum.
-N_FREQUENCIES = 24
-#: Positions along each axis of the frame.
-N_POSITIONS = 5
-#: Polynomials in the sub-pixel shift: six times the weights of the four coefficients of a cubic B-spline.
-SPLINE_POLYNOMIALS = (
-    (1.0, -3.0, 3.0, -1.0),
-    (4.0, 0.0, -6.0, 3.0),
-    (1.0, 3.0, 3.0, -3.0),
-    (0.0, 0.0, 0.0, 1.0),
-)
 
 
 def is_joint_with_motion(problem: Problem, group: Collection[str]) -> bool:

@@ -22,6 +22,11 @@ from deepir.problem import Values
 from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
+#: Fraction of the samples that is held out.
+HELD_OUT_FRACTION = 0.02
+#: Violation of a bound by the prediction from which the sample counts, standard deviations of the noise.
+BOUND_VIOLATION = 2.0
+
 
 def objective(problem: AnyProblem, stage: Stage) -> Callable[[Sequence[str]], tuple[Tensor, Values]]:
     """The stage's objective as a function of which unknowns are free: `free -> (total, values)`."""
@@ -93,20 +98,12 @@ def has_held_out(problem: AnyProblem) -> bool:
     return any(bool(each.held_out.any()) for each in problem.data_sets)
 
 
-#: Fraction of the samples that is held out.
-HELD_OUT_FRACTION = 0.02
-
-
 def hold_out(problem: AnyProblem, seed: int, fraction: float = HELD_OUT_FRACTION) -> None:
     """Hold out a random fraction of the samples."""
     generator = torch.Generator().manual_seed(seed)
     for each in problem.data_sets:
         chosen = torch.rand(each.data.shape, generator=generator) < fraction
         each.held_out.copy_(chosen.to(each.held_out.device))
-
-
-#: Violation of a bound by the prediction from which the sample counts, standard deviations of the noise.
-BOUND_VIOLATION = 2.0
 
 
 @torch.no_grad()

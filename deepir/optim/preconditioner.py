@@ -31,6 +31,18 @@ from deepir.optim.low_order_hessian import low_order_inverse_hessian
 from deepir.optim.low_order_model import LowOrderModel, Variances, pattern_variances
 from deepir.problem import Problem
 
+#: Smallest curvature along a wave, relative to the mean: waves that the motion does not determine must not run to the
+#: optimum of a weak prior, which is pattern in the scene.
+MIN_SCENE_CURVATURE_RATIO = 0.3
+#: The same where lines are strong: such waves are few, and the prior of the lines determines them.
+MIN_LINE_CURVATURE_RATIO = 0.03
+#: Range of the information on a pixel of the scene, relative to that of typical samples, that is used.
+INFORMATION_RANGE = (0.5, 30.0)
+#: Upper end of the frequencies that are frozen if only high frequencies are fitted, radians per px.
+LOW_FREQUENCY = 1 / 4
+#: Number of frames that must show a pixel of the scene for it to be determined.
+MIN_FRAMES_SEEN = 0.2
+
 
 @dataclass(frozen=True)
 class _Block:
@@ -139,19 +151,6 @@ def make_block_preconditioner(
         return blocks[0].free
     several = BlockPreconditioner(blocks, [p.numel() for p in parameters])
     return several if sorted(i for each in blocks for i in each.at) == list(range(len(parameters))) else None
-
-
-#: Smallest curvature along a wave, relative to the mean: waves that the motion does not determine must not run to the
-#: optimum of a weak prior, which is pattern in the scene.
-MIN_SCENE_CURVATURE_RATIO = 0.3
-#: The same where lines are strong: such waves are few, and the prior of the lines determines them.
-MIN_LINE_CURVATURE_RATIO = 0.03
-#: Range of the information on a pixel of the scene, relative to that of typical samples, that is used.
-INFORMATION_RANGE = (0.5, 30.0)
-#: Upper end of the frequencies that are frozen if only high frequencies are fitted, radians per px.
-LOW_FREQUENCY = 1 / 4
-#: Number of frames that must show a pixel of the scene for it to be determined.
-MIN_FRAMES_SEEN = 0.2
 
 
 class Preconditioner:

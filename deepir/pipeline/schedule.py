@@ -28,6 +28,17 @@ from deepir.registry import lookup
 from deepir.result import Result
 from deepir.schedule import Stage, Step
 
+MAX_FRAMES = 10**6  # more frames than any burst has
+ROUNDING_SIGMA = 0.29  # standard deviation of rounding to whole counts, 1 / √12
+SIGNAL_WINDOW = 5  # px: side of the window whose mean is a sample's signal
+MIN_RELATIVE_VARIANCE = (
+    0.3  # of a sample, relative to the median: an offset is no light, and has no photon noise
+)
+#: Problems that take several bands.
+PROBLEMS = ("nuc", "generic")
+#: What each band has by itself; the motion and the frames that are used are those of all.
+OWN = ("scene", "gain", "offset", "level", "bad_pixels")
+
 
 def make_recipe(config: Config) -> Recipe:
     """The recipe of `config.problem`.
@@ -114,7 +125,6 @@ def _check_groups(problem: AnyProblem, stage: Stage, where: str) -> None:
 
 
 Mask = np.ndarray[Any, Any]
-MAX_FRAMES = 10**6  # more frames than any burst has
 
 
 def demand_order(select: str | int | Sequence[int] | None, problem: str) -> None:
@@ -147,13 +157,6 @@ def interpolation_message(used: Mask, taken: Mask) -> list[str]:
     ]
 
 
-ROUNDING_SIGMA = 0.29  # standard deviation of rounding to whole counts, 1 / √12
-SIGNAL_WINDOW = 5  # px: side of the window whose mean is a sample's signal
-MIN_RELATIVE_VARIANCE = (
-    0.3  # of a sample, relative to the median: an offset is no light, and has no photon noise
-)
-
-
 def given_noise(problem: Problem, config: Config) -> list[str]:
     """Take the noise that the configuration gives, if it does; a message where whole counts cannot have so little."""
     if config.noise == "auto":
@@ -177,12 +180,6 @@ def given_noise(problem: Problem, config: Config) -> list[str]:
             f"{ROUNDING_SIGMA}: is the configuration meant for frames in [0, 1]?",
         )
     ]
-
-
-#: Problems that take several bands.
-PROBLEMS = ("nuc", "generic")
-#: What each band has by itself; the motion and the frames that are used are those of all.
-OWN = ("scene", "gain", "offset", "level", "bad_pixels")
 
 
 def solve_bands(burst: Burst, solve: Callable[[Burst], Result]) -> Result:

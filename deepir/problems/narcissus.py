@@ -35,6 +35,18 @@ MAX_STRAY_FREQUENCY = 6.0
 REDUCED_SIDE = 128
 #: Rounds of reweighting.
 N_REWEIGHTING_ROUNDS = 50
+ONE_FRAME_MESSAGE = Message(
+    "one-frame",
+    "one frame: only its smoothness separates stray flux from the scene. A slope or a large glow of "
+    "the scene is in it, its own fine parts and the pattern of the pixels are in the scene. Take 5 frames or more "
+    "while the camera moves",
+)
+KNOWN_SENSOR_FACTOR = (
+    3  # times the iterations where the sensor is known: no elimination speeds the stray flux up
+)
+SCENE_REPEATS = (
+    3  # of the scene's own stage: its curvature changes as the prior smooths the noise of strong stray flux
+)
 
 
 @torch.no_grad()
@@ -66,22 +78,6 @@ def tv_minimising_fit(frame: Tensor, usable: Tensor, field: BasisExpansion) -> T
         weighted = slopes[1:] * (valid / left.clamp(min=noise))
         found = torch.linalg.pinv(weighted @ slopes[1:].T, hermitian=True) @ (weighted @ slopes[0])
     return torch.tensordot(found, terms.double(), 1)
-
-
-ONE_FRAME_MESSAGE = Message(
-    "one-frame",
-    "one frame: only its smoothness separates stray flux from the scene. A slope or a large glow of "
-    "the scene is in it, its own fine parts and the pattern of the pixels are in the scene. Take 5 frames or more "
-    "while the camera moves",
-)
-
-
-KNOWN_SENSOR_FACTOR = (
-    3  # times the iterations where the sensor is known: no elimination speeds the stray flux up
-)
-SCENE_REPEATS = (
-    3  # of the scene's own stage: its curvature changes as the prior smooths the noise of strong stray flux
-)
 
 
 @register("problem", "narcissus")

@@ -17,6 +17,9 @@ from deepir.recording.keyframes import Keyframes, choose_keyframes
 from deepir.recording.segments import Segment, estimate_segments, segment_at
 from deepir.recording.thermal_lag import NeighbouringFrames, ThermalLag, thermal_lag
 
+Array = np.ndarray[Any, Any]
+FEW = 10  # frames, of fewer of which all are needed, whatever they are worth
+
 
 def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator[str]:
     """Lines on how the frames register, how sure the offset is, and thermal lag.
@@ -44,11 +47,6 @@ def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator
         )
     else:
         yield f"thermal lag: none is seen ({lag.time_constant:.1g} of the time between two frames, {lag.nats:.1f} nats)"
-
-
-Array = np.ndarray[Any, Any]
-
-FEW = 10  # frames, of fewer of which all are needed, whatever they are worth
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,11 @@ from deepir.kernels.median_filter import median_filter
 Array = np.ndarray[Any, Any]
 
 FRAMES_OF_NOISE = 8  # that the noise is measured in
+FRAMES = 24  # of all, that are looked at
+CLEAR = 10.0  # nats by which a constant is likelier than the scene, of a pixel that does not respond
+#: Deviation of a pixel from the scene over time, relative to that of pixels near it, from which it is not steady.
+NOISE_RATIO = 6.0
+NEIGHBOURHOOD = 7  # px, side of the square of the pixels near
 
 
 def noise_deviation(frames: Array) -> float:
@@ -25,13 +30,6 @@ def rounding_deviation(frame: Array) -> float:
     """Standard deviation of the rounding error of the samples of a frame (h, w); zero of a uniform one."""
     steps = np.diff(np.unique(frame[np.isfinite(frame)]))
     return float(steps.min()) / 12**0.5 if steps.size else 0.0
-
-
-FRAMES = 24  # of all, that are looked at
-CLEAR = 10.0  # nats by which a constant is likelier than the scene, of a pixel that does not respond
-#: Deviation of a pixel from the scene over time, relative to that of pixels near it, from which it is not steady.
-NOISE_RATIO = 6.0
-NEIGHBOURHOOD = 7  # px, side of the square of the pixels near
 
 
 def defective_pixels(frames: Array, expected: Array, rounding: float = 0.0) -> Array:

@@ -33,6 +33,8 @@ REACH = 2  # keyframes by which the place is uncertain
 #: 0.01 to 0.35 at 37 of 38 other places with a large difference.
 MIN_STEP = 0.4
 MIN_SLOPE = 0.5  # of the frames' change over their difference, which is noise where it is smaller
+FRAMES_TO_FIT = 5  # of a segment, which maps of another one have to fit
+MIN_MOVING = 16  # keyframes in which the camera moves, that a sensor is estimated from
 
 
 def pattern_jumps(frames: Array) -> list[int]:
@@ -87,10 +89,6 @@ def _median(gradients: Array) -> Array:
     known = np.isfinite(gradients).any(0)
     found[known] = np.nanmedian(gradients[:, known], 0)
     return found
-
-
-FRAMES_TO_FIT = 5  # of a segment, which maps of another one have to fit
-MIN_MOVING = 16  # keyframes in which the camera moves, that a sensor is estimated from
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,24 @@ Array = np.ndarray[Any, Any]
 OFFSETS = (0, 1, 4, 5)
 LENGTH = OFFSETS[-1] + 1
 MAX_RUNS = 12  # that are kept, at most
+DETAIL_SIGMA = 3.0  # px of the averaged frames; Gaussian over which the energy of detail is averaged
+MIN_ENERGY = 3.0  # of detail that counts, in variances of the noise
+STRIDE = 2  # px of the averaged frames, between places that are compared
+MIN_PLACES = 30  # in a run of frames
+MIN_RUNS = 4
+#: Correlated places: the energy of detail is averaged.
+CORRELATED = 4 * np.pi * DETAIL_SIGMA**2 / STRIDE**2
+#: Limits of the cut-off, rad/px.
+CUTOFF_LIMITS = (0.3, np.pi)
+#: Time constants that are tried, in frames: 0.3 is 10 ms at 30 frames a second.
+TIME_CONSTANTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0])
+#: Ratio of the fitted to the true time constant, as a window mixes moving and resting detail: 0.5 to 0.85 in simulated
+#: recordings.
+ESTIMATOR_BIAS = 0.7
+#: Log-likelihood gain over no lag, nats, and time constant, frames, from which there is a lag. In 70 simulated
+#: recordings with a lag of 0.3 frames the gain was 0 to 100 nats, without one at most 0.8 but for one of 1.4; a real
+#: drive seemed to have 0.07 frames.
+MIN_NATS, MIN_TIME_CONSTANT = 1.0, 0.12
 
 
 class NeighbouringFrames:
@@ -58,26 +76,6 @@ class NeighbouringFrames:
         if len(self.runs) > MAX_RUNS:
             del self.runs[1::2], self.numbers[1::2]
             self._every *= 2
-
-
-DETAIL_SIGMA = 3.0  # px of the averaged frames; Gaussian over which the energy of detail is averaged
-MIN_ENERGY = 3.0  # of detail that counts, in variances of the noise
-STRIDE = 2  # px of the averaged frames, between places that are compared
-MIN_PLACES = 30  # in a run of frames
-MIN_RUNS = 4
-#: Correlated places: the energy of detail is averaged.
-CORRELATED = 4 * np.pi * DETAIL_SIGMA**2 / STRIDE**2
-#: Limits of the cut-off, rad/px.
-CUTOFF_LIMITS = (0.3, np.pi)
-#: Time constants that are tried, in frames: 0.3 is 10 ms at 30 frames a second.
-TIME_CONSTANTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0])
-#: Ratio of the fitted to the true time constant, as a window mixes moving and resting detail: 0.5 to 0.85 in simulated
-#: recordings.
-ESTIMATOR_BIAS = 0.7
-#: Log-likelihood gain over no lag, nats, and time constant, frames, from which there is a lag. In 70 simulated
-#: recordings with a lag of 0.3 frames the gain was 0 to 100 nats, without one at most 0.8 but for one of 1.4; a real
-#: drive seemed to have 0.07 frames.
-MIN_NATS, MIN_TIME_CONSTANT = 1.0, 0.12
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,9 @@ from deepir.registration.robust_score import (
 )
 from deepir.registration.shift_likelihood import integer_shifts, maximise_shift_likelihood
 
+MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight at which a sample shows the background only
+INPAINTING_PASSES = 3  # alternations of scene and pattern
+
 
 @dataclass(frozen=True)
 class DetectionCriteria:
@@ -58,8 +61,6 @@ class DetectionCriteria:
 
 
 DETECTION = DetectionCriteria()
-MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight at which a sample shows the background only
-INPAINTING_PASSES = 3  # alternations of scene and pattern
 
 
 def moving_object_mask(preprocessed: Tensor) -> Tensor:

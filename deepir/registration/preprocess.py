@@ -20,6 +20,9 @@ MIN_RELATIVE_FLUX = 0.05  # of the median; smaller values are raised to it befor
 MAX_NONPOSITIVE_FRACTION = 0.05  # of the samples; with more, frames are no flux and no logarithm is taken
 STUCK_THRESHOLD = 10.0  # robust standard deviations; pixels of the mean frame beyond are stuck
 STRIPE_WINDOW = 31  # px across the lines; broader structure is no stripe
+LOW_PASS_SIGMA = 0.8  # px of the level; Gaussian low-pass of all frames
+SHADING_SHRINK = 4  # factor by which frames are reduced before shading is estimated
+SHADING_SIGMA = 1.5  # px of the reduced frames; shading and drift are smoother than this Gaussian
 
 
 @dataclass(frozen=True)
@@ -181,11 +184,6 @@ def asinh_scale(image: np.ndarray) -> float:
         np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(STABILISER.n_flux_bins)
     )
     return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *STABILISER.scale_bounds))
-
-
-LOW_PASS_SIGMA = 0.8  # px of the level; Gaussian low-pass of all frames
-SHADING_SHRINK = 4  # factor by which frames are reduced before shading is estimated
-SHADING_SIGMA = 1.5  # px of the reduced frames; shading and drift are smoother than this Gaussian
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ ROTATION_MARGIN = 1.08
 WHITENING_EXPONENT = 0.7  # 0: cross-correlation, 1: phase correlation
 BAND_SIGMA = 0.12  # cycles per px of the level; Gaussian band in which spectra are correlated
 MAX_REFERENCES = 4  # frames tried as the reference
+MAX_SWEEPS = 4  # sweeps of the integer search over all frames
 
 
 @dataclass(frozen=True)
@@ -143,9 +144,6 @@ def whitened_correlation(reference: Tensor, spectra: Tensor, pattern_present: bo
     band = torch.exp(-0.5 * (fy**2 + fx**2) / BAND_SIGMA**2)
     floor = 1e-3 * power.amax((1, 2), keepdim=True) + 1e-20
     return torch.fft.irfft2(band * cross / (power + floor) ** WHITENING_EXPONENT, s=size)
-
-
-MAX_SWEEPS = 4  # sweeps of the integer search over all frames
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,19 @@ from deepir.io.output.write import atomic_file
 Point = tuple[float, float]
 TITLE_SIZE, LABEL_SIZE = 16, 13  # px
 INK = "black"
+STEPS = (1, 2, 5, 10)  # between ticks, times a power of ten
+MAX_DECIMALS = 5  # of a label; beyond, and from a million on, it has an exponent
+COMPRESSION = 3  # of zlib: a third of the time of the default, for a tenth more
+Array = np.ndarray[Any, Any]
+LEFT, BOTTOM = 70, 56  # px for the numbers and the name of a scale
+SMOOTHING = 4  # lines are drawn that many times as large, and reduced
+COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
+GREY = "#808080"
+TITLE_HEIGHT = 32  # px
+MARGIN = 10  # px
+BAR, SCALE = 16, 90  # px: width of the colour bar, and of it with its space and its numbers
+MISSING_COLOUR = (176, 196, 222)  # of what is not finite
+LOG_SCALE_RATIO = 30.0  # largest over smallest deviation from which their scale is logarithmic
 
 
 @functools.cache
@@ -33,10 +46,6 @@ def write_text(draw: ImageDraw.ImageDraw, at: Point, text: str, anchor: str, siz
 def text_width(text: str, size: int = LABEL_SIZE) -> float:
     """Width of a text, px."""
     return float(_font(size).getlength(text))
-
-
-STEPS = (1, 2, 5, 10)  # between ticks, times a power of ten
-MAX_DECIMALS = 5  # of a label; beyond, and from a million on, it has an exponent
 
 
 def linear_ticks(low: float, high: float, most: int = 7) -> list[float]:
@@ -72,9 +81,6 @@ def labels(ticks: list[float]) -> list[str]:
     return [f"{each:.{decimals}f}" for each in ticks]
 
 
-COMPRESSION = 3  # of zlib: a third of the time of the default, for a tenth more
-
-
 def write_figure(path: Path, rows: Sequence[Sequence[Image.Image]]) -> None:
     """Write rows of pictures as PNG."""
     with atomic_file(path) as part:
@@ -92,13 +98,6 @@ def composed(rows: Sequence[Sequence[Image.Image]]) -> Image.Image:
             left += each.width
         top += row[0].height
     return whole
-
-
-Array = np.ndarray[Any, Any]
-LEFT, BOTTOM = 70, 56  # px for the numbers and the name of a scale
-SMOOTHING = 4  # lines are drawn that many times as large, and reduced
-COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
-GREY = "#808080"
 
 
 class Axes:
@@ -210,13 +209,6 @@ def _share(values: Array, limits: tuple[float, float], *, log: bool) -> Array:
     if log:
         low, high, values = math.log(low), math.log(high), np.log(values)
     return np.asarray((values - low) / (high - low))
-
-
-TITLE_HEIGHT = 32  # px
-MARGIN = 10  # px
-BAR, SCALE = 16, 90  # px: width of the colour bar, and of it with its space and its numbers
-MISSING_COLOUR = (176, 196, 222)  # of what is not finite
-LOG_SCALE_RATIO = 30.0  # largest over smallest deviation from which their scale is logarithmic
 
 
 def map_height(shape: tuple[int, ...], width: int, beside: int = SCALE) -> int:

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from deepir.result import Result
 
 WEB_FOLDER = Path(__file__).parent / "web"  # templates, scripts and styles
+Array = np.ndarray[Any, Any]
+#: Palettes of maps about a centre, of standard deviations and of masks.
+MAP_PALETTES = {"signed": SIGNED, "spread": DEVIATIONS, "mask": WHITE_HOT}
+HISTOGRAM_BINS = 160  # bins between the display limits
 
 
 def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str, Any]) -> None:
@@ -122,12 +126,6 @@ def _reached(result: Result) -> str:
 def _frames(result: Result) -> str:
     used, count = int(result.frames_used.sum()), len(result.frames_used)
     return "All frames are used." if used == count else f"{used} of {count} frames are used."
-
-
-Array = np.ndarray[Any, Any]
-#: Palettes of maps about a centre, of standard deviations and of masks.
-MAP_PALETTES = {"signed": SIGNED, "spread": DEVIATIONS, "mask": WHITE_HOT}
-HISTOGRAM_BINS = 160  # bins between the display limits
 
 
 def write_report(path: Path, result: Result, example: Array, config: Config) -> None:

@@ -24,6 +24,17 @@ if TYPE_CHECKING:
 
 TOTAL_WIDTH = 1200  # px
 Panel = tuple[str, np.ndarray[Any, Any], float, float]
+Array = np.ndarray[Any, Any]
+MISSING_LEVEL = 65535  # level of samples that are not finite
+FINE_LEVELS = 4096  # levels between the display limits
+COARSE_LEVELS = 256  # the same, at least, of maps with far outliers
+SHOWN = (0.1, 0.5, 0.9)  # places in the recording of the frames shown
+PERCENTILES = (0.5, 99.5)  # of a picture's values, shown black and white
+PANEL_WIDTH = 460  # px
+PANEL_HEIGHTS = (260, 900)  # px, least and greatest
+LEGEND_SHARE = 0.3  # of the height of the losses, kept free above them
+MAX_SHOWN_FRAMES = 4  # frames in the picture
+FLOW_WIDTH, LEGEND_WIDTH = 330, 260  # px
 
 
 def montage(scenes: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -60,12 +71,6 @@ def write_panels(path: Path, panels: Sequence[Panel], rows: int = 1) -> None:
     whole.quantize(64, dither=Image.Dither.NONE).save(path, format="PNG", optimize=True)
 
 
-Array = np.ndarray[Any, Any]
-MISSING_LEVEL = 65535  # level of samples that are not finite
-FINE_LEVELS = 4096  # levels between the display limits
-COARSE_LEVELS = 256  # the same, at least, of maps with far outliers
-
-
 def pack_map(image: Array, fine: int = FINE_LEVELS) -> dict[str, Any]:
     """Levels of a map (h, w) as text, with the data to read them: `value = base + step * level`.
 
@@ -97,10 +102,6 @@ def pack_map(image: Array, fine: int = FINE_LEVELS) -> dict[str, Any]:
     }
 
 
-SHOWN = (0.1, 0.5, 0.9)  # places in the recording of the frames shown
-PERCENTILES = (0.5, 99.5)  # of a picture's values, shown black and white
-
-
 def write_correction(path: Path, corrected: CorrectedRecording) -> None:
     """Write the picture: three frames as recorded, the same corrected, and offset, gain and bad pixels."""
     keyframes = corrected.keyframes
@@ -125,11 +126,6 @@ def _panel(title: str, picture: Array) -> Panel:
     if low == high:  # a uniform picture is grey
         low, high = low - 0.5, high + 0.5
     return title, picture, low, high
-
-
-PANEL_WIDTH = 460  # px
-PANEL_HEIGHTS = (260, 900)  # px, least and greatest
-LEGEND_SHARE = 0.3  # of the height of the losses, kept free above them
 
 
 def write_summary(path: Path, result: Result, example: Array) -> None:
@@ -180,10 +176,6 @@ def _loss(history: list[dict[str, Any]], size: tuple[int, int]) -> Image.Image:
         axes.line(np.arange(start, start + len(loss)), loss, colour, name)
         start += len(loss)
     return axes.picture()
-
-
-MAX_SHOWN_FRAMES = 4  # frames in the picture
-FLOW_WIDTH, LEGEND_WIDTH = 330, 260  # px
 
 
 def write_flow(path: Path, flow: Array, motion: Array) -> None:

@@ -22,6 +22,9 @@ CONSTANT_SIGMAS = {
 PIXEL_EMISSION = 0.5  # flux that a pixel emits itself, above that of scene value 0, in ranges
 LENS_SHARE = 0.2  # share of a pixel's view that is lens, at f/1
 CORNER_ANGLE = 20.0  # degrees from the axis to the frame's corner
+TREMOR_WAVES = 4  # sinusoids in the path of each motion parameter
+ADC_MAX = 16383  # largest count of the 14-bit converter
+NOISY_PIXEL_EXCESS = 99.0  # additional variance of a noisy pixel, in variances of its noise
 
 
 def bolometer_pixels(
@@ -75,8 +78,6 @@ def line_noise(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray
 
 
 Values = TypeVar("Values", float, np.ndarray)
-
-TREMOR_WAVES = 4  # sinusoids in the path of each motion parameter
 
 
 def smooth_path(settings: Settings, rng: np.random.Generator) -> np.ndarray:
@@ -136,10 +137,6 @@ def rolling_readout(shown: np.ndarray, settings: Settings) -> np.ndarray:
     part = (at - first)[..., None]
     rows = np.arange(height)
     return (1 - part) * shown[first, rows] + part * shown[np.minimum(first + 1, len(shown) - 1), rows]
-
-
-ADC_MAX = 16383  # largest count of the 14-bit converter
-NOISY_PIXEL_EXCESS = 99.0  # additional variance of a noisy pixel, in variances of its noise
 
 
 class Defect(IntEnum):

@@ -19,6 +19,8 @@ from deepir.simulate.optics.rendering import (
 from deepir.simulate.scenes.procedural import Scene, procedural
 from deepir.simulate.settings import Settings
 
+MIN_FLUX_CHANGE = 1e-4  # change of flux, in ranges, from which a sample counts as moving
+
 
 def render_own_scenes(
     scenes: Scene | Sequence[Scene] | None, settings: Settings, rng: np.random.Generator
@@ -54,9 +56,6 @@ def render_own_scenes(
         frames.append(render(behind, still, settings.shape, scales[-1], settings.psf_sigma)[0])
         fine.append(render_reference(picture, scales[-1], settings) if settings.factor > 1 else frames[-1])
     return np.array(frames), np.array(fine), scales[0]
-
-
-MIN_FLUX_CHANGE = 1e-4  # change of flux, in ranges, from which a sample counts as moving
 
 
 def observe(

@@ -24,6 +24,26 @@ LOCK_NAME = ".lock"  # file within a folder that is held
 LOCK_WAIT = 0.3  # s; a process that comes too late has the first one's name by then
 #: Files that `deepir.io.output.write.atomic_files` leaves behind when it is killed.
 TEMPORARY_PATTERN = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.\w+)")
+#: All files that a run writes and --overwrite replaces; the configuration is written first, the metrics last.
+RUN_FILES = (
+    "config.yaml",
+    "run.json",
+    "deepir.log",
+    "checkpoint.safetensors",
+    "checkpoint.part",
+    "result.npz",
+    "result.mat",
+    "uncertainty.npz",
+    "scene.tiff",
+    "scene_kelvin.tiff",
+    "scene_preview.png",
+    "summary.png",
+    "flow.png",
+    "report.html",
+    "metrics.json",
+)
+#: First line of config.yaml, by which a run's folder is recognised.
+CONFIG_HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 
 
 @dataclass(frozen=True)
@@ -133,27 +153,6 @@ def _read(holder: Path) -> str:
         return holder.read_text(encoding="utf-8")
     return "its name is not known"
 
-
-#: All files that a run writes and --overwrite replaces; the configuration is written first, the metrics last.
-RUN_FILES = (
-    "config.yaml",
-    "run.json",
-    "deepir.log",
-    "checkpoint.safetensors",
-    "checkpoint.part",
-    "result.npz",
-    "result.mat",
-    "uncertainty.npz",
-    "scene.tiff",
-    "scene_kelvin.tiff",
-    "scene_preview.png",
-    "summary.png",
-    "flow.png",
-    "report.html",
-    "metrics.json",
-)
-#: First line of config.yaml, by which a run's folder is recognised.
-CONFIG_HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 
 log = logging.getLogger("deepir")
 

@@ -31,6 +31,16 @@ MAX_LEGEND = 20  # lines that are named
 LEGEND_ROW = 0.06  # of the range of values, for the name of each line
 MARGIN = 0.08  # of the range of values, beyond it
 AVERAGED_AXES = (*REPEAT_AXES, BURST_AXIS)  # axes over which curves take medians
+#: Metrics of `metrics.json` in the table: heading and decimals (None: three digits). `table.csv` has all.
+TABLE_METRICS = {
+    "psnr_aligned": ("PSNR (dB)", 2),
+    "radiometric_rmse": ("radiometric error", None),
+    "held_out_rmse": ("held-out error", None),
+    "seconds": ("seconds", None),
+}
+FORMULA_SIGNS = ("=", "+", "-", "@")  # with which a spreadsheet begins a formula
+#: First line of table.md, by which it is recognised.
+TABLE_HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
 
 
 def write_plots(path: Path, found: Sequence[Row]) -> None:
@@ -140,18 +150,6 @@ def _curves(lines: dict[str, list[Group]], x: str, metric: str) -> list[dict[str
         ]
         found.append({"name": name, "points": sorted(points)})
     return found
-
-
-#: Metrics of `metrics.json` in the table: heading and decimals (None: three digits). `table.csv` has all.
-TABLE_METRICS = {
-    "psnr_aligned": ("PSNR (dB)", 2),
-    "radiometric_rmse": ("radiometric error", None),
-    "held_out_rmse": ("held-out error", None),
-    "seconds": ("seconds", None),
-}
-FORMULA_SIGNS = ("=", "+", "-", "@")  # with which a spreadsheet begins a formula
-#: First line of table.md, by which it is recognised.
-TABLE_HEADER = "<!-- deepir: written by `deepir compare` or `deepir batch` -->\n"
 
 
 @dataclass(frozen=True)

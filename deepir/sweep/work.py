@@ -19,6 +19,11 @@ from deepir.simulate import Settings, simulate
 from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
 
+#: One run at a time: torch's seed and the package's log belong to the process.
+PROCESS_LOCK = threading.Lock()
+#: Size of the frames by which a process is warmed up, px.
+WARM_UP_SHAPE = (40, 48)
+
 
 class IgnoreInterrupts(WorkerPlugin):
     """Ignore Ctrl-C, which a terminal sends to the workers too; each would end with a traceback."""
@@ -30,10 +35,6 @@ class IgnoreInterrupts(WorkerPlugin):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-#: One run at a time: torch's seed and the package's log belong to the process.
-PROCESS_LOCK = threading.Lock()
-#: Size of the frames by which a process is warmed up, px.
-WARM_UP_SHAPE = (40, 48)
 _warm: set[str] = set()  # what this process has run
 
 

@@ -25,6 +25,8 @@ SCENE_COUNT = 160  # drawn scenes
 BATCH_SIZE = 8  # crops of an iteration
 SCENE_HEIGHTS = (160, 520)  # px of a drawn scene, from and below
 PHOTOGRAPH_REDUCTIONS = (1, 2, 3)  # factors; a reduced photograph is sharper
+MAX_GRADIENT_NORM = 1.0  # norm to which gradients are clipped
+WARM_UP_ITERATIONS = 200  # iterations in which the step size grows to its full value
 
 
 class Pictures:
@@ -78,10 +80,6 @@ def _photographs(names: Sequence[str]) -> list[np.ndarray]:
                 for times in PHOTOGRAPH_REDUCTIONS
             ]
     return found
-
-
-MAX_GRADIENT_NORM = 1.0  # norm to which gradients are clipped
-WARM_UP_ITERATIONS = 200  # iterations in which the step size grows to its full value
 
 
 class Training:

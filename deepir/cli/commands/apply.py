@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from deepir.config import Config
 
 MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
+MOTION_CHECK_FRAMES = 8  # first frames of a flat recording that are checked for motion
 
 
 def apply(
@@ -103,9 +104,6 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
         count = write_frames(map(maps.correct, itertools.chain([first], frames)), write)
     speed = count / (time.perf_counter() - begun)
     return f"{target}: {count} frame(s) of {' x '.join(map(str, first.shape))} px, {speed:.0f} frames/s"
-
-
-MOTION_CHECK_FRAMES = 8  # first frames of a flat recording that are checked for motion
 
 
 def calibrate(

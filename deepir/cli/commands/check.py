@@ -16,6 +16,11 @@ from deepir.cli.terminal import echo
 if TYPE_CHECKING:
     from deepir.config import Config
 
+STILL = "  motion: none"  # beginning of the line on frames in which no motion is seen
+MOTION_FRAMES = 8  # frames that are registered where no motion is seen
+MAX_FRAMES_OF_A_BURST = 30  # more are a recording
+REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
+
 
 def list_components(
     name: Annotated[
@@ -85,12 +90,6 @@ def _options(component: Any) -> str:
     fields = options_schema(component).model_fields
     named = ", ".join(f"{name}={field.default}" for name, field in fields.items())
     return f"({named})" if named else ""
-
-
-STILL = "  motion: none"  # beginning of the line on frames in which no motion is seen
-MOTION_FRAMES = 8  # frames that are registered where no motion is seen
-MAX_FRAMES_OF_A_BURST = 30  # more are a recording
-REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
 
 
 def check(

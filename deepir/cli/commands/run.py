@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from deepir.result import Result
     from deepir.training.training import TrainingProgress
 
+DEMO_FOLDER = Path("runs/demo")  # where the demo writes
+DEMO_SHAPE = (256, 320)  # height and width of its frames, px
+REPORT_INTERVAL = 250  # iterations between two lines of progress
+
 
 def run(
     config: Annotated[
@@ -118,10 +122,6 @@ def report_result(result: Result, folder: Path) -> None:
     )
 
 
-DEMO_FOLDER = Path("runs/demo")  # where the demo writes
-DEMO_SHAPE = (256, 320)  # height and width of its frames, px
-
-
 def demo() -> int:
     """Correct a simulated burst of five frames in counts; results and pictures in runs/demo/."""
     from deepir.cli.commands.run import run_and_store
@@ -160,9 +160,6 @@ def _compare() -> None:
     echo("PSNR after the best gain and level:")
     for name, found in rows.items():
         echo(f"  {name:<20} {found['psnr_aligned']:6.2f} dB")
-
-
-REPORT_INTERVAL = 250  # iterations between two lines of progress
 
 
 def train(

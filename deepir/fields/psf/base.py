@@ -24,6 +24,8 @@ MIN_WIDTH = 0.4
 POINTS_PER_PIXEL = 8
 #: Width of the soft edge of a kernel, px.
 EDGE_WIDTH = 0.2
+#: Smallest initial value relative to the largest: exact zeros would remain zero.
+MIN_INITIAL_RATIO = 1e-4
 
 
 class PSF(Field):
@@ -120,10 +122,6 @@ class Kernel(Constant):
     def example(cls) -> Kernel:
         """A kernel of 3 x 3 px."""
         return cls((1, 1, 3, 3))
-
-
-#: Smallest initial value relative to the largest: exact zeros would remain zero.
-MIN_INITIAL_RATIO = 1e-4
 
 
 @register("field", "simplex")

@@ -13,6 +13,7 @@ import numpy as np
 from deepir.errors import DataError
 
 SEARCH_BYTES = 2**20  # read at once while bytes are sought
+Array = np.ndarray[Any, np.dtype[Any]]
 
 
 class FileBytes:
@@ -55,9 +56,6 @@ class FileBytes:
                 return start + at
             start += SEARCH_BYTES - len(what) + 1
         return -1
-
-
-Array = np.ndarray[Any, np.dtype[Any]]
 
 
 def stream_planes(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int]) -> Iterator[Array]:

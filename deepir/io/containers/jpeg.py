@@ -14,6 +14,15 @@ from deepir.io.containers.file_bytes import FileBytes
 SUBDIRECTORIES = 330  # the tag SubIFDs
 #: Bytes of a value of the types that an offset has: LONG, IFD, LONG8, SLONG8, IFD8.
 VALUE_BYTES = {4: 4, 13: 4, 16: 8, 17: 8, 18: 8}
+JPEG_SIGNATURE = b"\xff\xd8\xff"  # first bytes of a JPEG
+SCAN_MARKER = 0xDA  # start of scan: the picture's data follow
+FRAME_HEADER_MARKERS = {0xC0, 0xC1, 0xC2, 0xC3, 0xF7}  # SOF0 to SOF3 and, F7, SOF55 of JPEG-LS
+END_OF_PICTURE = b"\xff\xd9"
+#: APP3 to APP15 without those of HDR and signatures (APP11), Photoshop (APP13) and Adobe (APP14).
+CAMERA_MARKERS = {*range(0xE3, 0xF0)} - {0xEB, 0xED, 0xEE}
+APP2 = 0xE2
+APP2_STANDARDS = (b"ICC_PROFILE\0", b"MPF\0", b"FPXR\0")  # first bytes of APP2 segments of standards
+NEXT_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # within the data of a picture
 
 
 def count_directories(path: Path) -> int:
@@ -64,17 +73,6 @@ def _offsets(data: FileBytes, order: str, kind: int, length: int, value: int, *,
     return list(
         struct.unpack(f"{order}{length}{'I' if each == 4 else 'Q'}", data[value : value + length * each])
     )
-
-
-JPEG_SIGNATURE = b"\xff\xd8\xff"  # first bytes of a JPEG
-SCAN_MARKER = 0xDA  # start of scan: the picture's data follow
-FRAME_HEADER_MARKERS = {0xC0, 0xC1, 0xC2, 0xC3, 0xF7}  # SOF0 to SOF3 and, F7, SOF55 of JPEG-LS
-END_OF_PICTURE = b"\xff\xd9"
-#: APP3 to APP15 without those of HDR and signatures (APP11), Photoshop (APP13) and Adobe (APP14).
-CAMERA_MARKERS = {*range(0xE3, 0xF0)} - {0xEB, 0xED, 0xEE}
-APP2 = 0xE2
-APP2_STANDARDS = (b"ICC_PROFILE\0", b"MPF\0", b"FPXR\0")  # first bytes of APP2 segments of standards
-NEXT_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # within the data of a picture
 
 
 def segments(stream: IO[bytes]) -> Iterator[tuple[int, bytes]]:

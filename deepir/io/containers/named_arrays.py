@@ -13,6 +13,13 @@ from deepir.io.containers.file_bytes import FileBytes
 PREFERRED_NAMES = ("frames", "raw")  # names of the array that holds the frames, in order of preference
 
 MAX_LISTED = 20  # arrays that a message lists
+HEADER_BYTES = 128  # before the first element
+TAG_BYTES = 8  # of an element: type and length
+MATRIX, COMPRESSED = 14, 15  # types of elements: an array; one that is packed by zlib
+NUMERIC_CLASSES = range(6, 16)  # of arrays: double to uint64
+NUMERIC_TYPES = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13)  # of values: int8 to uint32, single, double, int64, uint64
+COMPLEX_FLAG = 0x08  # in the second byte of an array's flags
+HEAD_BYTES = 2**16  # of an array, in which its flags, sizes and name are
 
 
 def can_be_frames(shape: tuple[int, ...]) -> bool:
@@ -48,15 +55,6 @@ def choose_array(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | N
             f"{path}: which array is meant? Give its key (data.key). {advice}Arrays: {listing or 'none'}"
         )
     return pictures[0]
-
-
-HEADER_BYTES = 128  # before the first element
-TAG_BYTES = 8  # of an element: type and length
-MATRIX, COMPRESSED = 14, 15  # types of elements: an array; one that is packed by zlib
-NUMERIC_CLASSES = range(6, 16)  # of arrays: double to uint64
-NUMERIC_TYPES = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13)  # of values: int8 to uint32, single, double, int64, uint64
-COMPLEX_FLAG = 0x08  # in the second byte of an array's flags
-HEAD_BYTES = 2**16  # of an array, in which its flags, sizes and name are
 
 
 def check_elements(path: Path) -> None:

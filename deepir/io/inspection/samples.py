@@ -12,6 +12,37 @@ from deepir.messages import Message
 
 Array = np.ndarray[Any, Any]
 MAX_CLIPPED_SHARE = 0.5  # share of a frame at the ends of the range from which its samples are kept
+MAX_SHARE = 0.2  # of the pixels; more: the frames hardly change
+MIN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
+MIN_PIXELS = 20  # fewer are defective ones
+COMMON_VALUES, MIN_COMMON_SHARE = 3, 0.6  # shades of what is drawn, and share of its pixels that have them
+#: Of GDAL, Pix4D, ENVI, NetCDF and others, for floats and signed integers.
+FILL_VALUES = (
+    *(-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -10000.0, -32768.0, -32767.0, -2147483648.0),
+    *(-3.4028234663852886e38, 3.4028234663852886e38, 1e20, -1e20, 9.969209968386869e36, -1e30, 1e30, -1e31),
+)
+UNSIGNED_FILL = 65535.0  # of 16-bit counts
+MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
+SAMPLES = 100_000  # that the range of the others is measured of
+CHANCE_COUNT = 20  # samples that may share an end of the range by chance
+PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
+NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
+SAMPLED_FRAMES = 4  # frames that are inspected
+SAMPLED_SIDE = 512  # rows and columns of them
+MIN_HIGH_BYTES = 32  # values of the high byte from which it varies like a low byte
+MIN_BYTES_RATIO = 2.0  # values of the high byte over those of the low byte in samples of swapped bytes
+MAX_ROUGHNESS_RATIO = (
+    1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
+)
+MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swapped, which alone is enough
+MAX_EXTENT, MAX_LIKELY_EXTENT = (
+    22.0,
+    20.0,
+)  # powers of two of samples whose bytes are swapped, and are not
+SIGNED_GAP = (
+    8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
+)
+MAX_IN_GAP = 0.01  # share of the samples that may lie in it all the same
 
 
 def is_contrast_stretched(frames: Array) -> bool:
@@ -41,12 +72,6 @@ def clipped_samples(frames: Array) -> Array:
     return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MAX_CLIPPED_SHARE))
 
 
-MAX_SHARE = 0.2  # of the pixels; more: the frames hardly change
-MIN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
-MIN_PIXELS = 20  # fewer are defective ones
-COMMON_VALUES, MIN_COMMON_SHARE = 3, 0.6  # shades of what is drawn, and share of its pixels that have them
-
-
 def drawn_pixels(frames: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Such pixels (h, w) of frames (N, h, w), bool, side by side; none of frames that are all alike."""
     same = (frames == frames[:1]).all(0)
@@ -73,15 +98,6 @@ def drawn_message(drawn: np.ndarray[Any, np.dtype[np.bool_]]) -> list[str]:
         )
     ]
 
-
-#: Of GDAL, Pix4D, ENVI, NetCDF and others, for floats and signed integers.
-FILL_VALUES = (
-    *(-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -10000.0, -32768.0, -32767.0, -2147483648.0),
-    *(-3.4028234663852886e38, 3.4028234663852886e38, 1e20, -1e20, 9.969209968386869e36, -1e30, 1e30, -1e31),
-)
-UNSIGNED_FILL = 65535.0  # of 16-bit counts
-MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
-SAMPLES = 100_000  # that the range of the others is measured of
 
 Frames = np.ndarray[Any, np.dtype[np.float32]]
 
@@ -119,9 +135,6 @@ def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dt
 
 
 ADC_LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # largest integers of common converters
-CHANCE_COUNT = 20  # samples that may share an end of the range by chance
-PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
-NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
 
 
 def saturated_samples(frames: Array) -> Array | None:
@@ -150,24 +163,6 @@ def _piled_up(frames: Array, count: int) -> bool:
     """True if `count` is far above the number of samples at any value next to the largest."""
     _, counts = np.unique(frames[np.isfinite(frames)], return_counts=True)
     return len(counts) > 1 and count > PILE_UP_RATIO * counts[-NEIGHBOUR_VALUES - 1 : -1].max()
-
-
-SAMPLED_FRAMES = 4  # frames that are inspected
-SAMPLED_SIDE = 512  # rows and columns of them
-MIN_HIGH_BYTES = 32  # values of the high byte from which it varies like a low byte
-MIN_BYTES_RATIO = 2.0  # values of the high byte over those of the low byte in samples of swapped bytes
-MAX_ROUGHNESS_RATIO = (
-    1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
-)
-MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swapped, which alone is enough
-MAX_EXTENT, MAX_LIKELY_EXTENT = (
-    22.0,
-    20.0,
-)  # powers of two of samples whose bytes are swapped, and are not
-SIGNED_GAP = (
-    8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
-)
-MAX_IN_GAP = 0.01  # share of the samples that may lie in it all the same
 
 
 def in_order(frames: Array, swap: bool | None, source: str, *, advice: str = "") -> Array:

@@ -17,6 +17,20 @@ MIN_STEP_RATIO = (
 )
 SAMPLED_FRAMES = 8  # frames that are inspected
 ROW_STRIDE = 8  # every n-th row of the middle of a frame is inspected
+Array = np.ndarray[Any, np.dtype[Any]]
+MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
+MIN_SEAM_ROWS = 16  # rows of either part, where only their seam shows it
+MIN_FRAMES = 3  # frames whose common fixed pattern is left out
+BLOCK_SIDE = 4  # px, of blocks within those that a codec leaves as they were
+MAX_EQUAL_BLOCKS = (
+    0.02  # share of them that repeat a neighbour's in the other part; above, a codec repeats rows too
+)
+MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
+CHUNK = 16  # frames that are compared with each other
+COLUMNS = 100  # of wide frames in which seams are sought
+#: Step across a seam over the largest of usual frames, the next largest of its own, and those of the frames beside it.
+MIN_SEAM_RATIO = 1.9
+MAX_EDGE_MOTION = 8  # rows from frame to frame of an edge of the scene, which those frames show too
 
 
 def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
@@ -84,23 +98,6 @@ def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
         "telemetry-rows",
         f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off",
     )
-
-
-Array = np.ndarray[Any, np.dtype[Any]]
-
-MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
-MIN_SEAM_ROWS = 16  # rows of either part, where only their seam shows it
-MIN_FRAMES = 3  # frames whose common fixed pattern is left out
-BLOCK_SIDE = 4  # px, of blocks within those that a codec leaves as they were
-MAX_EQUAL_BLOCKS = (
-    0.02  # share of them that repeat a neighbour's in the other part; above, a codec repeats rows too
-)
-MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
-CHUNK = 16  # frames that are compared with each other
-COLUMNS = 100  # of wide frames in which seams are sought
-#: Step across a seam over the largest of usual frames, the next largest of its own, and those of the frames beside it.
-MIN_SEAM_RATIO = 1.9
-MAX_EDGE_MOTION = 8  # rows from frame to frame of an edge of the scene, which those frames show too
 
 
 def torn_frames(frames: Array) -> dict[int, int]:

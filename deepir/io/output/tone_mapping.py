@@ -51,6 +51,7 @@ COLOURS = {
     ),
     "blue-red": "053061 2166ac 4393c3 92c5de d1e5f0 f7f7f7 fddbc7 f4a582 d6604d b2182b 67001f",
 }
+PERCENTILE = "percentile"  # the default tone mapping
 
 
 @functools.cache
@@ -60,9 +61,6 @@ def colour_table(palette: str) -> Array:
     at = np.linspace(0, 255, len(anchors))
     table = np.stack([np.interp(np.arange(256), at, channel) for channel in anchors.T], axis=1)
     return np.round(table).astype(np.uint8)
-
-
-PERCENTILE = "percentile"  # the default tone mapping
 
 
 def apply_palette(shades: Array, palette: str) -> Array:

@@ -27,6 +27,11 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
+MAX_REQUEST_BYTES = 4096  # of one message of a viewer
+CLOSING_TIME = 1  # s that viewers get at the end
+LOOPBACK = "127.0.0.1"
+#: An address of the documentation (RFC 5737): no packet is sent to it.
+ELSEWHERE = ("192.0.2.1", 9)
 
 
 class Guard:
@@ -85,13 +90,6 @@ class Guard:
         except ValueError:
             return False
         return True
-
-
-MAX_REQUEST_BYTES = 4096  # of one message of a viewer
-CLOSING_TIME = 1  # s that viewers get at the end
-LOOPBACK = "127.0.0.1"
-#: An address of the documentation (RFC 5737): no packet is sent to it.
-ELSEWHERE = ("192.0.2.1", 9)
 
 
 @contextmanager

@@ -15,6 +15,12 @@ from deepir.kernels.dispatch import is_compiled
 INTERPOLATION_WEIGHTS = (0.25, 0.75, 0.75, 0.25)
 #: Weights along an axis of linear upsampling by two followed by its adjoint, divided by two.
 UPSAMPLING_GRAM_WEIGHTS = (3 / 16, 5 / 8, 3 / 16)
+#: Negative slope of the leaky rectifier.
+NEGATIVE_SLOPE = 0.2
+#: Channels from which the fused block is faster on a CPU.
+MIN_FUSED_CHANNELS = 128
+#: Pixels of the coarse image from which the fused block is faster on a CPU.
+MIN_FUSED_PIXELS = 1024
 
 
 def upsample_join_convolve(
@@ -97,12 +103,6 @@ def _borders(picture: Tensor) -> tuple[Tensor, ...]:
 
 
 Pad = Literal["reflect", "zeros"]
-#: Negative slope of the leaky rectifier.
-NEGATIVE_SLOPE = 0.2
-#: Channels from which the fused block is faster on a CPU.
-MIN_FUSED_CHANNELS = 128
-#: Pixels of the coarse image from which the fused block is faster on a CPU.
-MIN_FUSED_PIXELS = 1024
 
 
 class Padded(nn.Conv2d):

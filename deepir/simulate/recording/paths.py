@@ -23,6 +23,15 @@ MAX_PAN_YAW = 50.0  # largest yaw of a pan to either side, degrees
 PAN_STOP_DURATIONS = (0.5, 1.5)  # least and longest stop of a pan, s
 PAN_MOVE_DURATIONS = (0.8, 2.0)  # least and longest move of a pan, s
 STEP_RATE = 1.8  # steps of a camera that is carried, Hz
+CAR_SIZE = (1.8, 4.3, 1.4)  # width, length and height, m
+ONCOMING_SPEED = 9.0  # speed of oncoming cars, m/s
+HALF_CAR_SPACING = 7.0  # half the distance between cars of one lane, m
+WALKING_SPEED = 1.3  # speed of pedestrians, m/s
+GAIT_PICTURES = 8  # pictures of a walker in one gait cycle (two steps)
+GAIT_RATE = 0.9  # gait cycles a second
+PERSON_HEIGHT = 1.8  # m
+#: Least and largest distance of walkers' feet below the horizon, in heights of the backdrop.
+FEET_POSITIONS = (0.24, 0.34)
 
 
 @dataclass(frozen=True)
@@ -120,17 +129,6 @@ def rotations(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarra
         return found
 
     return np.asarray(about(1, yaw) @ about(0, pitch) @ about(2, roll))
-
-
-CAR_SIZE = (1.8, 4.3, 1.4)  # width, length and height, m
-ONCOMING_SPEED = 9.0  # speed of oncoming cars, m/s
-HALF_CAR_SPACING = 7.0  # half the distance between cars of one lane, m
-WALKING_SPEED = 1.3  # speed of pedestrians, m/s
-GAIT_PICTURES = 8  # pictures of a walker in one gait cycle (two steps)
-GAIT_RATE = 0.9  # gait cycles a second
-PERSON_HEIGHT = 1.8  # m
-#: Least and largest distance of walkers' feet below the horizon, in heights of the backdrop.
-FEET_POSITIONS = (0.24, 0.34)
 
 
 def cars_ahead(
