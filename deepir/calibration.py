@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.windows import as_float32
+from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
 from deepir.io.inspection.describe import FULL_SCALE_COUNTS

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.windows import autocorrelation
+from deepir.arrays.samples import autocorrelation
 
 Array = np.ndarray[Any, Any]
 

@@ -1,18 +1,11 @@
-"""Windows, differences and samples of arrays, and values filled in."""
+"""Windows and differences of arrays, and values filled in."""
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy import fft
 from torch import Tensor
 
-Array = np.ndarray[Any, Any]
-#: Largest lag along an axis, px.
-MAX_LAG = 50
 #: Side of a neighbourhood, px.
 DEFAULT_WINDOW = 5
 
@@ -29,33 +22,6 @@ def squared_gradient(value: Tensor) -> Tensor:
     down = value.diff(dim=-2, append=value[..., -1:, :])
     right = value.diff(dim=-1, append=value[..., :, -1:])
     return down.square() + right.square()
-
-
-def autocorrelation(pattern: Array, second: Array, good: Array) -> Array:
-    """Normalised correlation of two maps as a function of the lag, by fast Fourier transforms.
-
-    Args:
-        pattern: (h, w), zero where not good.
-        second: The second map, same shape; `pattern` itself for an autocorrelation.
-        good: Pixels that count, (h, w), bool.
-
-    Returns:
-        Correlations (2 l + 1, 2 l + 1), one at the centre; l is a quarter of the shorter side, at most `MAX_LAG`.
-    """
-    max_lag = min(MAX_LAG, min(pattern.shape) // 4)
-    size = [fft.next_fast_len(side + max_lag) for side in pattern.shape]
-    one, other, mask = (fft.rfft2(each, size) for each in (pattern, second, good.astype(float)))
-    products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (mask, mask)))
-    lags = np.arange(-max_lag, max_lag + 1)
-    found = (products / pairs.clip(min=1))[np.ix_(lags, lags)]
-    found = (found + found[::-1, ::-1]) / 2
-    return np.asarray(found / max(found[max_lag, max_lag], 1e-300))
-
-
-def as_float32(frame: Array) -> Array:
-    """Samples (..., h, w) as a float32 copy; masked ones are NaN."""
-    samples: Array = np.ma.filled(frame.astype(np.float32), np.nan)
-    return samples
 
 
 def fill_nearest(image: Tensor, known: Tensor) -> Tensor:

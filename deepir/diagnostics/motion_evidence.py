@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from deepir.arrays.windows import Array
+from deepir.arrays.samples import Array
 from deepir.diagnostics.repeating_scene import scene_period
 from deepir.diagnostics.residual_correlation import (
     MIN_RESIDUAL_CORRELATION,

@@ -7,7 +7,7 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.arrays.windows import autocorrelation
+from deepir.arrays.samples import autocorrelation
 from deepir.io.inspection.samples import Array
 from deepir.messages import Message
 from deepir.registration.alignment import tukey_weights

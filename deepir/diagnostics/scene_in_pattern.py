@@ -12,8 +12,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from deepir.arrays.samples import autocorrelation
 from deepir.arrays.statistics import MAD_TO_SIGMA, median
-from deepir.arrays.windows import autocorrelation
 from deepir.diagnostics.motion_evidence import MIN_MOTION_NATS, motion_nats
 from deepir.messages import Message
 from deepir.operators import Sensor, Warp

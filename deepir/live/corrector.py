@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.windows import as_float32
+from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, Estimator, ProcessEstimator
 from deepir.live.recorder import LiveKeyframes

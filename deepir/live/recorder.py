@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from platformdirs import user_data_path
 
-from deepir.arrays.windows import as_float32
+from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps, read_maps
 from deepir.errors import DataError
 from deepir.io.output.recording import Write, output_type, tiff

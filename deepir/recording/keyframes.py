@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from deepir.arrays.windows import as_float32
+from deepir.arrays.samples import as_float32
 
 Array = np.ndarray[Any, Any]
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.windows import as_float32
+from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import memory, threads

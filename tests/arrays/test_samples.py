@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepir.arrays.windows import as_float32
+from deepir.arrays.samples import as_float32
 
 
 def test_masked_samples_are_nan_and_the_frame_is_copied():

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from deepir.arrays.windows import as_float32
+from deepir.arrays.samples import as_float32
 from deepir.io.output.tone_mapping import (
     PALETTES,
     PERCENTILE,

@@ -1,0 +1,39 @@
+"""Samples of frames as float32, and the autocorrelation of maps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import fft
+
+Array = np.ndarray[Any, Any]
+#: Largest lag along an axis, px.
+MAX_LAG = 50
+
+
+def autocorrelation(pattern: Array, second: Array, good: Array) -> Array:
+    """Normalised correlation of two maps as a function of the lag, by fast Fourier transforms.
+
+    Args:
+        pattern: (h, w), zero where not good.
+        second: The second map, same shape; `pattern` itself for an autocorrelation.
+        good: Pixels that count, (h, w), bool.
+
+    Returns:
+        Correlations (2 l + 1, 2 l + 1), one at the centre; l is a quarter of the shorter side, at most `MAX_LAG`.
+    """
+    max_lag = min(MAX_LAG, min(pattern.shape) // 4)
+    size = [fft.next_fast_len(side + max_lag) for side in pattern.shape]
+    one, other, mask = (fft.rfft2(each, size) for each in (pattern, second, good.astype(float)))
+    products, pairs = (fft.irfft2(a.conj() * b, size) for a, b in ((one, other), (mask, mask)))
+    lags = np.arange(-max_lag, max_lag + 1)
+    found = (products / pairs.clip(min=1))[np.ix_(lags, lags)]
+    found = (found + found[::-1, ::-1]) / 2
+    return np.asarray(found / max(found[max_lag, max_lag], 1e-300))
+
+
+def as_float32(frame: Array) -> Array:
+    """Samples (..., h, w) as a float32 copy; masked ones are NaN."""
+    samples: Array = np.ma.filled(frame.astype(np.float32), np.nan)
+    return samples
