@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepir import registry
-from deepir.cameras import capture as capturing
+from deepir.cameras import camera as capturing
 from deepir.cameras.camera import Camera
 from deepir.io import read_frames
 
