@@ -30,22 +30,10 @@ def size(folder: Path) -> dict[str, int]:
 
 def is_numeric_constant(node: ast.stmt) -> bool:
     """Whether a statement gives a name in capitals a value with a number in it."""
-    targets = (
-        node.targets
-        if isinstance(node, ast.Assign)
-        else [node.target]
-        if isinstance(node, ast.AnnAssign)
-        else []
-    )
-    named = any(
-        isinstance(each, ast.Name) and each.id.isupper() for target in targets for each in ast.walk(target)
-    )
-    return named and any(
-        isinstance(each, ast.Constant)
-        and isinstance(each.value, int | float)
-        and not isinstance(each.value, bool)
-        for each in ast.walk(node)
-    )
+    nodes = list(ast.walk(node)) if isinstance(node, ast.Assign | ast.AnnAssign) else []
+    stored = [each.id for each in nodes if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)]
+    values = [each.value for each in nodes if isinstance(each, ast.Constant)]
+    return any(map(str.isupper, stored)) and any(type(value) in (int, float) for value in values)
 
 
 def main() -> int:

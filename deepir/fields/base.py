@@ -65,6 +65,12 @@ class Field(nn.Module):
         return cls((1, 1, 6, 7))
 
 
+def demand_deviation(sigma: float | None) -> None:
+    """Raise `ValueError` if a given prior standard deviation is negative or not finite."""
+    if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
+        raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
+
+
 def check_counts(**counts: tuple[int, int]) -> None:
     """Check that integers are in the range 1 to a maximum.
 
@@ -98,8 +104,7 @@ class GaussianField(Field):
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral)
-        if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
-            raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
+        demand_deviation(sigma)
         self.sigma_is_fixed = sigma is not None
         self.register_buffer("sigma", torch.tensor(sigma or 0.0))
         #: Change of the value per unit of a parameter, see `Field`.

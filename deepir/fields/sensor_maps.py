@@ -10,7 +10,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Field, Shape
+from deepir.fields.base import Field, Shape, demand_deviation
 from deepir.registry import register
 
 
@@ -36,8 +36,7 @@ class GaussianMap(Field):
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral)
-        if sigma is not None and not (sigma >= 0 and math.isfinite(sigma)):
-            raise ValueError(f"sigma must be a number of at least 0, not {sigma}")
+        demand_deviation(sigma)
         own = [1 if axis - len(shape) in self.constant_axes else side for axis, side in enumerate(shape)]
         self.whitened = nn.Parameter(torch.zeros(own, dtype=torch.float64))
         self.sigma_is_fixed = sigma is not None

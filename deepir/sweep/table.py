@@ -24,6 +24,7 @@ from deepir.report.html import write_page
 from deepir.sweep.cells import BURST_AXIS, REPEAT_AXES, SWEEP_FILES, Cell
 
 Array = np.ndarray[Any, Any]
+Spread = tuple[float, float, float]  # median, least and greatest
 
 FRAMES_AXIS = "data.frames"  # key of the axis of frame counts
 PLOT_SIZE = 640, 440  # px
@@ -59,35 +60,33 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
 
 def _plot(lines: Mapping[str, Sequence[Group]], x: str, metric: str, *, legend: bool) -> Image.Image:
     """A metric against another, a line through the medians of each group, with bars from the least to the greatest."""
-    spreads = {label: _spreads(groups, x, metric) for label, groups in lines.items()}
+    spreads = {label: np.reshape(_points(groups, x, metric), (-1, 2, 3)) for label, groups in lines.items()}
     everything = np.concatenate(list(spreads.values()))
     across = _limits(everything[:, 0], log=x == "seconds")
     bottom, top = _limits(everything[:, 1], log=False)
-    if 1 < len(lines) <= MAX_LEGEND:
+    if few := 1 < len(lines) <= MAX_LEGEND:
         top += LEGEND_ROW * len(lines) * (top - bottom)
     axes = Axes(PLOT_SIZE, TABLE_METRICS[metric][0], across, (bottom, top), x, log_x=x == "seconds")
-    named = legend and 1 < len(lines) <= MAX_LEGEND
     for (label, points), colour in zip(spreads.items(), itertools.cycle(COLOURS)):
         middles = points[:, :, 0]
-        axes.line(middles[:, 0], middles[:, 1], colour, printable(label) if named else "", dots=True)
+        axes.line(middles[:, 0], middles[:, 1], colour, printable(label) if legend and few else "", dots=True)
         for (at, height), (wide, tall) in zip(middles, points[:, :, 1:], strict=True):
             axes.line(wide, np.full(2, height), colour)
             axes.line(np.full(2, at), tall, colour)
     return axes.picture()
 
 
-def _spreads(groups: Sequence[Group], x: str, metric: str) -> Array:
-    """Median, least and greatest (points, 2, 3) of two metrics of groups, in the order of their frames."""
-    ordered = sorted(groups, key=lambda group: group.median_range("frames") or ())
-    return np.array([[group.median_range(each) for each in (x, metric)] for group in ordered], float)
+def _points(groups: Sequence[Group], x: str, metric: str) -> list[tuple[Spread, Spread]]:
+    """Of groups that have both metrics, median, least and greatest of each, in the order of the first."""
+    spreads = [(group.median_range(x), group.median_range(metric)) for group in groups]
+    return sorted((across, up) for across, up in spreads if across and up)
 
 
 def _limits(values: Array, *, log: bool) -> tuple[float, float]:
     """The least and the greatest value, with a margin."""
     low, high = float(values.min()), float(values.max())
     if log:
-        low = max(low, 1e-3)
-        return low / (1 + MARGIN), max(high, low) * (1 + MARGIN)
+        return max(low, 1e-3) / (1 + MARGIN), max(high, 1e-3) * (1 + MARGIN)
     margin = MARGIN * (high - low) or 0.5
     return low - margin, high + margin
 
@@ -141,15 +140,10 @@ def _run(folder: Path, row: Row) -> dict[str, Any]:
 
 def _curves(lines: dict[str, list[Group]], x: str, metric: str) -> list[dict[str, Any]]:
     """Name, and (x, median, least, greatest) of each point, of each line."""
-    found = []
-    for name, groups in lines.items():
-        points = [
-            (across[0], *up)
-            for group in groups
-            if (across := group.median_range(x)) and (up := group.median_range(metric))
-        ]
-        found.append({"name": name, "points": sorted(points)})
-    return found
+    return [
+        {"name": name, "points": [(across[0], *up) for across, up in _points(groups, x, metric)]}
+        for name, groups in lines.items()
+    ]
 
 
 @dataclass(frozen=True)
@@ -169,7 +163,7 @@ class Group:
     values: Mapping[str, str]
     rows: Sequence[Row]
 
-    def median_range(self, metric: str) -> tuple[float, float, float] | None:
+    def median_range(self, metric: str) -> Spread | None:
         """Median, least and greatest of a metric over the cells that have it; None if none has."""
         found = [row.metrics[metric] for row in self.rows if row.metrics.get(metric) is not None]
         return (median(found), min(found), max(found)) if found else None

@@ -9,6 +9,7 @@ from deepir.correct_recording import correct
 from deepir.errors import DataError
 from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, rounding_deviation
+from deepir.recording.displaced import fine_part
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 
@@ -20,10 +21,13 @@ def test_shared_gradients_give_the_fine_offset(walk):
     frames = walk.frames.astype(np.float32)
     usable = np.broadcast_to(~walk.bad, frames.shape)
     found = gradient_consensus(frames, usable)
-    detail = found - ndimage.uniform_filter(found, 5)
-    true = walk.fine - ndimage.uniform_filter(walk.fine, 5)
-    inside = ~ndimage.binary_dilation(walk.bad, iterations=3)
-    assert alike(detail, true, inside) > 0.97
+    detail, true = (each - ndimage.uniform_filter(each, 5) for each in (found, walk.fine))
+    assert alike(detail, true, ~ndimage.binary_dilation(walk.bad, iterations=3)) > 0.97
+
+
+def test_a_fine_part_is_found_in_frames_smaller_than_a_block(walk):
+    # 12 rows, and blocks have 16.
+    assert alike(fine_part(walk.fine[:12], walk.fine[:12]), walk.fine[:12], ~walk.bad[:12]) > 0.8
 
 
 def judged(frames):
@@ -44,18 +48,14 @@ def test_a_large_steady_offset_is_no_defect(walk):
 
 
 def test_rounding_makes_no_pixel_of_a_corrected_recording_defective(walk):
-    frames = (
-        (walk.scenes[::5] / 8).round().astype(np.float32)
-    )  # no pattern, no noise, as in a film of eight bits
-    assert judged(frames).mean() < 1e-3
+    # No pattern, no noise, as in a film of eight bits.
+    assert judged((walk.scenes[::5] / 8).round().astype(np.float32)).mean() < 1e-3
 
 
 def test_most_of_the_pattern_is_taken_off(walk, corrected):
     frames = np.stack([corrected.correct(frame) for frame in walk.frames[::5]])
     assert corrected.estimate.kept == "gain and offset"
-    raw, left = (
-        float(np.mean(each - walk.scenes[::5], 0)[~walk.bad].std()) for each in (walk.frames[::5], frames)
-    )
+    raw, left = ((each - walk.scenes[::5]).mean(0)[~walk.bad].std() for each in (walk.frames[::5], frames))
     assert left < 0.1 * raw
 
 
