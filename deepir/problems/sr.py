@@ -38,6 +38,10 @@ class SR(Recipe):
     )
     weigh = staticmethod(weight_from_cross_validation)
 
+    def weigh_prior(self, problem: Problem) -> None:
+        """By the noise: cross-validation was of another prior."""
+        weigh_scene(problem)
+
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise and patterns as the raw frames show them; scene: registered average."""
         initial_estimate(problem, self.effects)
