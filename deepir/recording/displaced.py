@@ -21,7 +21,6 @@ from deepir.recording.low_order import (
     NormalEquations,
     block_sums,
     low_order_equations,
-    low_order_modes,
 )
 from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius, shared_share
 
@@ -104,7 +103,7 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
         start: (h, w), a pattern whose fine part is right, and whose low-order part is as strong as the sensor's.
     """
     size = frames.shape[1:]
-    modes, low = low_order_modes(size, mode_radius(size), RADIUS)
+    modes = LowOrderModes(size, RADIUS)
     prior = PatternPrior.of_finest(dct(start.astype(float)))
     offset = start.astype(float)
     for _ in range(ROUNDS):
@@ -113,9 +112,9 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
         sets = _displaced(rest, neighbours)
         if not sets:
             return None
-        step, _ = low_order_step(sets, modes, low, prior, offset, np.ones(size))
+        step, _ = low_order_step(sets, modes, prior, offset, np.ones(size))
         offset = offset + step
-    found, scene = dct(offset)[low], dct(frames.mean(0) - offset)[low]
+    found, scene = (dct(each)[modes.low] for each in (offset, frames.mean(0) - offset))
     if found @ found < SCENE_RATIO**2 * (scene @ scene):
         return None
     return low_order_part(offset)

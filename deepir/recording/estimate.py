@@ -235,7 +235,11 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
         )
         full.levels, full.gains = burst.levels, burst.gains
         shared = shared_pattern(frames[numbers], usable[numbers])
-        solution = solve_sensor([full], shared, rounds=FULL_SIZE_ROUNDS)
+        known = tuple(
+            enlarged(each, frames.shape[1:], factor)
+            for each in (solution.low_order, solution.low_order_variance)
+        )
+        solution = solve_sensor([full], shared, known=known, rounds=FULL_SIZE_ROUNDS)
     recorded = samples.frames[numbers]
     if not gains_differ:
         return _Registered(solution, full, numbers, None, recorded)

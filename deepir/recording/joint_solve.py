@@ -18,8 +18,8 @@ from scipy import linalg
 
 from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
 from deepir.recording.burst import SHIFT_ERROR, Burst
-from deepir.recording.low_order import LowOrderModes, NormalEquations, low_order_modes
-from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius
+from deepir.recording.low_order import LowOrderModes, NormalEquations
+from deepir.recording.offset_prior import PatternPrior, dct, idct
 
 Array = np.ndarray[Any, Any]
 
@@ -66,6 +66,7 @@ class SensorSolution:
         offset: (h, w), frames' units, mean zero.
         gain: (h, w), around one.
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
+        low_order, low_order_variance: (h, w), the part of long periods of the offset, and its posterior variance.
         motion_error: of the frames, px, the largest of the bursts; inf where they do not register.
         noise: of a sample, frames' units.
     """
@@ -73,57 +74,64 @@ class SensorSolution:
     offset: Array
     gain: Array
     deviation: Array | None
+    low_order: Array
+    low_order_variance: Array
     motion_error: float
     noise: float
 
     @classmethod
     def of_offset(cls, offset: Array) -> SensorSolution:
         """An offset whose deviation is not known."""
-        return cls(offset, np.ones_like(offset), None, np.inf, 0.0)
+        return cls(offset, np.ones_like(offset), None, offset, np.zeros_like(offset), np.inf, 0.0)
 
 
-def solve_sensor(bursts: Sequence[Burst], start: Array, *, rounds: int = ROUNDS) -> SensorSolution:
+def solve_sensor(
+    bursts: Sequence[Burst], start: Array, *, known: tuple[Array, Array] | None = None, rounds: int = ROUNDS
+) -> SensorSolution:
     """Estimate offset and gain from bursts of one sensor.
 
     Args:
         bursts: each of one scene; their motion, levels and gains are refined in place.
         start: (h, w), an offset whose fine part is right; its low-order part is not used.
+        known: low-order part of the offset, and its variance, (h, w) each, found already; None: they are estimated.
         rounds: of alternating.
     """
     size = bursts[0].frames.shape[1:]
-    radius = mode_radius(size)
-    modes, low = low_order_modes(size, radius, LOW_ORDER_RADIUS)
-    spectrum = dct(start.astype(float))
-    prior = PatternPrior.of_finest(spectrum)
-    offset, gain, extrapolated = idct(np.where(low, 0.0, spectrum)), np.ones(size), np.zeros(size)
-    fine = ~low
+    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS), start.astype(float)
+    prior = PatternPrior.of_finest(dct(start))
+    low_order = np.zeros(size) if known is None else known[0]
+    offset = start - modes.synthesise(modes.analyse(start)) + low_order
+    gain, extrapolated = np.ones(size), np.zeros(size)
+    fine = ~modes.low
     fine[0, 0] = False
     broad = prior.start
-    for number in range(rounds):
+    for number in range(ROUNDS - rounds, ROUNDS):
         for burst in bursts:
-            burst.align(offset, gain, FREE_MOTION[min(number, 4)])
-            burst.weigh(offset, gain, MOTION_ERRORS[min(number, 4)], robust=number > 0)
+            burst.align(offset, gain, FREE_MOTION[number])
+            burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
         told = np.any([burst.tells for burst in bursts], axis=0)
         prior.start = np.where(told, broad, broad[0, 0])  # the rest stays as it is
-        step, covariance = low_order_step(bursts, modes, low, prior, offset, gain)
-        offset = offset + step
+        if known is None:
+            step, covariance = low_order_step(bursts, modes, prior, offset, gain)
+            offset = offset + step
         information, trusted = _information(bursts, size)
         offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
         posterior = 1 / (information + 1 / prior.variance)
         prior.update(dct(offset), posterior, fine)
-        if number >= rounds - 2:
+        if number >= ROUNDS - 2:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
-    posterior, open_modes = np.where(told, posterior, broad), np.where(told[low], 0.0, broad[low])
-    covariance = covariance + np.diag(open_modes)
-    deviation = _deviation(modes, covariance, posterior[fine].sum() / posterior.size + extrapolated, size)
+    if known is None:
+        covariance = covariance + np.diag(modes.variances(np.where(told, 0.0, broad)))
+        known = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
+    fine_variance = np.where(told, posterior, broad)[fine].sum() / posterior.size + extrapolated
+    deviation = np.sqrt(known[1] + fine_variance)
     motion_error, noise = max(b.motion_error for b in bursts), float(np.median([b.noise for b in bursts]))
-    return SensorSolution(offset - offset.mean(), gain, deviation, motion_error, noise)
+    return SensorSolution(offset - offset.mean(), gain, deviation, *known, motion_error, noise)
 
 
 def low_order_step(
     bursts: Sequence[LowOrderSystem],
     modes: LowOrderModes,
-    low: Array,
     prior: PatternPrior,
     offset: Array,
     gain: Array,
@@ -132,18 +140,18 @@ def low_order_step(
 
     Args:
         bursts: that tell it.
-        modes, low: the modes, and the mask (h, w) of them among all.
+        modes: that make up the low-order part.
         prior: of the pattern; the variances of these modes are estimated anew.
         offset, gain: (h, w), what the bursts' frames are corrected by.
 
     Returns:
-        The change (h, w), and the posterior covariance (K, K) of the modes.
+        The change (h, w), and the posterior covariance (K, K) of the coefficients of the modes.
     """
     systems = [burst.equations(modes, offset, gain) for burst in bursts]
-    before = dct(offset)[low]
+    before = modes.analyse(offset)
     for burst in bursts:
         burst.inflation, burst.level_variance = 1.0, max(burst.level_variances)
-    free = _fit(bursts, systems, prior, low, before)  # the misfit that is left with free levels
+    free = _fit(bursts, systems, prior, modes, before)  # the misfit that is left with free levels
     for burst, system, own in zip(bursts, systems, free.reduced, strict=True):
         burst.inflation = system.inflation(np.concatenate([free.change, own.of(free.change)]))
     for k, burst in enumerate(bursts):
@@ -151,19 +159,17 @@ def low_order_step(
             evidence = []
             for variance in burst.level_variances:
                 burst.level_variance = variance
-                evidence.append(_fit([burst], systems[k : k + 1], prior, low, before).evidence)
+                evidence.append(_fit([burst], systems[k : k + 1], prior, modes, before).evidence)
             burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
-    best = _fit(bursts, systems, prior, low, before)
+    best = _fit(bursts, systems, prior, modes, before)
     for burst, system, own in zip(bursts, systems, best.reduced, strict=True):
         each = own.of(best.change).reshape(-1, system.per_frame)
         burst.levels = burst.levels + each[:, 0]
         if burst.gains_differ:
             burst.gains = burst.gains * (1 + each[:, -1])
             burst.gains = burst.gains / np.exp(np.log(burst.gains).mean())
-    prior.variance[low] = best.variance
-    step = np.zeros(low.shape)
-    step[low] = best.change
-    return idct(step), best.covariance
+    prior.variance[modes.low] = best.variance[: int(modes.low.sum())]
+    return modes.synthesise(best.change), best.covariance
 
 
 @dataclass(frozen=True)
@@ -181,24 +187,26 @@ def _fit(
     bursts: Sequence[LowOrderSystem],
     systems: Sequence[NormalEquations],
     prior: PatternPrior,
-    low: Array,
+    modes: LowOrderModes,
     before: Array,
 ) -> _Fit:
     """Expectation maximisation of the variances, from a broad prior; the evidence is up to a constant."""
-    reduced = [_nuisance(burst, system, low) for burst, system in zip(bursts, systems, strict=True)]
+    reduced = [_nuisance(burst, system, modes) for burst, system in zip(bursts, systems, strict=True)]
     data = sum(each.matrix for each in reduced)
-    score = sum(each.score for each in reduced) + data @ before
-    variance = prior.start[low]
+    own = sum(each.score for each in reduced)
+    score = own + data @ before
+    count = int(modes.low.sum())
+    open_modes = prior.start == prior.start[0, 0]
+    variance = modes.variances(np.where(modes.low | open_modes, prior.start, prior.variance))
     for number in range(UPDATES):
         matrix = data + np.diag(1 / variance)
         covariance = np.linalg.inv(matrix)
         mean = covariance @ score
         if number < UPDATES - 1:
-            found, spread = np.zeros(low.shape), np.zeros(low.shape)
-            found[low], spread[low] = mean, np.diag(covariance)
-            variance = prior.strengths(found, spread, low)
+            spread = modes.on_modes(np.diag(covariance))
+            variance[:count] = prior.strengths(modes.on_modes(mean), spread, modes.low)
     evidence = 0.5 * (score @ mean + np.linalg.slogdet(covariance)[1] - np.log(variance).sum())
-    evidence += sum(each.evidence for each in reduced)
+    evidence += sum(each.evidence for each in reduced) - own @ before - 0.5 * (before @ data @ before)
     return _Fit(mean - before, covariance, variance, float(evidence), reduced)
 
 
@@ -212,9 +220,9 @@ class _Reduced:
     evidence: float
 
 
-def _nuisance(burst: LowOrderSystem, system: NormalEquations, low: Array) -> _Reduced:
+def _nuisance(burst: LowOrderSystem, system: NormalEquations, modes: LowOrderModes) -> _Reduced:
     """Eliminate the unknowns of the frames, whose priors are about what they are so far, and errors they share."""
-    count = int(low.sum())
+    count, common_error = modes.count, modes.variances(burst.common_error)
     matrix, score = system.matrix / burst.inflation, system.score / burst.inflation
     prior = _frame_prior(burst, system.per_frame)
     known = np.zeros(len(prior))
@@ -226,12 +234,12 @@ def _nuisance(burst: LowOrderSystem, system: NormalEquations, low: Array) -> _Re
     evidence -= np.log(np.diag(factor[0])).sum()
     matrix, score = matrix[:count, :count] - cross.T @ tied, score[:count] - cross.T @ free
     # What the frames show is the modes and the common error.
-    widening = np.eye(count) + matrix * burst.common_error[low]
+    widening = np.eye(count) + matrix * common_error
     matrix, own = np.linalg.solve(widening, matrix), np.linalg.solve(widening, score)
-    evidence += 0.5 * (score @ (burst.common_error[low] * own) - np.linalg.slogdet(widening)[1])
+    evidence += 0.5 * (score @ (common_error * own) - np.linalg.slogdet(widening)[1])
 
-    def of(modes: Array) -> Array:
-        shown = burst.common_error[low] * own + np.linalg.solve(widening.T, modes)
+    def of(change: Array) -> Array:
+        shown = common_error * own + np.linalg.solve(widening.T, change)
         return np.asarray(free - tied @ shown)
 
     return _Reduced((matrix + matrix.T) / 2, own, of, float(evidence))
@@ -357,11 +365,11 @@ def _share_of_offset(offset: Array, information: Array, score: Array) -> Array:
     return slope * max(0.0, 1 - 1 / max(slope**2 * power, 1e-30)) * pattern
 
 
-def _deviation(modes: LowOrderModes, covariance: Array, fine_variance: Array, size: Sequence[int]) -> Array:
-    """Posterior standard deviation (h, w) of the offset."""
+def _variance(modes: LowOrderModes, covariance: Array, size: Sequence[int]) -> Array:
+    """Posterior variance (h, w) of the low-order part of the offset."""
     y, x = (np.arange(side, dtype=float) for side in size)
     low = np.empty(tuple(size))
     for i, row in enumerate(y):
         values = modes.at(np.full(len(x), row), x)
         low[i] = np.einsum("pk,pk->p", values @ covariance, values)
-    return np.asarray(np.sqrt(np.maximum(low, 0) + fine_variance))
+    return np.maximum(low, 0)

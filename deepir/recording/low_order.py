@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from deepir.recording.alignment import motion_gradients
 from deepir.recording.canvas import centred, weighted_mean
+from deepir.recording.offset_prior import dct, idct, mode_radius
 
 Array = np.ndarray[Any, Any]
 
@@ -24,26 +25,71 @@ BLOCKS = 40  # blocks along the longer side of a frame
 MIN_WEIGHT = 1e-3  # of the best seen block's, from which a block counts
 SCALES = (1, 2, 4, 8)  # blocks over which the misfit is averaged
 CLIP = 6.0  # sigmas, of a block's misfit
+NEGLIGIBLE = 1e-6  # of a slope, that modes lack
 
 
-@dataclass(frozen=True)
 class LowOrderModes:
-    """Cosine modes of a frame, as functions of places.
+    """Cosine modes of long periods, as functions of places, and what they lack of a slope along either axis.
+
+    A slope of the offset looks like levels that follow the motion: of it, the data may determine nothing. Cut off
+    after some modes, it would seem to be determined by what is cut off; so that part has a coefficient of its own.
+
+    Args:
+        size: (h, w) of the frame, px.
+        most: half periods over the longer side, below which modes are of long periods.
 
     Attributes:
-        size: (h, w) of the frame, px.
-        down, across: half periods of each mode along the axes, (K,).
+        low: (h, w) bool, the K modes among all; the mean is none of them.
+        count: K, and one for each slope.
         block: side, px, over which a mode is averaged.
     """
 
-    size: tuple[int, int]
-    down: Array
-    across: Array
-    block: int
+    def __init__(self, size: Sequence[int], most: float) -> None:
+        radius = mode_radius(size)
+        self.size, self.low = (size[0], size[1]), (radius < most) & (radius > 0)
+        self._down, self._across = np.nonzero(self.low)
+        self.block = max(2, round(max(size) / BLOCKS))
+        slopes = [dct(each) for each in centred(size)]
+        rests = [np.where(self.low, 0.0, each) for each in slopes]
+        norms = [float(np.linalg.norm(each)) for each in rests]
+        self._slopes = [
+            (axis, slope[self.low], rest / norm, norm)
+            for axis, (slope, rest, norm) in enumerate(zip(slopes, rests, norms, strict=True))
+            if norm > NEGLIGIBLE * np.linalg.norm(slope)
+        ]
+        self.count = len(self._down) + len(self._slopes)
 
     def at(self, y: Array, x: Array) -> Array:
-        """Means of the modes over blocks about places (rows and columns of the frame), (places, K)."""
-        return self._along(0, self.down, y) * self._along(1, self.across, x)
+        """Means over blocks about places (rows and columns of the frame), (places, count)."""
+        values = self._along(0, self._down, y) * self._along(1, self._across, x)
+        rests = [
+            ((y, x)[axis] - (self.size[axis] - 1) / 2 - values @ slope) / norm
+            for axis, slope, _, norm in self._slopes
+        ]
+        return np.column_stack([values, *rests])
+
+    def analyse(self, offset: Array) -> Array:
+        """Coefficients (count,) of an offset (h, w)."""
+        modes = dct(offset)
+        return np.append(modes[self.low], [(rest * modes).sum() for _, _, rest, _ in self._slopes])
+
+    def synthesise(self, coefficients: Array) -> Array:
+        """The offset (h, w) of coefficients (count,)."""
+        modes = self.on_modes(coefficients)
+        known = int(self.low.sum())
+        for (_, _, rest, _), each in zip(self._slopes, coefficients[known:], strict=True):
+            modes += each * rest
+        return idct(modes)
+
+    def on_modes(self, coefficients: Array) -> Array:
+        """Those of the K modes, in a map (h, w) of all; zero elsewhere."""
+        modes = np.zeros(self.size)
+        modes[self.low] = coefficients[: int(self.low.sum())]
+        return modes
+
+    def variances(self, of_modes: Array) -> Array:
+        """Variances (count,) of the coefficients, from those of all modes, (h, w)."""
+        return np.append(of_modes[self.low], [(rest**2 * of_modes).sum() for _, _, rest, _ in self._slopes])
 
     def _along(self, axis: int, modes: Array, at: Array) -> Array:
         side, orders = self.size[axis], np.arange(modes.max() + 1)
@@ -57,7 +103,7 @@ class LowOrderModes:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """`matrix @ unknowns = score` of K modes and, of each frame, level; shift x and y, and turn; and gain, if unknown.
+    """`matrix @ unknowns = score` of K coefficients and, of each frame, level, motion and gain, as far as unknown.
 
     Attributes:
         matrix, score: (K + n p, K + n p) and (K + n p,).
@@ -135,7 +181,7 @@ def low_order_equations(
     own, half = [np.ones_like(y)], max(modes.size) / 2
     if with_motion:
         own += motion_gradients(gy, gx, y / half, x / half)
-    per_frame, count = len(own) + (offset is not None), len(modes.down)
+    per_frame, count = len(own) + (offset is not None), modes.count
     size = count + len(frames) * per_frame
     matrix, score = np.zeros((size, size)), np.zeros(size)
     sums, moment, total = np.zeros((len(y), size)), np.zeros(len(y)), weight.sum(0)[seen]
@@ -174,11 +220,3 @@ def block_sums(values: Array, block: int) -> Array:
     height, width = (side // block for side in values.shape[-2:])
     cut = values[..., : height * block, : width * block]
     return np.asarray(cut.reshape(*values.shape[:-2], height, block, width, block).sum((-3, -1), dtype=float))
-
-
-def low_order_modes(size: Sequence[int], radius: Array, most: float) -> tuple[LowOrderModes, Array]:
-    """Modes of a frame (h, w) whose radius (h, w) is below `most`, without the mean; and the mask (h, w) of them."""
-    chosen = (radius < most) & (radius > 0)
-    down, across = np.nonzero(chosen)
-    block = max(2, round(max(size) / BLOCKS))
-    return LowOrderModes((size[0], size[1]), down, across, block), chosen
