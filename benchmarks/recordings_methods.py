@@ -12,8 +12,7 @@ from rivals import OVER_TIME
 import deepir
 from deepir.baselines.online import last_of
 from deepir.baselines.temporal.basic import flat_and_dark_field
-from deepir.baselines.temporal.gradient_consensus import interquartile_mean
-from deepir.baselines.temporal.multiview_tv import median_offset
+from deepir.baselines.temporal.multiview_tv import interquartile_mean, median_offset
 from deepir.calibration import CorrectionMaps
 from deepir.multiview.pattern import poisson
 

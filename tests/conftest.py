@@ -58,7 +58,7 @@ def small_nuc():
     from deepir.fields.motion import Shift
     from deepir.fields.sensor_maps import Column, Pixel, Row, SumField
     from deepir.operators import Sensor, Warp
-    from deepir.priors.penalties.ridge import Ridge
+    from deepir.priors.penalties.distance import Ridge
     from deepir.priors.penalties.tv import TV
     from deepir.problem import Problem
 

@@ -11,7 +11,7 @@ from deepir.joint_problem import JointProblem
 from deepir.operators import Chain, Sensor
 from deepir.optim.objective import Position, restore_state, save_state
 from deepir.optim.solve import solve
-from deepir.priors.penalties.ridge import Ridge
+from deepir.priors.penalties.distance import Ridge
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 

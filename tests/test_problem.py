@@ -8,7 +8,7 @@ from deepir.fields.constant import Constant
 from deepir.fields.sensor_maps import Column, Pixel, SumField
 from deepir.likelihoods import Huber
 from deepir.operators import Blur, Chain, Sensor, Warp
-from deepir.priors.penalties.ridge import Ridge
+from deepir.priors.penalties.distance import Ridge
 from deepir.problem import Problem
 
 SHAPE = (1, 1, 6, 7)

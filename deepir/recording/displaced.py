@@ -103,7 +103,7 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
         start: (h, w), a pattern whose fine part is right, and whose low-order part is as strong as the sensor's.
     """
     size = frames.shape[1:]
-    modes = LowOrderModes(size, RADIUS)
+    modes = LowOrderModes(size, RADIUS, slopes=False)
     prior = PatternPrior.of_finest(dct(start.astype(float)))
     offset = start.astype(float)
     for _ in range(ROUNDS):

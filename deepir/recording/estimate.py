@@ -52,7 +52,6 @@ MAX_MOTION_ERROR = 0.3
 #: has moved.
 MIN_CHANGE_SIGMAS = 2.2
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
-FULL_SIZE_ROUNDS = 2  # of the solve at the frames' own size, after that of averaged frames
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
 ONE_WAY = (
     ("turns sideways only", "from top to bottom", "Tilt the camera too"),
@@ -235,11 +234,8 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
         )
         full.levels, full.gains = burst.levels, burst.gains
         shared = shared_pattern(frames[numbers], usable[numbers])
-        known = tuple(
-            enlarged(each, frames.shape[1:], factor)
-            for each in (solution.low_order, solution.low_order_variance)
-        )
-        solution = solve_sensor([full], shared, known=known, rounds=FULL_SIZE_ROUNDS)
+        mean, variance = (enlarged(each, frames.shape[1:], factor) for each in solution.low_order)
+        solution = solve_sensor([full], shared, (mean, variance))
     recorded = samples.frames[numbers]
     if not gains_differ:
         return _Registered(solution, full, numbers, None, recorded)

@@ -23,7 +23,7 @@ from deepir.recording.offset_prior import PatternPrior, dct, idct
 
 Array = np.ndarray[Any, Any]
 
-ROUNDS = 5
+ROUNDS, LAST_ROUNDS = 5, 3  # of alternating; number of the first with the gain
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient.
 MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
@@ -66,7 +66,7 @@ class SensorSolution:
         offset: (h, w), frames' units, mean zero.
         gain: (h, w), around one.
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
-        low_order, low_order_variance: (h, w), the part of long periods of the offset, and its posterior variance.
+        low_order: part of long periods of the offset, and its posterior variance, (h, w) each.
         motion_error: of the frames, px, the largest of the bursts; inf where they do not register.
         noise: of a sample, frames' units.
     """
@@ -74,59 +74,56 @@ class SensorSolution:
     offset: Array
     gain: Array
     deviation: Array | None
-    low_order: Array
-    low_order_variance: Array
+    low_order: tuple[Array, Array]
     motion_error: float
     noise: float
 
     @classmethod
     def of_offset(cls, offset: Array) -> SensorSolution:
         """An offset whose deviation is not known."""
-        return cls(offset, np.ones_like(offset), None, offset, np.zeros_like(offset), np.inf, 0.0)
+        return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), np.inf, 0.0)
 
 
 def solve_sensor(
-    bursts: Sequence[Burst], start: Array, *, known: tuple[Array, Array] | None = None, rounds: int = ROUNDS
+    bursts: Sequence[Burst], start: Array, low_order: tuple[Array, Array] | None = None
 ) -> SensorSolution:
     """Estimate offset and gain from bursts of one sensor.
 
     Args:
         bursts: each of one scene; their motion, levels and gains are refined in place.
         start: (h, w), an offset whose fine part is right; its low-order part is not used.
-        known: low-order part of the offset, and its variance, (h, w) each, found already; None: they are estimated.
-        rounds: of alternating.
+        low_order: part of long periods, and its variance, (h, w) each, found already; None: they are estimated.
     """
     size = bursts[0].frames.shape[1:]
-    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS), start.astype(float)
+    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
     prior = PatternPrior.of_finest(dct(start))
-    low_order = np.zeros(size) if known is None else known[0]
-    offset = start - modes.synthesise(modes.analyse(start)) + low_order
+    offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
     fine = ~modes.low
     fine[0, 0] = False
     broad = prior.start
-    for number in range(ROUNDS - rounds, ROUNDS):
+    for number in range(LAST_ROUNDS if low_order else 0, ROUNDS):
         for burst in bursts:
             burst.align(offset, gain, FREE_MOTION[number])
             burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
         told = np.any([burst.tells for burst in bursts], axis=0)
         prior.start = np.where(told, broad, broad[0, 0])  # the rest stays as it is
-        if known is None:
+        if not low_order:
             step, covariance = low_order_step(bursts, modes, prior, offset, gain)
             offset = offset + step
         information, trusted = _information(bursts, size)
         offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
         posterior = 1 / (information + 1 / prior.variance)
         prior.update(dct(offset), posterior, fine)
-        if number >= ROUNDS - 2:
+        if number >= LAST_ROUNDS:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
-    if known is None:
+    if not low_order:
         covariance = covariance + np.diag(modes.variances(np.where(told, 0.0, broad)))
-        known = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
+        low_order = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
     fine_variance = np.where(told, posterior, broad)[fine].sum() / posterior.size + extrapolated
-    deviation = np.sqrt(known[1] + fine_variance)
+    deviation = np.sqrt(low_order[1] + fine_variance)
     motion_error, noise = max(b.motion_error for b in bursts), float(np.median([b.noise for b in bursts]))
-    return SensorSolution(offset - offset.mean(), gain, deviation, *known, motion_error, noise)
+    return SensorSolution(offset - offset.mean(), gain, deviation, low_order, motion_error, noise)
 
 
 def low_order_step(

@@ -25,38 +25,37 @@ BLOCKS = 40  # blocks along the longer side of a frame
 MIN_WEIGHT = 1e-3  # of the best seen block's, from which a block counts
 SCALES = (1, 2, 4, 8)  # blocks over which the misfit is averaged
 CLIP = 6.0  # sigmas, of a block's misfit
-NEGLIGIBLE = 1e-6  # of a slope, that modes lack
 
 
 class LowOrderModes:
     """Cosine modes of long periods, as functions of places, and what they lack of a slope along either axis.
 
-    A slope of the offset looks like levels that follow the motion: of it, the data may determine nothing. Cut off
-    after some modes, it would seem to be determined by what is cut off; so that part has a coefficient of its own.
+    Where frames register, a slope of the offset looks like levels that follow the motion: of it, the data may determine
+    nothing. Cut off after some modes, it would seem to be determined by what is cut off; so that part has a coefficient
+    of its own.
 
     Args:
         size: (h, w) of the frame, px.
         most: half periods over the longer side, below which modes are of long periods.
+        slopes: whether slopes have coefficients.
 
     Attributes:
         low: (h, w) bool, the K modes among all; the mean is none of them.
-        count: K, and one for each slope.
+        count: K, and one for each slope that has a coefficient.
         block: side, px, over which a mode is averaged.
     """
 
-    def __init__(self, size: Sequence[int], most: float) -> None:
+    def __init__(self, size: Sequence[int], most: float, *, slopes: bool) -> None:
         radius = mode_radius(size)
         self.size, self.low = (size[0], size[1]), (radius < most) & (radius > 0)
         self._down, self._across = np.nonzero(self.low)
         self.block = max(2, round(max(size) / BLOCKS))
-        slopes = [dct(each) for each in centred(size)]
-        rests = [np.where(self.low, 0.0, each) for each in slopes]
-        norms = [float(np.linalg.norm(each)) for each in rests]
-        self._slopes = [
-            (axis, slope[self.low], rest / norm, norm)
-            for axis, (slope, rest, norm) in enumerate(zip(slopes, rests, norms, strict=True))
-            if norm > NEGLIGIBLE * np.linalg.norm(slope)
-        ]
+        self._slopes: list[tuple[int, Array, Array, float]] = []
+        for axis, slope in enumerate(dct(each) for each in centred(size) if slopes):
+            rest = np.where(self.low, 0.0, slope)
+            norm = float(np.linalg.norm(rest))
+            if not np.any(self.low, axis=1 - axis)[1:].all():
+                self._slopes.append((axis, slope[self.low], rest / norm, norm))
         self.count = len(self._down) + len(self._slopes)
 
     def at(self, y: Array, x: Array) -> Array:

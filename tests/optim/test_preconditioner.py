@@ -13,7 +13,7 @@ from deepir.config import load
 from deepir.optim.objective import objective
 from deepir.optim.preconditioner import Preconditioner, low_frequencies
 from deepir.optim.solve import solve
-from deepir.priors.penalties.ridge import Ridge
+from deepir.priors.penalties.distance import Ridge
 from deepir.problems.initial_estimate import start_scene
 from deepir.schedule import Stage, Step
 from deepir.simulate import Settings, simulate

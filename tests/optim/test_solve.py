@@ -12,7 +12,7 @@ from deepir.fields.constant import Constant
 from deepir.operators import Chain, Operator, Sensor
 from deepir.optim.objective import held_out_error
 from deepir.optim.solve import solve
-from deepir.priors.penalties.ridge import Ridge
+from deepir.priors.penalties.distance import Ridge
 from deepir.problem import Problem
 from deepir.registry import components
 from deepir.schedule import Stage, Step

@@ -1,4 +1,4 @@
-"""Offset by the total variation of many unregistered frames."""
+"""Offset from the gradients of many unregistered frames: their medians, or means."""
 
 from __future__ import annotations
 
@@ -74,3 +74,25 @@ def _corrected(burst: Burst, config: Config, offset: np.ndarray) -> Result:
     result: Result = average(dataclasses.replace(burst, frames=frames), config)
     result.offset = offset.astype(np.float32)
     return result
+
+
+TRIMMED_SHARE = 0.25  # share of the frames left out at either end of the sorted gradients
+
+
+@register("method", "gradient_consensus")
+def gradient_consensus(burst: Burst, config: Config) -> Result:
+    """Offset whose gradients are the interquartile means of the frames' gradients; then as `average`.
+
+    The interquartile mean stands for the paper's median: it is less noisy. The gain stays one.
+
+    Source: Y. Weiss: Deriving intrinsic images from image sequences, ICCV (2001).
+    """
+    offset = poisson([interquartile_mean(np.diff(burst.frames, axis=axis)) for axis in (-1, -2)])
+    return _corrected(burst, config, offset)
+
+
+def interquartile_mean(values: np.ndarray) -> np.ndarray:
+    """Mean of the middle half of values (N, ...) along the first axis."""
+    count = len(values)
+    cut = int(TRIMMED_SHARE * count)
+    return np.asarray(np.sort(values, 0)[cut : count - cut].mean(0, dtype=np.float64))

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from deepir import weights
 from deepir.fields.base import Shape
 from deepir.kernels.dispatch import is_compiled
-from deepir.priors.penalties.smoothed_norm import SmoothedNorm
+from deepir.priors.penalties.tv import SmoothedNorm
 from deepir.registry import register
 
 #: Side of a filter, px.

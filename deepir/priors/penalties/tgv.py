@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.fields.base import Shape
-from deepir.priors.penalties.smoothed_norm import SmoothedNorm
+from deepir.priors.penalties.tv import SmoothedNorm
 from deepir.registry import register
 
 
