@@ -42,11 +42,11 @@ def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator
         yield "thermal lag: not judged, too little of the scene is seen at several speeds"
     elif lag.is_seen:
         yield (
-            f"thermal lag: about {lag.time_constant:.1g} of the time between two frames, log-likelihood gain over none "
-            f"{lag.nats:.0f} nats. It blurs motion; it is not corrected, as that would raise the noise"
+            f"thermal lag: about {lag.time_constant:.1g} of the time between two frames. It blurs motion; it is not "
+            "corrected, as that would raise the noise"
         )
     else:
-        yield f"thermal lag: none is seen ({lag.time_constant:.1g} of the time between two frames, {lag.nats:.1f} nats)"
+        yield "thermal lag: none is seen"
 
 
 @dataclass(frozen=True)
