@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import recordings_drawn
+import recordings_large
 import recordings_real
 import recordings_simulated
 from cells import EVERYTHING, Cell, done, worked
@@ -41,7 +42,7 @@ SEEDS = (0, 1, 2, 3, 4)
 #: The module that makes the recordings of each family.
 FAMILIES: dict[str, types.ModuleType] = {
     family: module
-    for module in (recordings_drawn, recordings_simulated, recordings_real)
+    for module in (recordings_drawn, recordings_large, recordings_simulated, recordings_real)
     for family in module.FAMILIES
 }
 #: What the figures of ours and of rivals depend on, beside the recordings.
