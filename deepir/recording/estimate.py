@@ -224,10 +224,12 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
         full = burst
     else:
         motion = burst_motion(burst.canvas.motion, factor, frames.shape[1:])
-        full = Burst(frames[numbers], usable[numbers], motion, burst.reference, curvature=burst.curvature)
-        full.gains_differ = gains_differ
+        shown, seen = frames[numbers], usable[numbers]
+        full = Burst(
+            shown, seen, motion, burst.reference, curvature=burst.curvature, gains_differ=gains_differ
+        )
         full.levels, full.gains = burst.levels, burst.gains
-        shared = shared_pattern(frames[numbers], usable[numbers])
+        shared = shared_pattern(shown, seen)
         mean, variance = (enlarged(each, frames.shape[1:], factor) for each in solution.low_order)
         solution = solve_sensor([full], shared, (mean, variance))
     recorded = samples.frames[numbers]

@@ -23,17 +23,12 @@ from deepir.recording.offset_prior import PatternPrior, dct, idct
 
 Array = np.ndarray[Any, Any]
 
-ROUNDS, LAST_ROUNDS = 5, 3  # of alternating; number of the first with the gain
+ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating; from which the gain is free, as in large frames
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient.
 MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
-FREE_MOTION = (
-    3,
-    3,
-    8,
-    8,
-    8,
-)  # parameters of the motion in each round: a turning camera's, then a homography's
+#: Parameters of the motion in each round: a turning camera's, then a homography's.
+FREE_MOTION = (3, 3, 8, 8, 8)
 #: Share of the noise of a sample that interpolation and uneven weights leave in a pattern that does not move.
 INTERPOLATION_NOISE = 0.05
 STEPS = 3  # of conjugate gradients in a round
@@ -102,7 +97,7 @@ def solve_sensor(
     fine = ~modes.low
     fine[0, 0] = False
     broad = prior.start
-    for number in range(LAST_ROUNDS if low_order else 0, ROUNDS):
+    for number in range(FIRST_GAIN_ROUND if low_order else 0, ROUNDS):
         for burst in bursts:
             burst.align(offset, gain, FREE_MOTION[number])
             burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
@@ -115,7 +110,7 @@ def solve_sensor(
         offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
         posterior = 1 / (information + 1 / prior.variance)
         prior.update(dct(offset), posterior, fine)
-        if number >= LAST_ROUNDS:
+        if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
     if not low_order:
         covariance = covariance + np.diag(modes.variances(np.where(told, 0.0, broad)))

@@ -51,7 +51,8 @@ class LowOrderModes:
         self._down, self._across = np.nonzero(self.low)
         self.block = max(2, round(max(size) / BLOCKS))
         self._slopes: list[tuple[int, Array, Array, float]] = []
-        for axis, slope in enumerate(dct(each) for each in centred(size) if slopes):
+        for axis, places in enumerate(centred(size) if slopes else ()):
+            slope = dct(places)
             rest = np.where(self.low, 0.0, slope)
             norm = float(np.linalg.norm(rest))
             if not np.any(self.low, axis=1 - axis)[1:].all():
@@ -75,15 +76,14 @@ class LowOrderModes:
     def synthesise(self, coefficients: Array) -> Array:
         """The offset (h, w) of coefficients (count,)."""
         modes = self.on_modes(coefficients)
-        known = int(self.low.sum())
-        for (_, _, rest, _), each in zip(self._slopes, coefficients[known:], strict=True):
+        for (_, _, rest, _), each in zip(self._slopes, coefficients[len(self._down) :], strict=True):
             modes += each * rest
         return idct(modes)
 
     def on_modes(self, coefficients: Array) -> Array:
         """Those of the K modes, in a map (h, w) of all; zero elsewhere."""
         modes = np.zeros(self.size)
-        modes[self.low] = coefficients[: int(self.low.sum())]
+        modes[self.low] = coefficients[: len(self._down)]
         return modes
 
     def variances(self, of_modes: Array) -> Array:

@@ -9,13 +9,17 @@ from deepir.priors.penalties.base import Penalty
 from deepir.registry import register
 
 
-@register("penalty", "l1")
-class L1(Penalty):
-    """The distance from `center`, `Σ |x - center|`: a Laplacian of scale `1 / weight`."""
+class Distance(Penalty):
+    """How far a value is from `center`."""
 
     def __init__(self, *, weight: float | None = None, center: float = 0.0) -> None:
         super().__init__(weight=weight)
         self.center = center
+
+
+@register("penalty", "l1")
+class L1(Distance):
+    """The distance from `center`, `Σ |x - center|`: a Laplacian of scale `1 / weight`."""
 
     def energy(self, value: Tensor) -> Tensor:
         """`Σ |x - center|`."""
@@ -23,12 +27,8 @@ class L1(Penalty):
 
 
 @register("penalty", "ridge")
-class Ridge(Penalty):
+class Ridge(Distance):
     """Half the squared distance from `center`, `½ Σ (x - center)²`: a Gaussian of variance `1 / weight`."""
-
-    def __init__(self, *, weight: float | None = None, center: float = 0.0) -> None:
-        super().__init__(weight=weight)
-        self.center = center
 
     def energy(self, value: Tensor) -> Tensor:
         """`½ Σ (x - center)²`."""
