@@ -86,6 +86,7 @@ def load(
     needs: int = 1,
     seed: int = 0,
     ordered: bool = False,
+    are_pictures: bool = True,
 ) -> Burst:
     """Read or simulate the data, and check them.
 
@@ -98,6 +99,8 @@ def load(
         needs: Least number of frames.
         seed: Of a simulated burst.
         ordered: True: all frames are needed, in their order.
+        are_pictures: Whether frames are to be registered. Else they are any samples, such as those of a single pixel,
+            or of a mosaic: of any size, with NaN anywhere, and not searched for what cameras draw or lose.
 
     Raises:
         DataError: The files or the frames are wrong; the message says where.
@@ -108,7 +111,7 @@ def load(
     if data.path is not None and data.simulate is not None:
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
     if frames is not None and is_banded(given := _array(frames)):
-        return _banded(data, given, truth, needs=needs, ordered=ordered)
+        return _banded(data, given, truth, needs=needs, are_pictures=are_pictures)
     if frames is not None:
         source, digest = "frames", ""
         whole = oriented(stacked(_array(frames), source), data.axes, source)
@@ -120,7 +123,7 @@ def load(
         read = read_data(data, bands=True)
         if is_banded(read.frames):
             apart = data.model_copy(update={"path": None, "frames": None, "axes": None})
-            found_bands = _banded(apart, read.frames, truth, needs=needs, ordered=ordered)
+            found_bands = _banded(apart, read.frames, truth, needs=needs, are_pictures=are_pictures)
             return dataclasses.replace(found_bands, source=read.source, sha256=read.sha256)
         stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
         beside = read.beside
@@ -137,21 +140,15 @@ def load(
         beside = None if beside is None else crop(beside, data.crop)
         # Motion is about another centre then.
         known = {k: _cropped(v, data.crop, size) for k, v in known.items() if k != "motion"}
-    nothing = {} if ordered else unusable_frames(stack)
+    nothing = {} if ordered or not are_pictures else unusable_frames(stack)
     messages: tuple[str, ...] = ()
     if nothing and len(stack) - len(nothing) >= needs:
         stack, known, messages = _without(nothing, stack, known)
-    valid = validate(stack, source, needs=needs)
-    if rows := telemetry_rows(stack):
-        valid[:, rows] = False
-        messages = (*messages, telemetry_message(rows, mask.shape))
-    stack = np.where(valid, stack, np.nan)
-    stretched = is_contrast_stretched(stack)
-    valid &= ~unrecorded_samples(stack)
-    shown = np.where(valid, stack, np.nan)
-    messages = (*messages, *torn_message(torn_frames(shown), len(shown)), *drawn_message(drawn_pixels(shown)))
-    if stretched:
-        valid &= ~clipped_samples(stack)
+    valid = validate(stack, source, needs=needs, are_pictures=are_pictures)
+    stretched = False
+    if are_pictures:
+        stretched, found_messages = _leave_out(stack, valid)
+        messages = (*messages, *found_messages)
     bad = ~valid.any(0)
     if (bad | mask).all():
         raise DataError(f"{source}: the mask leaves no pixel")
@@ -160,7 +157,23 @@ def load(
     return Burst(stack, valid, bad | mask, source, digest, known, kelvin, stretched, ends, beside, messages)
 
 
-def _banded(data: Data, frames: Array, truth: Truth | None, *, needs: int, ordered: bool) -> Burst:
+def _leave_out(stack: Array, valid: Array) -> tuple[bool, tuple[str, ...]]:
+    """Whether each frame has a contrast of its own, and messages; `valid` loses what is no picture."""
+    messages: tuple[str, ...] = ()
+    if rows := telemetry_rows(stack):
+        valid[:, rows] = False
+        messages = (telemetry_message(rows, stack.shape[1:]),)
+    shown = np.where(valid, stack, np.nan)
+    stretched = is_contrast_stretched(shown)
+    valid &= ~unrecorded_samples(shown)
+    shown = np.where(valid, stack, np.nan)
+    messages = (*messages, *torn_message(torn_frames(shown), len(shown)), *drawn_message(drawn_pixels(shown)))
+    if stretched:
+        valid &= ~clipped_samples(shown)
+    return stretched, messages
+
+
+def _banded(data: Data, frames: Array, truth: Truth | None, *, needs: int, are_pictures: bool) -> Burst:
     """The first of several bands, (N, C, h, w), with the others; a truth has the bands first."""
     count = frames.shape[1]
 
@@ -176,7 +189,14 @@ def _banded(data: Data, frames: Array, truth: Truth | None, *, needs: int, order
 
     # A frame that is empty in one band stays, so that all bands have the same frames.
     first, *others = (
-        load(data, frames=frames[:, band], truth=truth_of(band), needs=needs, ordered=True)
+        load(
+            data,
+            frames=frames[:, band],
+            truth=truth_of(band),
+            needs=needs,
+            ordered=True,
+            are_pictures=are_pictures,
+        )
         for band in range(count)
     )
     return dataclasses.replace(first, bands=tuple(others))

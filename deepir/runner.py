@@ -28,6 +28,7 @@ from deepir.messages import labelled
 from deepir.metrics import roughness
 from deepir.optim.objective import Checkpoint
 from deepir.optim.solve import Progress
+from deepir.pipeline.register import motion_model
 from deepir.pipeline.schedule import PROBLEMS, demand_order, make_recipe, plan, solve_bands
 from deepir.pipeline.whole_recording import chosen
 from deepir.problems.recipe import Recipe
@@ -55,6 +56,7 @@ def prepare(
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
+    pictures = _are_pictures(config, definition)
     with threads.for_samples(0), seeded(config.seed):  # nothing here is worth a second thread
         data = bursts.load(
             config.data,
@@ -63,19 +65,25 @@ def prepare(
             needs=definition.frames,
             seed=config.seed,
             ordered=definition.ordered,
+            are_pictures=pictures,
         )
-        others = {name: _further(name, each.data, config) for name, each in config.datasets.items()}
+        others = {name: _further(name, each.data, config, pictures) for name, each in config.datasets.items()}
         data = dataclasses.replace(data, datasets=others)
         check_components(config, data)
     return data
 
 
-def _further(name: str, data: Data, config: Config) -> bursts.Burst:
+def _are_pictures(config: Config, definition: type[Recipe]) -> bool:
+    """Whether frames are registered or else taken for those of a camera."""
+    return not definition.any_data or motion_model(config) is not None
+
+
+def _further(name: str, data: Data, config: Config, pictures: bool) -> bursts.Burst:
     """The frames of a further data set; errors name it."""
     if data.path is None and data.simulate is None:
         raise DataError(f"datasets.{name}.data.path is missing: give the file of this data set")
     try:
-        return bursts.load(data, seed=config.seed)
+        return bursts.load(data, seed=config.seed, are_pictures=pictures)
     except DeepIRError as error:
         raise type(error)(f"datasets.{name}: {error}") from error
 

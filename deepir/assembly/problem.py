@@ -15,7 +15,7 @@ from deepir.config import Config
 from deepir.config.components import make, options_schema
 from deepir.errors import ConfigError, nearest
 from deepir.fields.base import Field
-from deepir.fields.constant import Constant
+from deepir.fields.constant import Constant, read_map
 from deepir.fields.sensor_maps import SumField
 from deepir.likelihoods import Fidelity
 from deepir.operators import Chain, Operator, Sensor, Warp
@@ -333,7 +333,8 @@ def make_operator(
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
         ratio = (twice[0] - out[0]) / size[0]
         if shared is None:
-            canvas, origin = footprint(None if motion is None else instants.interpolate(motion), out, ratio)
+            seen = known_motion(slots[name], where) if motion is None else instants.interpolate(motion)
+            canvas, origin = footprint(seen, out, ratio)
         else:
             canvas, origin = shared.size, shared.origin(out)
         place = {"size": out, "canvas": canvas, "origin": origin}
@@ -353,6 +354,17 @@ def make_operator(
                     f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}"
                 )
     return chain, slots, locate_first_frame(chain, size, out)
+
+
+def known_motion(slots: Mapping[str, Any], where: str) -> Tensor | None:
+    """The motion that a stage's slots take from a file; None if it is not known."""
+    given = slots.get("motion")
+    if not isinstance(given, Mapping) or given.get("type") != "constant" or given.get("path") is None:
+        return None
+    found = read_map(str(given["path"]), given.get("key"))
+    if found.ndim not in (3, 4) or (found.ndim == 3 and found.shape[1:] != (3, 3)):
+        raise ConfigError(f"{where}.motion: {given['path']}: (N, 3, 3) or (N, h, w, 2) is wanted, not {tuple(found.shape)}")
+    return found
 
 
 def _unknowns(slots: list[str]) -> dict[str, str]:

@@ -1,7 +1,7 @@
-"""Weights of the scene's penalties by cross-validation on held-out samples.
+"""Weights of penalties by cross-validation on held-out samples.
 
-Neither the noise nor the number of frames determines how strong a prior should be where the data leave the scene open.
-The search consists of short stages, each with one weight; its table is a buffer of the problem, so that a resumed solve
+Neither the noise nor the number of frames determines how strong a prior should be where the data leave an unknown open.
+A search consists of short stages, each with one weight; its table is a buffer of the problem, so that a resumed solve
 continues it.
 """
 
@@ -9,104 +9,139 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from deepir.estimation.prior_weight import weigh_scene
-from deepir.problem import Problem
+from deepir.estimation.prior_weight import penalties_of, weigh_scene, weigh_unknown
+from deepir.joint_problem import AnyProblem
+from deepir.optim import objective
 from deepir.schedule import Stage, Step
 
 #: Number of weights that are tried.
 N_TRIALS = 7
-#: Iterations of a trial, which starts from the scene of the one before.
-TRIAL_ITERATIONS = 10
 #: First step of the search in log2 of the weight; also where it starts, from above: detail appears faster than it goes.
 COARSE_STEP = 2.0
 #: Second step of the search, in log2 of the weight.
 FINE_STEP = 1.0
 #: Largest log2 of the weight: with an inaccurate sensor an oversmoothed scene may predict best and would remain.
 MAX_LOG2_WEIGHT = 3.0
+#: Samples of one frame that are held out over all frames: few do not show what detail the data leave.
+HELD_OUT_SHARE = 0.1
+SCENE = "scene"
 
 
-def start_trials(problem: Problem, *, restart: bool = False) -> None:
-    """Register the buffers of the search: log2 of each weight relative to the default, and its misfit.
-
-    Args:
-        problem: Gets the buffers.
-        restart: Whether each trial starts from the scene of the first: where much of the scene is undetermined, a rough
-            scene does not become smooth again within one trial.
-    """
-    problem.register_buffer("trials", torch.full((N_TRIALS, 2), torch.nan, dtype=torch.float64))
-    problem.register_buffer(
-        "smooth", torch.zeros_like(problem.fields["scene"]().detach()) if restart else None
-    )
-
-
-def cross_validation_stages(
-    problem: Problem,
-    *,
-    first: float = COARSE_STEP,
-    least: float = -math.inf,
-    iterations: int = TRIAL_ITERATIONS,
-) -> list[Stage]:
-    """Stages of the search; none if a weight is fixed.
+@dataclass(frozen=True)
+class WeightSearch:
+    """The search for the weights of the penalties of the scenes, or of another unknown.
 
     Args:
-        problem: Its scene has the penalties.
-        first: Log2 of the first weight, relative to the default.
+        unknown: Its name; `scene` stands for all scenes.
+        first: Log2 of the first weight, relative to that which the noise suggests.
         least: Smallest log2 of a weight.
         iterations: Most iterations of a trial.
+        restart: Whether each trial starts from the value of the first, rather than from that of the one before: where
+            much is undetermined, a rough value does not become smooth again within one trial.
     """
-    penalties = list(problem.penalties["scene"].values()) if "scene" in problem.penalties else []
-    if not penalties or any(penalty.user_weight is not None for penalty in penalties):
-        return []
-    prepare = functools.partial(_begin_trial, first=first, least=least)
-    return [
-        Stage(f"weight {i + 1}", (Step(("scene",)),), iterations, prepare=prepare) for i in range(N_TRIALS)
+
+    unknown: str = SCENE
+    first: float = COARSE_STEP
+    least: float = -math.inf
+    iterations: int = 10
+    restart: bool = False
+
+    def start(self, problem: AnyProblem) -> None:
+        """Register the buffers of the search: log2 of each weight and its misfit, nats; where a trial starts."""
+        problem.register_buffer(self._table, torch.full((N_TRIALS, 2), torch.nan, dtype=torch.float64))
+        for name in self._unknowns(problem) if self.restart else ():
+            problem.register_buffer(f"start_{name}", torch.zeros_like(problem.fields[name]().detach()))
+
+    def stages(self, problem: AnyProblem) -> list[Stage]:
+        """The trials; none if there is no penalty, or if a weight is given."""
+        names = self._unknowns(problem)
+        penalties = [each for name in names for each in penalties_of(problem, name)]
+        if not penalties or any(penalty.user_weight is not None for penalty in penalties):
+            return []
+        prefix = "weight" if self.unknown == SCENE else f"weight of {self.unknown}"
+        prepare = functools.partial(WeightSearch._begin, self)
+        return [
+            Stage(f"{prefix} {i + 1}", (Step(names),), self.iterations, prepare=prepare)
+            for i in range(N_TRIALS)
+        ]
+
+    def weigh(self, problem: AnyProblem, factor: float = 1.0) -> None:
+        """Set the weights to `factor` times the best of the trials; without trials, times what the noise suggests."""
+        misfits = self._recorded(problem)
+        self._weigh(problem, factor * (2 ** best_log2_weight(misfits) if misfits else 1.0))
+
+    @torch.no_grad()
+    def reset(self, problem: AnyProblem) -> None:
+        """Put the unknown where the first trial started, with `restart`."""
+        tried = self._started(problem)
+        for name in self._unknowns(problem) if self.restart else ():
+            start = problem.get_buffer(f"start_{name}")
+            if tried == 1:
+                start.copy_(problem.fields[name]())
+            elif tried:
+                problem.fields[name].init_from(start)
+
+    def _begin(self, problem: AnyProblem) -> None:
+        """Set the weights for the next trial."""
+        power = next_log2_weight(self._recorded(problem), self.first, self.least)
+        self.reset(problem)
+        problem.get_buffer(self._table)[self._started(problem), 0] = power
+        self._weigh(problem, 2**power)
+
+    def _weigh(self, problem: AnyProblem, factor: float) -> None:
+        if self.unknown == SCENE:
+            weigh_scene(problem, factor)
+        else:
+            weigh_unknown(problem, self.unknown, factor)
+
+    @torch.no_grad()
+    def _recorded(self, problem: AnyProblem) -> dict[float, float]:
+        """Store the misfit of a finished trial on the held-out samples; returns log2 weight -> misfit, nats."""
+        if not hasattr(problem, self._table):
+            return {}
+        table, last = problem.get_buffer(self._table), self._started(problem) - 1
+        if last >= 0 and table[last, 1].isnan():
+            table[last, 1] = held_out_misfit(problem)
+        return {float(power): float(misfit) for power, misfit in table if misfit.isfinite()}
+
+    def _started(self, problem: AnyProblem) -> int:
+        """Number of trials that were begun."""
+        found: Tensor = problem.get_buffer(self._table)[:, 0].isfinite().sum()
+        return int(found)
+
+    def _unknowns(self, problem: AnyProblem) -> tuple[str, ...]:
+        return tuple(problem.scenes) if self.unknown == SCENE else (self.unknown,)
+
+    @property
+    def _table(self) -> str:
+        return f"trials_{self.unknown}"
+
+
+def fraction_for_weights(problem: AnyProblem) -> float:
+    """Fraction of the samples to hold out: a tenth of one frame, spread over all, as a weak prior leaves fine detail."""
+    frames = max(len(each.data) for each in problem.data_sets)
+    return max(objective.HELD_OUT_FRACTION, HELD_OUT_SHARE / frames)
+
+
+def held_out_misfit(problem: AnyProblem) -> Tensor:
+    """Negative log-likelihood of the samples that are held out, nats."""
+    values: Mapping[str, Any] = problem.values()
+    found = [
+        each.misfit(
+            {own: values[name] for own, name in problem.names_in(each).items()},
+            (),
+            each.precision * each.held_out,
+        )
+        for each in problem.data_sets
     ]
-
-
-def weight_from_cross_validation(problem: Problem, factor: float = 1.0) -> None:
-    """Set the weights to `factor` times the best of the trials; without trials, times the usual weight."""
-    misfits = _record_trial(problem)
-    weigh_scene(problem, factor * (2 ** best_log2_weight(misfits) if misfits else 1.0))
-
-
-def _begin_trial(problem: Problem, first: float, least: float) -> None:
-    """Set the weights for the next trial."""
-    misfits = _record_trial(problem)
-    power = next_log2_weight(misfits, first, least)
-    reset_scene(problem)
-    problem.get_buffer("trials")[_n_started(problem), 0] = power
-    weigh_scene(problem, 2**power)
-
-
-@torch.no_grad()
-def reset_scene(problem: Problem) -> None:
-    """Reset the scene to that of the first trial, if the search was started with `restart`."""
-    scene, smooth = problem.fields["scene"], getattr(problem, "smooth", None)
-    if smooth is None:
-        return
-    if _n_started(problem) == 1:
-        smooth.copy_(scene())
-    elif _n_started(problem):
-        scene.init_from(smooth)
-
-
-@torch.no_grad()
-def _record_trial(problem: Problem) -> dict[float, float]:
-    """Store the misfit of a finished trial on the held-out samples; returns log2 weight -> misfit, nats."""
-    table, last = problem.get_buffer("trials"), _n_started(problem) - 1
-    if last >= 0 and table[last, 1].isnan():
-        precision = problem.precision * problem.held_out
-        table[last, 1] = problem.fidelity(problem.predict(problem.values()), problem.data, precision)
-    return {float(power): float(misfit) for power, misfit in table if misfit.isfinite()}
-
-
-def _n_started(problem: Problem) -> int:
-    found: Tensor = problem.get_buffer("trials")[:, 0].isfinite().sum()
-    return int(found)
+    return torch.stack([each.double() for each in found]).sum()
 
 
 def next_log2_weight(

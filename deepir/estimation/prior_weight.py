@@ -39,6 +39,10 @@ WEIGHT_INFORMATION_RANGE = (0.5, 1.0)
 MAX_EXCESS_MISFIT = 0.1
 #: Fraction of the scene that must be flat for the test: beside much texture the residual varies by more.
 MIN_FLAT_FRACTION = 0.4
+#: Number of probes of the information on an unknown.
+N_PROBES = 4
+#: Step of a probe, relative to the largest value, or to 1 below it.
+PROBE_STEP = 1e-2
 #: Factor on the weight of a penalty that oversmooths.
 WEIGHT_REDUCTION = 2**-0.5
 
@@ -144,6 +148,57 @@ def weigh_scene(problem: AnyProblem, factor: float = 1.0) -> None:
             penalty.weight.fill_(factor * (default if penalty.user_weight is None else penalty.user_weight))
             with torch.no_grad():
                 penalty.adapt(first.shown("scene", scene, penalty), noise)
+
+
+def weigh_unknown(problem: AnyProblem, name: str, factor: float = 1.0) -> None:
+    """Set the weights of the penalties of an unknown that is no scene, see `weigh_scene`."""
+    noise = math.nan
+    for penalty in penalties_of(problem, name):
+        if penalty.user_weight is None and math.isnan(noise):
+            noise = unknown_noise(problem, name)
+        weight = penalty.default_weight(noise) if penalty.user_weight is None else penalty.user_weight
+        penalty.weight.fill_(factor * weight)
+
+
+def penalties_of(problem: AnyProblem, name: str) -> tuple[Penalty, ...]:
+    """The penalties of an unknown; () without any."""
+    return tuple(problem.penalties[name].values()) if name in problem.penalties else ()
+
+
+@torch.no_grad()
+def unknown_noise(problem: AnyProblem, name: str) -> float:
+    """Standard deviation of the noise of an unknown of which nothing but the data is known.
+
+    It is that of a typical entry, `diag(J' W J)^-1/2`, from the derivative J of the prediction; the diagonal is probed
+    with random signs (Bekas, Kokiopoulou, Saad 2007).
+
+    Args:
+        problem: Its present values are the point of expansion.
+        name: The unknown.
+
+    Returns:
+        In the units of the unknown; inf if the data do not depend on it.
+    """
+    values = problem.values()
+    value = values[name]
+    generator = torch.Generator().manual_seed(0)
+    information = torch.zeros_like(value, dtype=torch.float64)
+    step = PROBE_STEP * max(float(value.abs().max()), 1.0)
+    for _ in range(N_PROBES):
+        signs = torch.randint(0, 2, value.shape, generator=generator).to(value) * 2 - 1
+        for each in problem.data_sets:
+            own = {mine: values[known] for mine, known in problem.names_in(each).items()}
+            mine = next((mine for mine, known in problem.names_in(each).items() if known == name), None)
+            if mine is None:
+                continue
+            change = (each.predict(own | {mine: value + step * signs}) - each.predict(own)) / step
+            with torch.enable_grad():
+                moved = value.detach().requires_grad_()
+                predicted = each.predict(own | {mine: moved})
+                (back,) = torch.autograd.grad((predicted * (each.precision * change)).sum(), moved)
+            information += signs * back / N_PROBES
+    seen = information[information > 0]
+    return float(seen.median()) ** -0.5 if len(seen) else math.inf
 
 
 def _average_noise(problem: Problem) -> float:

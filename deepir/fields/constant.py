@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import torch
 from torch import Tensor
 
@@ -36,12 +38,10 @@ class Constant(Field):
         )
         if given.ndim == 3 and len(self.shape) == 4:  # one channel
             given = given[:, None]
-        try:
-            self.register_buffer("values", given.expand(self.shape).clone())
-        except RuntimeError:
-            raise ConfigError(
-                f"{path}: its shape {tuple(given.shape)} does not fit, {self.shape} is wanted"
-            ) from None
+        with suppress(RuntimeError):  # else a slot says whether it takes another shape, such as points for a motion
+            given = given.expand(self.shape)
+        self.shape = tuple(given.shape)
+        self.register_buffer("values", given.clone())
 
     def forward(self) -> Tensor:
         """The given value."""
@@ -52,7 +52,8 @@ class Constant(Field):
 
 
 def read_map(path: str, key: str | None = None) -> Tensor:
-    """The arrays of a file, (N, h, w)."""
-    from deepir.io import read_frames  # not above: it is slow to import
+    """The array of a file: one of more than three axes as it is stored, else maps (N, h, w)."""
+    from deepir.io import read_array, read_frames  # not above: it is slow to import
 
-    return torch.from_numpy(read_frames(path, key=key).frames)
+    stored = read_array(path, key=key)
+    return torch.from_numpy(stored if stored.ndim > 3 else read_frames(path, key=key).frames)

@@ -212,6 +212,23 @@ def read_frames(
     return Frames(frames, source, dtype.name, digest(file), laws[0], unselected_pairs(stored, select))
 
 
+def read_array(path: str | os.PathLike[str], *, key: str | None = None) -> Array:
+    """Read an array of any number of axes from a file, as float32.
+
+    Args:
+        path: The file, folder or glob.
+        key: Name of the array in a file that holds several.
+
+    Raises:
+        DataError: It cannot be read, or holds no numbers.
+    """
+    file = expanded(path)
+    stored = readers.read(file, key)
+    if stored.dtype.kind not in "fiub":
+        raise DataError(f"{file}: values of type {stored.dtype.name}; real numbers are needed")
+    return to_float32(stored)
+
+
 def stream_frames(
     path: str | os.PathLike[str],
     *,

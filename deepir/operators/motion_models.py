@@ -43,6 +43,8 @@ def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, in
     first, later = stages[0], Chain(dict(chain.named()[1:]))
     rest = later if isinstance(first, Warp) else chain
     near, far = rest.in_size(size), rest.in_size((2 * size[0], 2 * size[1]))
+    if near == far:  # the data are no pictures of the scene, but measurements of it, such as those of a single pixel
+        return Geometry(1.0, (0, scene[0], 0, scene[1]))
     ratio = (far[0] - near[0]) / size[0]
     height, width = round(ratio * size[0]), round(ratio * size[1])
     y0, x0 = first.origin if isinstance(first, Warp) else (0, 0)
@@ -57,7 +59,7 @@ def footprint(
     """Canvas that contains the footprints of all frames, with a margin.
 
     Args:
-        motion: (N, 3, 3) homographies, detector px; None for one frame at rest.
+        motion: (N, 3, 3) homographies, detector px, or (N, h, w, 2) points; None for one frame at rest.
         size: (h, w) of a frame, scene px.
         ratio: Scene px per detector px.
 
@@ -67,9 +69,13 @@ def footprint(
     if motion is None:
         motion = torch.eye(3, dtype=torch.float64)[None]
     y, x = ((side - 1) / 2 for side in size)
-    corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64)
-    moved = rescale_motion(motion, ratio).double() @ corners
-    points = moved[:, :2] / moved[:, 2:].clamp(min=MIN_DEPTH) + corners.new_tensor([[x], [y]])
+    if motion.ndim == 4:
+        points = motion.double().flatten(1, 2).mT
+    else:
+        corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64)
+        moved = rescale_motion(motion, ratio).double() @ corners
+        points = moved[:, :2] / moved[:, 2:].clamp(min=MIN_DEPTH)
+    points = points + points.new_tensor([[x], [y]])
     low, high = points.amin((0, 2)), points.amax((0, 2))  # straight lines stay straight
     x0, y0 = (CANVAS_MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
     x1, y1 = (

@@ -6,12 +6,7 @@ import torch
 
 from deepir.effects.noise import start_precision
 from deepir.errors import ConfigError
-from deepir.estimation.cross_validation import (
-    cross_validation_stages,
-    reset_scene,
-    start_trials,
-    weight_from_cross_validation,
-)
+from deepir.estimation.cross_validation import WeightSearch, fraction_for_weights
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
 from deepir.fields.psf.airy import Airy
@@ -20,11 +15,10 @@ from deepir.fields.psf.defocus import Defocus
 from deepir.fields.psf.gaussian import Gaussian
 from deepir.fields.psf.motion_blur import MotionBlur
 from deepir.messages import Message
-from deepir.optim import objective
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate, start_scene
-from deepir.problems.recipe import Recipe
+from deepir.problems.recipe import MIN_LOG2_WEIGHT, TRIAL_ITERATIONS, Recipe
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
@@ -32,11 +26,6 @@ MAX_PSF_EDGE = 0.1  # of a point-spread function, at the rim of its array, relat
 MIN_SPECTRAL_NOISE = 0.1  # relative to the noise between pixels: below, the spectrum is of a sharp frame
 MIN_PSF_WIDTH = 0.5  # px: sharp frames give widths up to 0.45, those with a blur of 0.5 px 0.52 to 0.64
 MAX_STILL_MOTION = 0.5  # px: a burst at rest moves by less
-HELD_OUT_SHARE = 0.1  # samples of one frame, over all frames: few do not show what detail a blur leaves
-#: Least weight of the scene's penalties, log2 of the default: early stopping is a prior too, and the search would go on
-#: to no weight for a fine texture.
-MIN_LOG2_WEIGHT = -6.0
-TRIAL_ITERATIONS = 40  # of cross-validation: through a blur, detail converges slowly
 
 
 @register("problem", "deconv")
@@ -53,7 +42,8 @@ class Deconv(Recipe):
         *("saturation", "bad_pixels", "frame_gain", "frame_offset", "line_noise", "noise"),
         *("sensor_pattern", "shading", "outliers"),
     )
-    weigh = staticmethod(weight_from_cross_validation)
+    search = WeightSearch(first=0.0, least=MIN_LOG2_WEIGHT, iterations=TRIAL_ITERATIONS, restart=True)
+    weigh = staticmethod(search.weigh)
 
     def initialise(self, problem: Problem, seed: int) -> None:
         """Noise, blur and pattern as the raw frames show them; scene: registered average."""
@@ -67,9 +57,9 @@ class Deconv(Recipe):
             initial_estimate(problem, self.effects)
         else:
             start_scene(problem)
-        hold_out(problem, seed, max(objective.HELD_OUT_FRACTION, HELD_OUT_SHARE / len(problem.data)))
+        hold_out(problem, seed, fraction_for_weights(problem))
         weigh_scene(problem, self.sensor_weight)
-        start_trials(problem, restart=True)
+        self.search.start(problem)
 
     def plan(self, problem: Problem) -> Schedule:
         """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
@@ -86,7 +76,7 @@ class Deconv(Recipe):
         ]
         stages = [
             *(sensor if closed else [Stage("start", still, 40)]),
-            *cross_validation_stages(problem, first=0.0, least=MIN_LOG2_WEIGHT, iterations=TRIAL_ITERATIONS),
+            *self.search.stages(problem),
             Stage(
                 "scene", (Step(("scene",)),) if sharp else still, 120, prepare=self.finish, use_held_out=True
             ),
@@ -99,7 +89,7 @@ class Deconv(Recipe):
             super().finish(problem)
         else:
             self.weigh(problem)
-        reset_scene(problem)
+        self.search.reset(problem)
 
 
 def psf_names(problem: Problem) -> list[str]:

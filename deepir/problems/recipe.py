@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
 
 from deepir.effects.effect import Effect
-from deepir.estimation.prior_weight import weigh_scene
+from deepir.estimation.cross_validation import SCENE, WeightSearch, fraction_for_weights
+from deepir.estimation.prior_weight import penalties_of, weigh_scene
 from deepir.joint_problem import AnyProblem, JointProblem
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
 from deepir.registry import lookup, register
 from deepir.schedule import Schedule, Stage, Step
+
+#: Least weight of a penalty, log2 of the default: early stopping is a prior too, and the search would go on to no
+#: weight for a fine texture.
+MIN_LOG2_WEIGHT = -6.0
+TRIAL_ITERATIONS = 40  # of cross-validation: through a blur, detail converges slowly
 
 
 class Recipe:
@@ -37,6 +44,8 @@ class Recipe:
     judged: ClassVar[bool] = False
     #: Whether it solves several data sets together.
     several: ClassVar[bool] = False
+    #: Whether data need not be pictures, where no motion is registered.
+    any_data: ClassVar[bool] = False
     #: Frames that are enough to check a configuration; None: all.
     checked_frames: ClassVar[int | None] = None
     #: Weight of the scene's penalties while the sensor is estimated, relative to that of the scene's own stage.
@@ -168,7 +177,7 @@ def _forget_pattern(problem: Any) -> None:
 class Generic(Recipe):
     """Any operator and any unknowns: all are estimated together; gain and offset in closed form where they have one."""
 
-    several = True
+    several = any_data = True
     effect_names = (
         "saturation",
         "bad_pixels",
@@ -181,5 +190,47 @@ class Generic(Recipe):
     )
 
     def initialise(self, problem: AnyProblem, seed: int) -> None:
-        """All samples are fitted."""
+        """Starts; a part of the samples is held out, to find the weights of penalties that have none."""
         self.start(problem)
+        self._start_searches(problem, seed)
+
+    def join(self, problems: Mapping[str, Problem], seed: int) -> JointProblem:
+        """As of one data set, with one search for the weights of all."""
+        joint = super().join(problems, seed)
+        self._start_searches(joint, seed)
+        return joint
+
+    def weigh(self, problem: AnyProblem, factor: float = 1.0) -> None:  # type: ignore[override]
+        """Set the weights of all penalties to `factor` times those that held-out samples ask for."""
+        for search in searches(problem):
+            search.weigh(problem, factor)
+
+    def plan(self, problem: AnyProblem) -> Schedule:
+        """All unknowns together; one after the other the weights of their penalties; all together again."""
+        (joint,) = super().plan(problem)
+        trials = [stage for search in searches(problem) for stage in search.stages(problem)]
+        last = dataclasses.replace(joint, name="all samples", prepare=self.finish, use_held_out=True)
+        if not trials:
+            return Schedule([joint, dataclasses.replace(last, iterations=TRIAL_ITERATIONS)])
+        start = dataclasses.replace(joint, name="start", iterations=TRIAL_ITERATIONS)
+        return Schedule([start, *trials, last])
+
+    def finish(self, problem: AnyProblem) -> None:
+        """The weights that were found, and the unknowns from the start of the search again."""
+        self.weigh(problem)
+        for search in searches(problem):
+            search.reset(problem)
+
+    def _start_searches(self, problem: AnyProblem, seed: int) -> None:
+        for search in searches(problem):
+            search.start(problem)
+        hold_out(problem, seed, fraction_for_weights(problem))
+
+
+def searches(problem: AnyProblem) -> list[WeightSearch]:
+    """Those for the weights of the scenes, and of each other unknown that has penalties."""
+    others = [name for name in problem.free() if name not in problem.scenes and penalties_of(problem, name)]
+    return [
+        WeightSearch(name, first=0.0, least=MIN_LOG2_WEIGHT, iterations=TRIAL_ITERATIONS, restart=True)
+        for name in (SCENE, *others)
+    ]

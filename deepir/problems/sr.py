@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 
-from deepir.estimation.cross_validation import (
-    cross_validation_stages,
-    start_trials,
-    weight_from_cross_validation,
-)
+from deepir.estimation.cross_validation import WeightSearch
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.messages import Message
 from deepir.operators import Downsample
@@ -36,7 +32,8 @@ class SR(Recipe):
         *("saturation", "bad_pixels", "frame_gain", "frame_offset", "line_noise", "noise"),
         *("sensor_pattern", "outliers", "reference_level"),
     )
-    weigh = staticmethod(weight_from_cross_validation)
+    search = WeightSearch()
+    weigh = staticmethod(search.weigh)
 
     def weigh_prior(self, problem: Problem) -> None:
         """By the noise: cross-validation was of another prior."""
@@ -47,7 +44,7 @@ class SR(Recipe):
         initial_estimate(problem, self.effects)
         hold_out(problem, seed)
         weigh_scene(problem, self.sensor_weight)
-        start_trials(problem)
+        self.search.start(problem)
         self.messages = few_frames(len(problem.data), factor_of(problem))
 
     def plan(self, problem: Problem) -> Schedule:
@@ -61,10 +58,10 @@ class SR(Recipe):
         stages = [
             Stage("sensor 1", sensor, 40),
             Stage("sensor 2", sensor, 40, prepare=self.first_update),
-            Stage("motion 1", moving, 20, prepare=weight_from_cross_validation),
+            Stage("motion 1", moving, 20, prepare=self.weigh),
             Stage("sensor 3", sensor, 25, prepare=self.update),
-            *cross_validation_stages(problem),
-            Stage("motion 2", moving, 20, prepare=weight_from_cross_validation),
+            *self.search.stages(problem),
+            Stage("motion 2", moving, 20, prepare=self.weigh),
             Stage("sensor 4", sensor, 25, prepare=self.update),
             Stage("scene", (Step(("scene",)),), 40, prepare=self.finish, use_held_out=True),
         ]

@@ -22,13 +22,16 @@ MIN_COLD_CORE = 0.3  # pixels inside such a region over pixels at its rim
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
-def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Mask:
+def validate(
+    frames: np.ndarray[Any, Any], source: str, *, needs: int = 1, are_pictures: bool = True
+) -> Mask:
     """Check frames and find their finite samples.
 
     Args:
         frames: (N, h, w).
         source: The file, for messages.
         needs: Least number of frames.
+        are_pictures: Whether they are to be registered. Else they may have any size, and NaN at any sample.
 
     Returns:
         (N, h, w) bool, finite samples.
@@ -40,19 +43,22 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1) -> Ma
     count, height, width = frames.shape
     if count < needs:
         raise DataError(f"{source}: {count} frame(s), but this needs at least {needs}")
-    _check_side(height, width, source)
-    for k, why in unusable_frames(frames).items():
-        raise DataError(f"{source}: frame {k} is {why}. Leave it out (data.frames)")
     valid = np.isfinite(frames)
-    if not has_neighbours(valid):
+    if are_pictures:
+        _check_side(height, width, source)
+        for k, why in unusable_frames(frames).items():
+            raise DataError(f"{source}: frame {k} is {why}. Leave it out (data.frames)")
+    elif not valid.any():
+        raise DataError(f"{source}: all samples are NaN or infinite")
+    if are_pictures and not has_neighbours(valid):
         raise DataError(
             f"{source}: no sample has finite neighbours, as where every second row or column is NaN. Keep the rows and "
             "columns that are there (frames[:, ::2, ::2]), or fill in the others"
         )
-    for k in range(count):
+    for k in np.flatnonzero(valid.any((1, 2))):
         values = frames[k] if valid[k].all() else frames[k][valid[k]]
         low, high = float(values.min()), float(values.max())
-        if max(-low, high) > MAX_VALUE or high - low < MIN_RANGE:
+        if max(-low, high) > MAX_VALUE or (are_pictures and high - low < MIN_RANGE):
             raise DataError(
                 f"{source}: frame {k} is {low:g} to {high:g}, which is out of bounds (values up to 1e9, a range from "
                 "1e-15): damaged, or in unusual units? Give counts, kelvin or [0, 1]"
