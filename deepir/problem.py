@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 from deepir.closed_form.normal_equations import sensor_least_squares
 from deepir.closed_form.variable_projection import Elimination, eliminate
-from deepir.fields.base import Field
+from deepir.fields.base import Field, Shape
+from deepir.fields.constant import Constant
 from deepir.likelihoods import Fidelity, Gaussian
 from deepir.metrics import RegisteredAverage
 from deepir.operators import Chain, Operator, Sensor
 from deepir.operators.base import slots_of
 from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
+from deepir.registry import lookup
+
+if TYPE_CHECKING:
+    from deepir.optim.solve import Solution
 
 Values = dict[str, Tensor]
 #: Flux, data and precision of samples, (N, 1, h, w), and the levels of their frames, (N,).
@@ -35,10 +41,11 @@ class Problem(nn.Module):
     """`data = operator(scene, **slots) + noise`, with a field for the scene and for each slot.
 
     Args:
-        operator: The physics; its slots are called `stage.slot`.
-        fields: One for each unknown: `scene`, and the unknowns that `slots` names.
+        operator: The physics; the slots of a chain are called `stage.slot`.
+        fields: One for each unknown: `scene`, and the unknowns that `slots` names; slots without one are neutral.
         data: The frames, (N, C, h, w); samples whose precision is zero may hold anything finite.
-        precision: 1 / noise variance of each sample, same shape; zero where a sample does not count.
+        precision: 1 / noise variance of each sample, same shape; zero where a sample does not count. None: it is
+            estimated.
         slots: Slot -> unknown, `{"warp.motion": "motion"}`; None names an unknown after its slot.
         penalties: Unknown -> its penalties by name.
         fidelity: How prediction and data are compared; Gaussian unless given.
@@ -47,7 +54,7 @@ class Problem(nn.Module):
         agc: Whether the frames may have gains of their own, by which their data are divided on the way.
 
     Raises:
-        ValueError: A slot has no field.
+        ValueError: A slot has no field, and no neutral value.
     """
 
     fields: Mapping[str, Field]
@@ -72,10 +79,10 @@ class Problem(nn.Module):
 
     def __init__(
         self,
-        operator: Chain,
+        operator: Operator,
         fields: Mapping[str, Field],
         data: Tensor,
-        precision: Tensor,
+        precision: Tensor | None = None,
         *,
         slots: Mapping[str, str] | None = None,
         penalties: Mapping[str, Mapping[str, Penalty]] | None = None,
@@ -85,18 +92,17 @@ class Problem(nn.Module):
         agc: bool = False,
     ) -> None:
         super().__init__()
-        self.operator, self.fidelity = operator, fidelity or Gaussian()
+        chain = operator if isinstance(operator, Chain) else Chain.of(operator)
+        self.operator, self.fidelity = chain, fidelity or Gaussian()
         self.noise, self.agc = noise, agc
+        wanted = chain.slots(tuple(fields["scene"].shape), len(data))
+        self.slots = dict(slots) if slots is not None else {slot: slot.rpartition(".")[2] for slot in wanted}
+        fields = {**fields, **self._neutral(wanted, fields)}
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}
         self.penalties = nn.ModuleDict(each)  # type: ignore[assignment]
-        wanted = operator.slots(tuple(fields["scene"].shape), len(data))
-        self.slots = dict(slots) if slots is not None else {slot: slot.rpartition(".")[2] for slot in wanted}
-        for slot in wanted:
-            if self.slots.get(slot) not in fields:
-                raise ValueError(f"slot {slot!r} has no field; fields are {sorted(fields)}")
         self.register_buffer("data", data)
-        self.register_buffer("precision", precision)
+        self.register_buffer("precision", torch.ones_like(data) if precision is None else precision)
         self.register_buffer("held_out", torch.zeros_like(data, dtype=torch.bool))
         self.register_buffer("saturation", saturation)
         self.register_buffer("moving", torch.zeros_like(data[:, :1], dtype=torch.bool))
@@ -105,6 +111,33 @@ class Problem(nn.Module):
         self.register_buffer("gains_are_equal", torch.tensor(False))
         self.register_buffer("smoothness_exponent", torch.tensor(0.0))
         self.register_buffer("reference_misfit", torch.tensor(torch.inf, dtype=torch.float64))
+
+    def _neutral(self, wanted: Mapping[str, Shape], fields: Mapping[str, Field]) -> dict[str, Field]:
+        """Constant fields for the slots that have none."""
+        found: dict[str, Field] = {}
+        for slot, shape in wanted.items():
+            stage, _, own = slot.rpartition(".")
+            neutral = dict(self.operator.named())[stage].neutral
+            if (name := self.slots.get(slot, own)) in fields:
+                continue
+            if own not in neutral:
+                raise ValueError(f"slot {slot!r} has no field; fields are {sorted(fields)}")
+            found[self.slots.setdefault(slot, name)] = Constant(shape, neutral[own])
+        return found
+
+    def solve(self, problem: str = "generic", *, seed: int = 0, callbacks: Sequence[Any] = ()) -> Solution:
+        """Estimate the unknowns that are free, as a registered problem does.
+
+        Args:
+            problem: Its name, such as `generic` or `nuc`: the order of the stages, and the weights of penalties.
+            seed: Of the samples that are held out.
+            callbacks: Called with a `deepir.optim.solve.Progress` after each iteration.
+
+        Returns:
+            Values of the unknowns, and how the solve ended; the fields keep the values, too.
+        """
+        found: Solution = lookup("problem", problem)().solve(self, seed=seed, callbacks=callbacks)
+        return found
 
     @property
     def data_sets(self) -> tuple[Problem, ...]:

@@ -61,6 +61,20 @@ def register(kind: str, name: str) -> Callable[[T], T]:
     return add
 
 
+def classes(*kinds: str) -> dict[str, Any]:
+    """The registered components of some kinds, by the names of their classes."""
+    return {each.__name__: each for kind in kinds for each in components(kind).values()}
+
+
+def class_named(name: str, module: str, *kinds: str) -> Any:
+    """The registered component whose class has a name, as `__getattr__` of a `module` wants it."""
+    known = {} if name.startswith("_") else classes(*kinds)
+    if name not in known:
+        others = f"; {nearest(name, known)}" if known else ""
+        raise AttributeError(f"module {module!r} has no attribute {name!r}{others}")
+    return known[name]
+
+
 def lookup(kind: str, name: str, where: str = "") -> Any:
     """The component of a kind and name.
 

@@ -19,7 +19,7 @@ from deepir.io import write_json, write_mat, write_npz, write_preview, write_tif
 from deepir.io.radiometry import KELVIN, Radiometry, unit_metadata
 from deepir.messages import Message
 from deepir.metrics import motion_error, scores
-from deepir.operators.motion_models import rescale_motion
+from deepir.operators.warp import rescale_motion
 from deepir.paths import expanded
 
 if TYPE_CHECKING:

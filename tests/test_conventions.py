@@ -16,7 +16,7 @@ from deepir.config import load
 from deepir.fields.sensor_maps import Pixel
 from deepir.likelihoods import Gaussian
 from deepir.operators import Add, Blur, Chain, Downsample, Sensor, Warp
-from deepir.operators.motion_models import CANVAS_MARGIN, footprint
+from deepir.operators.warp import CANVAS_MARGIN, footprint
 from deepir.priors.penalties.tv import TV
 from deepir.registry import components
 from deepir.result import Result, to_gauge

@@ -20,7 +20,8 @@ from deepir.fields.sensor_maps import SumField
 from deepir.likelihoods import Fidelity
 from deepir.operators import Chain, Operator, Sensor, Warp
 from deepir.operators.base import Trajectory
-from deepir.operators.motion_models import Canvas, Geometry, footprint, locate_first_frame, rescale_motion
+from deepir.operators.motion_models import Canvas, Geometry, locate_first_frame
+from deepir.operators.warp import footprint, rescale_motion
 from deepir.priors.penalties.base import Penalty
 from deepir.problem import Problem
 from deepir.registry import lookup
@@ -363,7 +364,9 @@ def known_motion(slots: Mapping[str, Any], where: str) -> Tensor | None:
         return None
     found = read_map(str(given["path"]), given.get("key"))
     if found.ndim not in (3, 4) or (found.ndim == 3 and found.shape[1:] != (3, 3)):
-        raise ConfigError(f"{where}.motion: {given['path']}: (N, 3, 3) or (N, h, w, 2) is wanted, not {tuple(found.shape)}")
+        raise ConfigError(
+            f"{where}.motion: {given['path']}: (N, 3, 3) or (N, h, w, 2) is wanted, not {tuple(found.shape)}"
+        )
     return found
 
 

@@ -125,7 +125,7 @@ class WeightSearch:
 
 
 def fraction_for_weights(problem: AnyProblem) -> float:
-    """Fraction of the samples to hold out: a tenth of one frame, spread over all, as a weak prior leaves fine detail."""
+    """Fraction of the samples to hold out: a tenth of one frame, spread over all."""
     frames = max(len(each.data) for each in problem.data_sets)
     return max(objective.HELD_OUT_FRACTION, HELD_OUT_SHARE / frames)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -45,6 +45,11 @@ class Field(nn.Module):
     def init_from(self, value: Tensor) -> None:
         """Represent `value` as well as the field can; its shape must broadcast to `shape`."""
         raise NotImplementedError
+
+    def starting_at(self, value: Tensor) -> Self:
+        """The field itself, after `init_from`."""
+        self.init_from(value)
+        return self
 
     def penalty(self) -> Tensor | None:
         """The field's own negative log-prior in nats, or None."""

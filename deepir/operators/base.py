@@ -6,16 +6,13 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-if TYPE_CHECKING:
-    from scipy.sparse.linalg import LinearOperator
-
-Shape = tuple[int, ...]
+from deepir.operators.linear import Linear, Shape, identity
 
 
 @dataclass(frozen=True)
@@ -109,20 +106,74 @@ class Operator(nn.Module):
             (out,) = torch.autograd.grad((self.forward(x, **slots) * y).sum(), x)
         return out
 
-    def as_linear_operator(
-        self, x_shape: Shape, *, dtype: torch.dtype = torch.float64, **slots: Tensor
-    ) -> LinearOperator:
-        """The linear part as `scipy.sparse.linalg.LinearOperator`, with its adjoint, on flattened arrays.
+    def at(self, x: Tensor | Shape | None = None, **slots: Tensor) -> Linear:
+        """The linear map at given slots; of an operator that is not affine its derivative at `x`.
 
         Args:
-            x_shape: Shape of the input, (N or 1, C, H, W).
-            dtype: In which it computes.
-            slots: Values of the slots; a chain's are given by `**{"warp.motion": motion}`.
+            x: Shape of the input, (N or 1, C, H, W), or an input: where the operator is linearised. None: the map takes
+                any input that fits.
+            slots: Values of the slots; those that are missing are neutral. A chain's are given by
+                `**{"warp.motion": motion}`.
 
         Raises:
-            ValueError: It is not linear up to a constant.
+            ValueError: It is not linear up to a constant, and `x` is not an input.
         """
-        return linear_operator(self, x_shape, slots, dtype)
+        name, shape = type(self).__name__, tuple(x.shape) if isinstance(x, Tensor) else x
+        if not self.affine:
+            if not isinstance(x, Tensor):
+                raise ValueError(
+                    f"{name.lower()} is not linear, nor linear up to a constant: give `at` an input"
+                )
+            return self._derivative(x.detach(), slots)
+
+        def forward(x: Tensor) -> Tensor:
+            constant = 0 if self.linear else self(torch.zeros_like(x), **slots)
+            return self(x, **slots) - constant
+
+        def adjoint(y: Tensor) -> Tensor:
+            zero = y.new_zeros(shape or self._in_shape(tuple(y.shape)))
+            return self.adjoint(y, tuple(zero.shape), **self._with_neutral(zero, slots))
+
+        out_shape = None
+        if shape is not None:
+            kind = next(iter(slots.values()), torch.zeros(()))
+            with torch.no_grad():
+                out_shape = tuple(self(kind.new_zeros(shape), **slots).shape)
+        return Linear(forward, adjoint, shape, out_shape, name)
+
+    def _derivative(self, at: Tensor, slots: dict[str, Tensor]) -> Linear:
+        """The derivative at an input, by automatic differentiation."""
+
+        def forward(v: Tensor) -> Tensor:
+            found: Tensor = torch.func.jvp(lambda x: self(x, **slots), (at,), (v,))[1]
+            return found
+
+        def adjoint(y: Tensor) -> Tensor:
+            x = at.clone().requires_grad_()
+            with torch.enable_grad():
+                return torch.autograd.grad((self(x, **slots) * y).sum(), x)[0]
+
+        with torch.no_grad():
+            out_shape = tuple(self(at, **slots).shape)
+        return Linear(forward, adjoint, tuple(at.shape), out_shape, type(self).__name__)
+
+    def _in_shape(self, out_shape: Shape) -> Shape:
+        """Shape of the input for an output of a shape: one scene for all frames, if the operator makes frames."""
+        frames, channels, *size = out_shape
+        shape = (1, channels, *self.in_size((size[0], size[1])))
+        makes_frames = self.out_shape(shape, frames)[0] == frames
+        return shape if makes_frames else (self.trajectory.count(frames), *shape[1:])
+
+    def __call__(self, x: Tensor, **slots: Tensor) -> Tensor:
+        """Apply the operator; slots that are missing are neutral."""
+        found: Tensor = super().__call__(x, **self._with_neutral(x, slots))
+        return found
+
+    def _with_neutral(self, x: Tensor, slots: dict[str, Tensor]) -> dict[str, Tensor]:
+        """The slots, and neutral values for those that are missing and have one."""
+        missing = self.neutral.keys() - slots.keys()
+        shapes = self.slots(tuple(x.shape), len(x)) if missing else {}
+        return slots | {name: x.new_full(shapes[name], self.neutral[name]) for name in missing}
 
     def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
         """Mask (0 or 1) of the outputs that depend on valid inputs only; `mask` has the shape of `x`."""
@@ -153,6 +204,11 @@ class Chain(Operator):
         self.affine = all(stage.affine for stage in stages.values())
         self.noise_gain = math.prod(stage.noise_gain for stage in stages.values())
 
+    @classmethod
+    def of(cls, operator: Operator) -> Chain:
+        """One of a single stage, which has the name of its class."""
+        return cls(_stages(operator))
+
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Slots of all stages, as `stage.slot`."""
         found: dict[str, Shape] = {}
@@ -178,6 +234,16 @@ class Chain(Operator):
         for name, stage in self.named():
             x = stage(x, **slots_of(slots, name))
         return x
+
+    def at(self, x: Tensor | Shape | None = None, **slots: Tensor) -> Linear:
+        """The product of the stages' linear maps, each at the input that it gets."""
+        if self.affine or not isinstance(x, Tensor):
+            return super().at(x, **slots)
+        product = identity(tuple(x.shape))
+        for name, stage in self.named():
+            product = stage.at(x, **slots_of(slots, name)) @ product
+            x = stage(x, **slots_of(slots, name))
+        return product
 
     def adjoint(self, y: Tensor, x_shape: Shape, **slots: Tensor) -> Tensor:
         """Adjoints of the stages in reverse order, if all are affine."""
@@ -222,37 +288,6 @@ def _stages(operator: Operator, taken: Mapping[str, Operator] | None = None) -> 
             unique, count = f"{name.rstrip('0123456789')}{count}", count + 1
         named[unique] = stage
     return named
-
-
-@torch.no_grad()
-def linear_operator(
-    operator: Operator, x_shape: Shape, slots: dict[str, Tensor], dtype: torch.dtype
-) -> LinearOperator:
-    """See `Operator.as_linear_operator`."""
-    from scipy.sparse.linalg import LinearOperator
-
-    if not operator.affine:
-        raise ValueError(f"{type(operator).__name__.lower()} is not linear, nor linear up to a constant")
-    device = next((each.device for each in slots.values()), torch.device("cpu"))
-    slots = {name: value.to(dtype) for name, value in slots.items()}
-    at_zero = operator(torch.zeros(x_shape, dtype=dtype, device=device), **slots)
-
-    def tensor(vector: np.ndarray[Any, Any], shape: Shape) -> Tensor:
-        return torch.as_tensor(vector, dtype=dtype, device=device).reshape(shape)
-
-    @torch.no_grad()
-    def forward(x: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        return (operator(tensor(x, x_shape), **slots) - at_zero).flatten().cpu().numpy()
-
-    def adjoint(y: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        return operator.adjoint(tensor(y, tuple(at_zero.shape)), x_shape, **slots).flatten().cpu().numpy()
-
-    return LinearOperator(
-        (at_zero.numel(), math.prod(x_shape)),
-        matvec=forward,
-        rmatvec=adjoint,
-        dtype=at_zero.cpu().numpy().dtype,
-    )
 
 
 @functools.lru_cache(maxsize=16)

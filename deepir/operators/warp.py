@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
+from scipy.fft import next_fast_len
 from torch import Tensor
 
 from deepir.kernels.dispatch import MAX_ENTRY, MIN_DEPTH, is_compiled
@@ -10,6 +13,8 @@ from deepir.operators.base import Operator, Shape, Trajectory
 from deepir.operators.bspline import MIN_CANVAS_SIDE, NOISE_GAIN, SplineWarp, sample, to_pixels, warp_adjoint
 from deepir.registry import register
 
+#: Width of the canvas beyond the footprints of the frames, px.
+CANVAS_MARGIN = 8
 EVERY_FRAME = Trajectory()
 ALL_PIXELS = slice(None)
 
@@ -54,6 +59,17 @@ class Warp(Operator):
         y, x = (o + (s - c) / 2 for o, s, c in zip(origin, size, canvas, strict=True))
         canvas_from_frame = torch.tensor([[1, 0, x], [0, 1, y], [0, 0, 1]], dtype=torch.float64)
         self.register_buffer("canvas_from_frame", canvas_from_frame, persistent=False)
+
+    @classmethod
+    def around(cls, motion: Tensor, size: tuple[int, int]) -> Warp:
+        """One whose canvas holds all that frames see.
+
+        Args:
+            motion: (N, 3, 3) homographies in px of the output, frame 0's the identity; or (N, h, w, 2) points.
+            size: (h, w) of a frame, px of the output.
+        """
+        canvas, origin = footprint(motion, size, 1.0)
+        return cls(size, canvas, origin)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """`motion`: (N, 3, 3), or points (N, h, w, 2)."""
@@ -170,3 +186,46 @@ def project_pixels(
     px, py, pz = (t[:, i, 0] * x + (t[:, i, 1] * y[:, None] + t[:, i, 2]) for i in range(3))
     nearness = pz.clamp(min=MIN_DEPTH).reciprocal()
     return torch.stack((px * nearness, py * nearness), 1).permute(0, 2, 3, 1)
+
+
+def footprint(
+    motion: Tensor | None, size: tuple[int, int], ratio: float
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Canvas that contains the footprints of all frames, with a margin.
+
+    Args:
+        motion: (N, 3, 3) homographies, detector px, or (N, h, w, 2) points; None for one frame at rest.
+        size: (h, w) of a frame, scene px.
+        ratio: Scene px per detector px.
+
+    Returns:
+        Size (H, W) and origin (y, x) of frame 0, scene px.
+    """
+    if motion is None:
+        motion = torch.eye(3, dtype=torch.float64)[None]
+    y, x = ((side - 1) / 2 for side in size)
+    if motion.ndim == 4:
+        points = motion.double().flatten(1, 2).mT
+    else:
+        corners = torch.tensor([[-x, x, -x, x], [-y, -y, y, y], [1, 1, 1, 1]], dtype=torch.float64)
+        moved = rescale_motion(motion, ratio).double() @ corners
+        points = moved[:, :2] / moved[:, 2:].clamp(min=MIN_DEPTH)
+    points = points + points.new_tensor([[x], [y]])
+    low, high = points.amin((0, 2)), points.amax((0, 2))  # straight lines stay straight
+    x0, y0 = (CANVAS_MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
+    x1, y1 = (
+        CANVAS_MARGIN + math.ceil(max(float(v), side - 1))
+        for v, side in zip(high, reversed(size), strict=True)
+    )
+    return (fast_fft_length(y0 + y1 + 1), fast_fft_length(x0 + x1 + 1)), (y0, x0)
+
+
+def fast_fft_length(side: int) -> int:
+    """An even length, a little more than `side`, whose Fourier transform is two or three times as fast."""
+    return 2 * int(next_fast_len(-(-side // 2)))
+
+
+def rescale_motion(motion: Tensor, ratio: float) -> Tensor:
+    """Homographies in px of a grid that is `ratio` times finer, with the same centre."""
+    s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
+    return motion * (s[:, None] / s)

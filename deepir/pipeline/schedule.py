@@ -20,7 +20,7 @@ from deepir.errors import ConfigError, nearest
 from deepir.io.frames import select_frames
 from deepir.joint_problem import AnyProblem
 from deepir.messages import Message
-from deepir.operators.motion_models import rescale_motion
+from deepir.operators.warp import rescale_motion
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import NoiseModel, Problem
 from deepir.problems.recipe import Recipe

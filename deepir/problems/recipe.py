@@ -13,6 +13,7 @@ from deepir.estimation.cross_validation import SCENE, WeightSearch, fraction_for
 from deepir.estimation.prior_weight import penalties_of, weigh_scene
 from deepir.joint_problem import AnyProblem, JointProblem
 from deepir.optim.objective import hold_out
+from deepir.optim.solve import Solution, solve
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
 from deepir.registry import lookup, register
@@ -68,6 +69,11 @@ class Recipe:
         """Set starts, masks and hyperparameters from the data."""
         self.start(problem)
         hold_out(problem, seed)
+
+    def solve(self, problem: Any, *, seed: int = 0, callbacks: Sequence[Any] = ()) -> Solution:
+        """Initialise a problem and run its plan."""
+        self.initialise(problem, seed)
+        return solve(problem, self.plan(problem), callbacks=callbacks)
 
     def join(self, problems: Mapping[str, Problem], seed: int) -> JointProblem:
         """One problem of several data sets, of which each is initialised by itself; the first has the name ""."""

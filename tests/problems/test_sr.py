@@ -12,7 +12,7 @@ from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.metrics import scores
 from deepir.operators import Downsample, Warp
-from deepir.operators.motion_models import rescale_motion
+from deepir.operators.warp import rescale_motion
 from deepir.problems.sr import few_frames
 from deepir.simulate import Settings, simulate
 

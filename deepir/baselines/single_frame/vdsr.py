@@ -15,7 +15,7 @@ from deepir.baselines.average import Array, average_frames, fill_invalid, regist
 from deepir.baselines.single_frame.bicubic import enlarge
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.operators.motion_models import rescale_motion
+from deepir.operators.warp import rescale_motion
 from deepir.registry import register
 from deepir.result import Result
 

@@ -22,9 +22,7 @@ MIN_COLD_CORE = 0.3  # pixels inside such a region over pixels at its rim
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 
-def validate(
-    frames: np.ndarray[Any, Any], source: str, *, needs: int = 1, are_pictures: bool = True
-) -> Mask:
+def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1, are_pictures: bool = True) -> Mask:
     """Check frames and find their finite samples.
 
     Args:
