@@ -116,7 +116,7 @@ def test_a_problem_as_yaml_only_runs_with_a_plugin_that_is_named(outside, pictur
 def test_an_installed_plugin_is_found_and_listed(outside):
     install(outside)
     listed = command("list", path=outside)
-    for line in ("  mask ", "  cosines ", "  curvature ", "  box ", "  inpaint ", "  warp "):
+    for line in ("  gaps ", "  cosines ", "  curvature ", "  box ", "  inpaint ", "  warp "):
         assert line in listed
     assert "is valid; problem inpaint" in command("check", "inpaint.yaml", "problem=inpaint", path=outside)
 
@@ -124,7 +124,7 @@ def test_an_installed_plugin_is_found_and_listed(outside):
 def test_the_operator_is_what_it_says_it_is(plugin):
     (_, example), *_ = [(name, text) for name, text in blocks(PAGE, "python") if "check_operator(" in text]
     exec(example, {})
-    operator, x, slots = registry.lookup("operator", "mask").example()
+    operator, x, slots = registry.lookup("operator", "gaps").example()
     assert operator.valid(torch.ones_like(x), **slots).unique().tolist() == [0, 1]
     wrong = {"keep": slots["keep"] + 1}
     with pytest.raises(AssertionError, match="not the reference's"):
@@ -202,7 +202,7 @@ def test_noise_that_is_given_sets_the_weight(plugin):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("physics.mask.keeep=1", r"no 'keeep'; did you mean 'keep'"),
+        ("physics.gaps.keeep=1", r"no 'keeep'; did you mean 'keep'"),
         ("prior=cosine", r"no prior is called 'cosine'"),
         ("prior=rigid", r"the field 'rigid' does not fit: \(1, 1, 60, 72\) is wanted"),
         ("scene.type=cosines", None),

@@ -16,7 +16,7 @@ MAX_RADIUS = 100
 
 @register("operator", "blur")
 class Blur(Operator):
-    """Valid convolution with the slot `psf`, (1, 1, 2 r + 1, 2 r + 1), sum one.
+    """Valid convolution with the slot `psf`, (1, 1, 2 r + 1, 2 r + 1), sum one; with `per_frame` one for each frame.
 
     (N, C, h + 2 r, w + 2 r) -> (N, C, h, w): the input reaches over the output's edges, so that no boundary
     is made up. It is a convolution (the kernel is flipped), as optics does it.
@@ -24,20 +24,21 @@ class Blur(Operator):
 
     keeps_grid = True
 
-    def __init__(self, *, radius: int = 3) -> None:
+    def __init__(self, *, radius: int = 3, per_frame: bool = False) -> None:
         super().__init__()
         if not 0 <= radius <= MAX_RADIUS:
             raise ValueError(f"radius must be 0 to {MAX_RADIUS} px, not {radius}")
-        self.radius = radius
+        self.radius, self.per_frame = radius, per_frame
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
-        """`psf`: (1, 1, 2 r + 1, 2 r + 1)."""
+        """`psf`: (1, 1, 2 r + 1, 2 r + 1), or (N, ...)."""
         side = 2 * self.radius + 1
-        return {"psf": (1, 1, side, side)}
+        return {"psf": (n_frames if self.per_frame else 1, 1, side, side)}
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
         """Smaller by the radius on each side."""
-        *head, height, width = x_shape
+        count, channels, height, width = x_shape
+        head = (n_frames if self.per_frame else count, channels)
         return (*head, height - 2 * self.radius, width - 2 * self.radius)
 
     def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:

@@ -127,7 +127,7 @@ def start_psf(problem: Problem) -> list[str]:
     messages: list[str] = []
     for name in psf_names(problem):
         field = problem.fields[name]
-        if name not in problem.free():
+        if name not in problem.free() or field.shape[0] > 1:  # frames of several blurs have no one spectrum
             continue
         if isinstance(field, PSF):
             fit_psf(field, frames, usable)
@@ -193,6 +193,6 @@ def demand_room(problem: Problem) -> None:
         if cut_off(field):
             wider = f"physics.{slot.rpartition('.')[0]}.radius={2 * max(radius, 2)}"
             raise ConfigError(
-                f"physics.{slot}: a width of {float(field.width):.3g} px does not fit into a radius of {radius} px "
+                f"physics.{slot}: a width of {float(field.width.max()):.3g} px does not fit into a radius of {radius} px "
                 f"from the centre; take {wider}"
             )

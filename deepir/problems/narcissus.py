@@ -20,7 +20,8 @@ from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.constant import Constant
 from deepir.messages import Message
 from deepir.operators import Add, Warp
-from deepir.operators.motion_models import CANVAS_MARGIN, PARAMETERS
+from deepir.operators.motion_models import PARAMETERS
+from deepir.operators.warp import CANVAS_MARGIN
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene

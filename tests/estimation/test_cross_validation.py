@@ -8,12 +8,11 @@ from hypothesis import strategies as st
 from deepir.estimation.cross_validation import (
     MAX_LOG2_WEIGHT,
     N_TRIALS,
+    WeightSearch,
     best_log2_weight,
-    cross_validation_stages,
     next_log2_weight,
-    start_trials,
-    weight_from_cross_validation,
 )
+from deepir.estimation.prior_weight import unknown_noise
 from deepir.optim.objective import hold_out
 from deepir.optim.solve import solve
 from deepir.priors.penalties.tv import TV
@@ -45,9 +44,10 @@ def test_the_search_stays_where_all_neighbours_are_worse():
 
 def test_a_weight_that_is_given_is_not_searched_for(small_nuc):
     problem = small_nuc()  # TV of weight 2
-    start_trials(problem)
-    assert cross_validation_stages(problem) == []
-    weight_from_cross_validation(problem)
+    search = WeightSearch()
+    search.start(problem)
+    assert search.stages(problem) == []
+    search.weigh(problem)
     assert problem.penalties["scene"]["prior"].weight == 2
 
 
@@ -57,9 +57,10 @@ def test_a_search_that_was_interrupted_goes_on_as_if_it_had_not_been(small_nuc, 
         problem = small_nuc(n_frames=4, size=(20, 24))
         problem.penalties["scene"]["prior"] = TV().double()
         hold_out(problem, 0)
-        start_trials(problem)
-        solve(problem, cross_validation_stages(problem), **how)
-        return problem.get_buffer("trials")
+        search = WeightSearch()
+        search.start(problem)
+        solve(problem, search.stages(problem), **how)
+        return problem.get_buffer("trials_scene")
 
     def stop(progress):
         if progress.stage == "weight 3":
@@ -78,3 +79,11 @@ def test_the_search_for_a_weight_ends_at_the_least_that_is_allowed():
     assert next_log2_weight(tried) == -8
     assert next_log2_weight(tried, least=-6.0) == -5
     assert next_log2_weight({0.0: 5.0, -2.0: 4.0}, least=-3.0) == -3
+
+
+def test_the_noise_of_an_unknown_is_that_of_its_estimate_from_the_data_alone(small_nuc):
+    problem = small_nuc(n_frames=4)
+    with torch.no_grad():
+        problem.precision.fill_(25.0)
+    # The mean of four frames, of noise 0.2 each.
+    assert unknown_noise(problem, "offset") == pytest.approx(0.2 / 4**0.5, rel=1e-3)

@@ -31,7 +31,7 @@ MIN_INITIAL_RATIO = 1e-4
 class PSF(Field):
     """A point-spread function (1, 1, 2 r + 1, 2 r + 1) of sum one; its width in px is free, and positive.
 
-    A subclass gives the kernel for a width. It is that of the optics: the pixels' own area is `downsample`'s.
+    Of shape (N, 1, 2 r + 1, 2 r + 1) it is one for each frame, each with a width of its own. A subclass gives the kernel for a width. It is that of the optics: the pixels' own area is `downsample`'s.
     """
 
     #: Ratio of successive initial widths of a search; small where the spectrum has zeros.
@@ -42,31 +42,36 @@ class PSF(Field):
         if not 0 < width < math.inf:
             raise ValueError(f"{name} must be a positive number of px, not {width}")
         self.preconditioning_scale = PARAMETER_SCALE / math.sqrt(size[0] * size[1])
-        self.value = nn.Parameter(torch.tensor(math.log(width) / self.preconditioning_scale))
+        widths = self.shape[:1] if self.shape[0] > 1 else ()
+        self.value = nn.Parameter(torch.full(widths, math.log(width) / self.preconditioning_scale))
 
     @property
     def width(self) -> Tensor:
-        """The width in px, a scalar."""
+        """The width in px, a scalar; or one for each frame, (N,)."""
         return (self.preconditioning_scale * self.value).exp()
 
     def forward(self) -> Tensor:
         """The normalised kernel."""
-        return self.kernel_of_width(self.width)
+        return torch.cat([self.kernel_of_width(width)[:1] for width in self.width.reshape(-1)])
 
     def kernel_of_width(self, width: Tensor) -> Tensor:
-        """The normalised kernel of a width."""
+        """The normalised kernel of a width, expanded to the shape."""
         raise NotImplementedError
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Take over the width: the kernel with the mean squared radius of `value`, by bisection."""
-        target = self._mean_squared_radius(value.to(self.value))
+        widths = [self._width_of(kernel) for kernel in value.to(self.value).expand(self.shape)]
+        self.value.copy_(torch.stack(widths).reshape(self.value.shape).log() / self.preconditioning_scale)
+
+    def _width_of(self, kernel: Tensor) -> Tensor:
+        target = self._mean_squared_radius(kernel)
         low, high = (self.value.new_tensor(bound) for bound in (1 / MAX_WIDTH, MAX_WIDTH))
         for _ in range(60):
             middle = (low * high).sqrt()
-            narrow = self._mean_squared_radius(self.kernel_of_width(middle)) < target
+            narrow = self._mean_squared_radius(self.kernel_of_width(middle)[0]) < target
             low, high = torch.where(narrow, middle, low), torch.where(narrow, high, middle)
-        self.value.copy_((low * high).sqrt().log() / self.preconditioning_scale)
+        return (low * high).sqrt()
 
     @torch.no_grad()
     def search_starts(self) -> Iterator[dict[str, Tensor]]:
@@ -75,7 +80,7 @@ class PSF(Field):
         widths = [MIN_WIDTH * self.search_ratio**i for i in range(count + 1)]
         for width in widths:
             yield self.state_dict() | {
-                "value": self.value.new_tensor(math.log(width) / self.preconditioning_scale)
+                "value": torch.full_like(self.value, math.log(width) / self.preconditioning_scale)
             }
 
     def _axis(self) -> Tensor:
@@ -139,16 +144,16 @@ class Simplex(Field):
         self.init_from(torch.exp(-(x**2 + y[:, None] ** 2) / 2.0))
 
     def forward(self) -> Tensor:
-        """`values² / Σ values²`."""
+        """`values² / Σ values²`, of each frame."""
         squares = self.values.square()
-        return squares / squares.sum()
+        return squares / squares.sum((-2, -1), keepdim=True)
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Take over what is not negative, scaled to sum one."""
         value = value.to(self.values).expand(self.shape).clamp(min=0)
         value = value.clamp(min=MIN_INITIAL_RATIO * float(value.max()))
-        self.values.copy_((value / value.sum()).sqrt() / self.preconditioning_scale)
+        self.values.copy_((value / value.sum((-2, -1), keepdim=True)).sqrt() / self.preconditioning_scale)
 
     @classmethod
     def example(cls) -> Simplex:

@@ -35,6 +35,8 @@ class MotionBlur(PSF):
         angle: float = 0.0,
     ) -> None:
         super().__init__(shape, neutral, size, "length", length)
+        if shape[0] > 1:
+            raise ValueError("motion_blur has one direction for all frames; of a blur per frame take simplex")
         if not math.isfinite(angle):
             raise ValueError(f"angle must be a number of degrees, not {angle}")
         self.turn = nn.Parameter(torch.tensor(math.radians(angle) / self.preconditioning_scale))

@@ -53,7 +53,7 @@ def validate(frames: np.ndarray[Any, Any], source: str, *, needs: int = 1, are_p
             f"{source}: no sample has finite neighbours, as where every second row or column is NaN. Keep the rows and "
             "columns that are there (frames[:, ::2, ::2]), or fill in the others"
         )
-    for k in np.flatnonzero(valid.any((1, 2))):
+    for k in map(int, np.flatnonzero(valid.any((1, 2)))):
         values = frames[k] if valid[k].all() else frames[k][valid[k]]
         low, high = float(values.min()), float(values.max())
         if max(-low, high) > MAX_VALUE or (are_pictures and high - low < MIN_RANGE):
