@@ -342,7 +342,10 @@ def make_operator(
         stage = make("operator", kind, options, where, **place, instants=instants, fps=config.data.fps)
         stages[name] = stage
         instants = stage.trajectory if stage.trajectory != Trajectory() else instants
-        out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
+        try:
+            out, twice = stage.in_size(out), (stage.in_size(twice) if not isinstance(stage, Warp) else twice)
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from error
     chain = Chain(dict(reversed(stages.items())))
     shapes = chain.slots((1, 1, *out), n_frames)
     for name, own in slots.items():

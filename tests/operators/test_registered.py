@@ -68,13 +68,84 @@ def lag(x, slots):
     return out
 
 
-REFERENCES = {"lag": lag, "warp": warp, "blur": blur, "downsample": downsample, "sensor": sensor, "add": add}
+def mask(x, slots):
+    return np.where(slots["keep"], slots["keep"] * x, 0)
+
+
+def mix(x, slots):
+    return np.stack(
+        [a.item() * x[0] + b.item() * slots["s"][0] for a, b in zip(slots["a"], slots["b"], strict=True)]
+    )
+
+
+def exposure(x, slots):
+    return np.stack([time.item() * x[0] for time in slots["time"]])
+
+
+def decay(x, slots):
+    return np.stack([x[0] / np.exp(time * slots["rate"][0]) for time in (0.0, 1.0, 2.5)])  # of the example
+
+
+def matrix(x, slots):
+    return np.stack([(slots["matrix"][0, 0] @ scene.ravel())[None, :, None] for scene in x])
+
+
+def path_blur(x, slots):
+    """The mean of shifted scenes, each by sums over Lanczos' kernel."""
+    margin, (height, width) = 4, x.shape[2:]
+    frames = np.zeros((len(slots["path"]), 1, height - 2 * margin, width - 2 * margin))
+    for k, i, j in np.ndindex(frames.shape[0], *frames.shape[2:]):
+        weights = np.zeros((height, width))
+        for dx, dy in slots["path"][k, 0]:
+            down, across = np.arange(height) - i - margin - dy, np.arange(width) - j - margin - dx
+            weights += np.outer(
+                *(np.where(abs(d) < 3, np.sinc(d) * np.sinc(d / 3), 0) for d in (down, across))
+            )
+        frames[k, 0, i, j] = (weights * x[0, 0]).sum() / weights.sum()
+    return frames
+
+
+def rolling_shutter(x, slots):
+    """The warp's rows, each of the motion of its own time."""
+    motion, readout = slots["motion"], slots["readout"].item()
+    times = np.arange(3)[:, None] + readout * (np.arange(6) - 2.5) / 5
+    before = np.clip(np.floor(times), 0, 1).astype(int)
+    part = (times - before)[..., None, None]
+    each = (1 - part) * motion[before] + part * motion[before + 1]
+    rows = [warp(x, {"motion": each[:, row]})[:, :, row] for row in range(6)]
+    return np.stack(rows, 2)
+
+
+REFERENCES = {
+    each.__name__: each
+    for each in (add, blur, decay, downsample, exposure, lag, mask, matrix, mix, path_blur, rolling_shutter)
+} | {"warp": warp, "sensor": sensor}
 
 
 @pytest.mark.parametrize("name", components("operator"))
 def test_the_example_of_every_registered_operator_passes(name):
     operator, x, slots = components("operator")[name].example()
     check_operator(operator, x, slots, reference=REFERENCES.get(name))
+
+
+def test_a_downsampling_that_is_not_whole_integrates_parts_of_pixels():
+    def reference(x, slots):
+        halves = x.repeat(2, -1).repeat(2, -2)
+        return block_reduce(halves, (1, 1, 3, 3), np.mean)
+
+    _, x, _ = Downsample.example()
+    check_operator(Downsample(factor=1.5), x, {}, reference=reference)
+    with pytest.raises(ValueError, match="crop the frames to sides that are multiples of 2"):
+        Downsample(factor=1.5).in_size((7, 8))
+
+
+def test_a_blur_may_be_of_each_frame():
+    def reference(x, slots):
+        return np.stack([blur(x[:1], {"psf": psf[None]})[0] for psf in slots["psf"]])
+
+    _, x, slots = Blur.example()
+    psf = torch.cat((slots["psf"], slots["psf"].mT, slots["psf"].flip(-1)))
+    check_operator(Blur(radius=1, per_frame=True), x[:1], {"psf": psf}, reference=reference)
 
 
 def test_the_references_belong_to_operators():

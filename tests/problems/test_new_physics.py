@@ -11,7 +11,7 @@ from documentation import ROOT, files
 
 import deepir
 from deepir import operators as op
-from deepir.operators.path_blur import PathBlur
+from deepir import priors as pr
 
 PAGE = files(ROOT / "docs/how-to/extending.md")
 NOISE = 0.02
@@ -63,7 +63,7 @@ def test_the_weight_that_held_out_samples_choose_is_near_the_best(noisy):
     scene = picture("camera", (96, 96))
     path = np.cumsum(np.random.default_rng(1).standard_normal((3, 12, 2)), 1) * 0.9
     path -= path[:, :1]
-    blur = PathBlur(margin=16)
+    blur = op.PathBlur(margin=16)
     frames = blur(torch.from_numpy(scene)[None, None], path=torch.from_numpy(path)[:, None])[:, 0].numpy()
     noisy(frames, paths=path)
     text, truth = PAGE["shake.yaml"], scene[16:-16, 16:-16]
@@ -130,6 +130,55 @@ def test_exposures_show_what_the_long_one_cuts_off(noisy):
     )
     weights = times**2 * (frames < 1)
     assert psnr(result.scene, scene) > psnr((weights * frames / times).sum(0) / weights.sum(0), scene) + 2
+
+
+def jittered(frames=5, size=SIZE, sigma=4.0):
+    """A scene, and the motions of frames that show it; the scene reaches far beyond them."""
+    motion = torch.eye(3, dtype=torch.float64).repeat(frames, 1, 1)
+    motion[1:, :2, 2] = sigma * torch.from_numpy(np.random.default_rng(3).standard_normal((frames - 1, 2)))
+    reach = 24
+    canvas = (size[0] + 2 * reach, size[1] + 2 * reach)
+    scene = torch.from_numpy(picture("camera", canvas))[None, None]
+    return scene, motion, {"size": size, "canvas": canvas, "origin": (reach, reach)}
+
+
+def seen_by_frame_0(warp, scene):
+    y, x = warp.origin
+    return warp.to_pixels(scene)[0, 0, y : y + warp.size[0], x : x + warp.size[1]].numpy()
+
+
+def test_a_rolling_shutter_is_undone_and_its_readout_found(noisy):
+    scene, motion, place = jittered()
+    shutter = op.RollingShutter(**place)
+    readout = torch.full((1, 1, 1, 1), 0.8, dtype=torch.float64)
+    noisy(shutter(scene, motion=motion, readout=readout)[:, 0].numpy(), 0.01)
+    truth, text = seen_by_frame_0(shutter, scene), "data: {path: frames.npy}\nprior: tv\nphysics: "
+    moved = "motion: {type: shift, init: register}"
+    whole = run(f"{text}{{warp: {{{moved}}}}}")
+    rows = run(f"{text}{{rolling_shutter: {{{moved}, readout: {{type: uniform, init: 0.4}}}}}}")
+    assert rows.extra["readout"] == pytest.approx(0.8, abs=0.05)
+    assert (
+        psnr(rows.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) > psnr(whole.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) + 6
+    )
+
+
+def test_frames_of_different_sharpness_give_one_sharp_scene(noisy):
+    radius = 5
+    scene, motion, place = jittered(size=(64 + 2 * radius, 64 + 2 * radius))
+    warp = op.Warp(**place)
+    shape = (1, 1, 2 * radius + 1, 2 * radius + 1)
+    psf = torch.cat([pr.Gaussian(shape, size=SIZE, sigma=sigma)() for sigma in (0.5, 0.7, 1.2, 1.7, 2.0)])
+    blurred = (op.Blur(radius=radius, per_frame=True) @ warp)(
+        scene, **{"warp.motion": motion, "blur.psf": psf.detach().double()}
+    )
+    noisy(blurred[:, 0].numpy(), 0.005)
+    truth = seen_by_frame_0(warp, scene)[radius:-radius, radius:-radius]
+    text = "data: {path: frames.npy}\nprior: tv\nphysics:\n  warp: {motion: {type: shift, init: register}}\n"
+    one = run(text)
+    each = run(f"{text}  blur: {{radius: {radius}, per_frame: true, psf: {{type: gaussian}}}}")
+    assert (
+        psnr(each.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) > psnr(one.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) + 4
+    )
 
 
 def test_frames_that_are_registered_have_a_least_size(noisy):
