@@ -78,6 +78,9 @@ bench-problems: setup  ## every problem with several priors: one table
 bench-live: setup  ## live correction: delay, memory, quality over time: half an hour
 	$(BIN)/python benchmarks/live.py --output docs/benchmarks/live.md --plot docs/images/live-quality.png
 
+bench-frameworks: setup  ## deblurring and super-resolution beside deepinv and SigPy, where they are installed
+	$(BIN)/python benchmarks/frameworks.py --output docs/benchmarks/frameworks.md
+
 bench-effects: setup  ## what each effect is worth: one left out at a time
 	$(BIN)/python benchmarks/effects.py --output notes/bench-effects.md
 
@@ -99,4 +102,4 @@ bench-startup: setup  ## seconds from the start of a run to its end, beside torc
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-recordings bench-live bench-effects bench-gpu bench-startup clean
+.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-recordings bench-live bench-effects bench-frameworks bench-gpu bench-startup clean

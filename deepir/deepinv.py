@@ -27,19 +27,18 @@ def as_physics(operator: Operator, x_shape: Shape, **slots: Tensor) -> Any:
     """
     from deepinv.physics import LinearPhysics
 
-    if not operator.affine:
-        raise ValueError(f"{type(operator).__name__.lower()} is not linear, nor linear up to a constant")
+    linear = operator.at(x_shape, **slots)
 
     class Physics(LinearPhysics):
         """An operator of deepir."""
 
         def A(self, x: Tensor, **_: Any) -> Tensor:  # noqa: N802 - deepinv's own names
             """The linear part."""
-            return operator(x, **slots) - operator(torch.zeros_like(x), **slots)
+            return linear(x)
 
         def A_adjoint(self, y: Tensor, **_: Any) -> Tensor:  # noqa: N802
             """Its adjoint."""
-            return operator.adjoint(y, x_shape, **slots)
+            return linear.H(y)
 
     return Physics()
 

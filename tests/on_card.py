@@ -22,7 +22,7 @@ from deepir.registry import components
 DEVICE = sys.argv[1] if __name__ == "__main__" and len(sys.argv) > 1 else "card"
 on_device = Card if DEVICE == "card" else contextlib.nullcontext
 #: Torch's thread for the pretended device ends at the gradient of an index: the interpolation of `radial`.
-LEFT_OUT = {"radial", "wavelets"}  # the latter needs an extra
+LEFT_OUT = {"radial", "wavelets", "ffdnet"}  # the last two need extras
 
 
 def problem(name):

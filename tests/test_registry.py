@@ -40,7 +40,7 @@ def test_each_kind_has_its_components():
             "wire",
         },
         "penalty": {"hessian", "huber_tv", "l1", "red", "ridge", "smooth", "tgv", "tv"},
-        "denoiser": {"cnn", "dct", "nl_means", "wavelets"},
+        "denoiser": {"cnn", "dct", "ffdnet", "nl_means", "wavelets"},
         "fidelity": {"gaussian", "huber", "l1", "poisson"},
         "effect": {"bad_pixels", "moving_objects", "noise", "saturation", "vignetting"},
         "optimiser": {"adam", "lbfgs"},

@@ -134,9 +134,9 @@ def held_out_misfit(problem: AnyProblem) -> Tensor:
     """Negative log-likelihood of the samples that are held out, nats."""
     values: Mapping[str, Any] = problem.values()
     found = [
-        each.misfit(
-            {own: values[name] for own, name in problem.names_in(each).items()},
-            (),
+        each.fidelity(
+            each.predict({own: values[name] for own, name in problem.names_in(each).items()}),
+            each.data,
             each.precision * each.held_out,
         )
         for each in problem.data_sets

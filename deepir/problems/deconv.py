@@ -193,6 +193,6 @@ def demand_room(problem: Problem) -> None:
         if cut_off(field):
             wider = f"physics.{slot.rpartition('.')[0]}.radius={2 * max(radius, 2)}"
             raise ConfigError(
-                f"physics.{slot}: a width of {float(field.width.max()):.3g} px does not fit into a radius of {radius} px "
-                f"from the centre; take {wider}"
+                f"physics.{slot}: a width of {float(field.width.max()):.3g} px does not fit into a radius of "
+                f"{radius} px from the centre; take {wider}"
             )

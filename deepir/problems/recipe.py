@@ -23,6 +23,7 @@ from deepir.schedule import Schedule, Stage, Step
 #: weight for a fine texture.
 MIN_LOG2_WEIGHT = -6.0
 TRIAL_ITERATIONS = 40  # of cross-validation: through a blur, detail converges slowly
+LONG_TRIAL = 100  # the same of any physics: wide holes fill more slowly still
 
 
 class Recipe:
@@ -217,8 +218,8 @@ class Generic(Recipe):
         trials = [stage for search in searches(problem) for stage in search.stages(problem)]
         last = dataclasses.replace(joint, name="all samples", prepare=self.finish, use_held_out=True)
         if not trials:
-            return Schedule([joint, dataclasses.replace(last, iterations=TRIAL_ITERATIONS)])
-        start = dataclasses.replace(joint, name="start", iterations=TRIAL_ITERATIONS)
+            return Schedule([joint, dataclasses.replace(last, iterations=LONG_TRIAL)])
+        start = dataclasses.replace(joint, name="start", iterations=LONG_TRIAL)
         return Schedule([start, *trials, last])
 
     def finish(self, problem: AnyProblem) -> None:
@@ -237,6 +238,6 @@ def searches(problem: AnyProblem) -> list[WeightSearch]:
     """Those for the weights of the scenes, and of each other unknown that has penalties."""
     others = [name for name in problem.free() if name not in problem.scenes and penalties_of(problem, name)]
     return [
-        WeightSearch(name, first=0.0, least=MIN_LOG2_WEIGHT, iterations=TRIAL_ITERATIONS, restart=True)
+        WeightSearch(name, first=0.0, least=MIN_LOG2_WEIGHT, iterations=LONG_TRIAL, restart=True)
         for name in (SCENE, *others)
     ]

@@ -31,7 +31,9 @@ MIN_INITIAL_RATIO = 1e-4
 class PSF(Field):
     """A point-spread function (1, 1, 2 r + 1, 2 r + 1) of sum one; its width in px is free, and positive.
 
-    Of shape (N, 1, 2 r + 1, 2 r + 1) it is one for each frame, each with a width of its own. A subclass gives the kernel for a width. It is that of the optics: the pixels' own area is `downsample`'s.
+    Of shape (N, 1, 2 r + 1, 2 r + 1) it is one for each frame, each with a width of its own.
+
+    A subclass gives the kernel for a width. It is that of the optics: the pixels' own area is `downsample`'s.
     """
 
     #: Ratio of successive initial widths of a search; small where the spectrum has zeros.
