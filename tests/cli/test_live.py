@@ -4,6 +4,7 @@ import io
 import re
 import socket
 import sys
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +14,7 @@ import tifffile
 from deepir import registry
 from deepir.calibration import CorrectionMaps
 from deepir.cameras.camera import Camera
-from deepir.cli import live_camera
+from deepir.cli import live_frames
 from deepir.cli.terminal import Interrupted
 from deepir.errors import DataError
 from deepir.live import recorder
@@ -39,7 +40,7 @@ def test_frames_are_written_in_their_own_type(deepir, recording):
 def test_raw_frames_pass_from_standard_input_to_standard_output(deepir, recording, monkeypatch):
     incoming, outgoing = io.BytesIO(recording.tobytes()), io.BytesIO()
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=incoming))
-    monkeypatch.setattr("deepir.cli.commands.live.standard_output", lambda: outgoing)
+    monkeypatch.setattr("deepir.cli.live_frames.standard_output", lambda: outgoing)
     status, _, err = deepir("live", "-", "data.raw.width=32", "data.raw.height=24", "--fast", "--output", "-")
     assert status == 0, err
     assert outgoing.getvalue() == recording.tobytes()
@@ -108,7 +109,7 @@ def test_a_virtual_camera_without_a_driver_says_what_to_install(deepir, recordin
 def test_raw_frames_are_cropped(deepir, recording, monkeypatch):
     incoming, outgoing = io.BytesIO(recording.tobytes()), io.BytesIO()
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=incoming))
-    monkeypatch.setattr("deepir.cli.commands.live.standard_output", lambda: outgoing)
+    monkeypatch.setattr("deepir.cli.live_frames.standard_output", lambda: outgoing)
     sizes = "data.raw.width=32", "data.raw.height=24", "data.crop=[0,24,8,32]"
     assert deepir("live", "-", *sizes, "--fast", "--output", "-")[0] == 0
     assert outgoing.getvalue() == recording[:, :, 8:].tobytes()
@@ -120,16 +121,14 @@ def test_the_page_shows_the_last_frame_until_ctrl_c(deepir, recording, monkeypat
 
     def keep(session, ended):
         shown.update(frame=session.newest.raw, ended=ended, tones=session.tones)
-        page.sleep = interrupt
         return keep_page(session, ended)
 
     def interrupt(seconds):
         raise Interrupted(2)
 
-    page = SimpleNamespace(sleep=None)
-    monkeypatch.setattr(live_camera, "time", page)
-    keep_page = live_camera.keep_page
-    monkeypatch.setattr(live_camera, "keep_page", keep)
+    monkeypatch.setattr(live_frames, "time", SimpleNamespace(sleep=interrupt, monotonic=time.monotonic))
+    keep_page = live_frames.keep_page
+    monkeypatch.setattr(live_frames, "keep_page", keep)
     status, _, err = deepir("live", "drive.npy", "--fast", "--page", "--port", 0, "output.tones=clahe")
     assert status == 0, err
     assert re.search(r"shown at http://127\.0\.0\.1:\d+/\n", err)
@@ -145,8 +144,12 @@ def test_a_port_that_is_taken_is_one_line(deepir, recording):
     assert "choose another with --port" in err
 
 
-def test_a_page_without_its_libraries_is_one_line(deepir, recording, monkeypatch):
-    monkeypatch.setitem(sys.modules, "starlette", None)
+def test_only_a_page_needs_its_libraries(deepir, recording, monkeypatch):
+    for module in ("starlette", "starlette.datastructures"):
+        monkeypatch.setitem(sys.modules, module, None)
+    for module in ("cli.live_frames", "live.page.server", "live.page.app", "live.page.views"):
+        monkeypatch.delitem(sys.modules, f"deepir.{module}", raising=False)
+    assert deepir("live", "drive.npy", "--fast")[0] == 0
     status, _, err = deepir("live", "drive.npy", "--page")
     assert (status, err.count("\n")) == (2, 1)
     assert "pip install 'deepir[live]'" in err

@@ -16,27 +16,21 @@ if TYPE_CHECKING:
 
 
 def analyze(
-    what: Annotated[
-        str, typer.Argument(metavar="FILE|RUN", help="A burst, or the folder of a run.", show_default=False)
-    ],
+    what: Annotated[str, typer.Argument(metavar="FILE|RUN", help="A burst, or the folder of a run.")],
     settings: Settings = None,
     flat: Annotated[bool, typer.Option("--flat", help="The frames are of a uniform source.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option(
-            help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png.",
-            show_default=False,
-        ),
+        typer.Option(help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png."),
     ] = None,
     overwrite: Overwrite = False,
-) -> int:
+) -> None:
     """Report the jitter and the frames that a camera needs: deepir analyze burst.npz, or shutter.npz --flat.
 
     A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
     file's format.
     """
     from deepir.analysis.burst_assessment import report_lines
-    from deepir.cli.terminal import Interrupted, report_aborted
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
     from deepir.report.analysis import write_analysis
@@ -46,17 +40,13 @@ def analyze(
         raise ConfigError(f"--output {output}: a picture's name ends in .png")
     if output is not None and output.exists() and not overwrite:
         raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
-    try:
-        statistics, assessment, scene_deviation = _analysis(path, settings or [], flat=flat)
-    except Interrupted as error:
-        return report_aborted(error)
+    statistics, assessment, scene_deviation = _analysis(path, settings or [], flat=flat)
     for line in report_lines(statistics, assessment, scene_deviation):
         echo(line)
     picture = output or _default_picture(path)
     _make_folder(picture.parent)
     write_analysis(picture, statistics, assessment, scene_deviation)
     echo(f"picture: {picture}")
-    return 0
 
 
 def _is_run(path: Path) -> bool:
@@ -103,12 +93,10 @@ def _of_burst(
     path: Path, settings: list[str]
 ) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
     import deepir
-    from deepir.cli.terminal import Interruptible
+    from deepir.cli.terminal import watched_solve
     from deepir.messages import labelled, shown
-    from deepir.report.progress import show_progress
 
-    with Interruptible() as interruptible, show_progress() as progress:
-        callbacks = (interruptible, progress)
+    with watched_solve() as callbacks:
         result = deepir.run("nuc", *settings, f"data.path={path}", output={}, callbacks=callbacks)
     for line in shown(labelled(result.messages), f"the report of `deepir run nuc data.path={path}`"):
         notify(line)

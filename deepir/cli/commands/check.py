@@ -25,9 +25,7 @@ REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does 
 def list_components(
     name: Annotated[
         str | None,
-        typer.Argument(
-            metavar="NAME", help="A kind, such as fields, or a part of a name.", show_default=False
-        ),
+        typer.Argument(metavar="NAME", help="A kind, such as fields, or a part of a name."),
     ] = None,
     plugin: Plugins = None,
 ) -> None:
@@ -93,9 +91,7 @@ def _options(component: Any) -> str:
 
 
 def check(
-    what: Annotated[
-        str, typer.Argument(metavar="FILE|CONFIG", help="A burst, or a configuration.", show_default=False)
-    ],
+    what: Annotated[str, typer.Argument(metavar="FILE|CONFIG", help="A burst, or a configuration.")],
     settings: Settings = None,
     plugin: Plugins = None,
 ) -> int:
