@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepir.sweep.work import finish_cell
+from deepir.sweep.cluster import finish_cell
 
 pytest.importorskip("distributed")
 

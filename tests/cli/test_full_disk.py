@@ -26,7 +26,7 @@ def test_a_run_that_cannot_be_written_leaves_the_former_one_and_goes_on(nuc, dee
 
 def test_a_comparison_that_cannot_be_written_leaves_the_former_one(deepir, folder, full_disk, monkeypatch):
     pytest.importorskip("distributed")
-    from deepir.sweep.work import finish_cell
+    from deepir.sweep.cluster import finish_cell
 
     monkeypatch.setattr(
         "deepir.sweep.cluster.run_cells", lambda cells, **_: [(cell, finish_cell(cell)) for cell in cells]

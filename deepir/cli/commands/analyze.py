@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from deepir.analysis import BurstAssessment, PatternStatistics
     from deepir.result import Array
 
+JUDGED = ("gain", "offset", "scene", "motion", "bad_pixels")  # arrays of a result
+
 
 def analyze(
     what: Annotated[str, typer.Argument(metavar="FILE|RUN", help="A burst, or the folder of a run.")],
@@ -74,11 +76,10 @@ def _analysis(
 
     if flat:
         return _of_flat(path, settings), None, None
-    if not _is_run(path):
-        return _of_burst(path, settings)
-    if settings:
+    if _is_run(path) and settings:
         raise ConfigError(f"{path}: a finished run takes no settings")
-    return _of_run(path)
+    arrays, scene_deviation = _of_run(path) if _is_run(path) else _of_burst(path, settings)
+    return *_judged(**arrays), scene_deviation
 
 
 def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:
@@ -89,9 +90,8 @@ def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:
     return flat_statistics(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
 
 
-def _of_burst(
-    path: Path, settings: list[str]
-) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
+def _of_burst(path: Path, settings: list[str]) -> tuple[dict[str, Array], Array | None]:
+    """Arrays of the result of a burst, and the deviation of its scene."""
     import deepir
     from deepir.cli.terminal import watched_solve
     from deepir.messages import labelled, shown
@@ -100,33 +100,31 @@ def _of_burst(
         result = deepir.run("nuc", *settings, f"data.path={path}", output={}, callbacks=callbacks)
     for line in shown(labelled(result.messages), f"the report of `deepir run nuc data.path={path}`"):
         notify(line)
-    scene_deviation = result.uncertainty.get("scene")
-    return *_judged(
-        result.gain, result.offset, result.scene, result.motion, result.bad_pixels
-    ), scene_deviation
+    return {name: getattr(result, name) for name in JUDGED}, result.uncertainty.get("scene")
 
 
-def _of_run(path: Path) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
+def _of_run(path: Path) -> tuple[dict[str, Array], Array | None]:
+    """The same of a run in a folder."""
     import numpy as np
 
     from deepir.errors import DataError
 
     with np.load(path / "result.npz") as stored:
-        found = [stored[name] for name in ("gain", "offset", "scene", "motion", "bad_pixels")]
-    if found[0].ndim > 2:
+        found = {name: stored[name] for name in JUDGED}
+    if found["gain"].ndim > 2:
         raise DataError(
-            f"{path}: a result of {len(found[0])} bands; analyse a run of one of them, frames[:, 0]"
+            f"{path}: a result of {len(found['gain'])} bands; analyse a run of one of them, frames[:, 0]"
         )
     beside, scene_deviation = path / "uncertainty.npz", None
     if beside.exists():
         with np.load(beside) as stored:
             # With a scene for each frame there is no single map.
             scene_deviation = stored["scene"] if stored["scene"].ndim == 2 else None
-    return *_judged(*found), scene_deviation
+    return found, scene_deviation
 
 
 def _judged(
-    gain: Array, offset: Array, scene: Array, motion: Array, bad: Array
+    gain: Array, offset: Array, scene: Array, motion: Array, bad_pixels: Array
 ) -> tuple[PatternStatistics, BurstAssessment | None]:
     """Statistics of the pattern of a result at the mean flux, and the assessment of its burst."""
     import numpy as np
@@ -134,7 +132,7 @@ def _judged(
     from deepir.analysis import assess_burst, map_statistics
 
     pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
-    statistics = map_statistics(pattern, ~bad)
+    statistics = map_statistics(pattern, ~bad_pixels)
     finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
     coarser = np.diag([1 / finer, 1 / finer, 1])
     seen = motion[np.isfinite(motion).all((1, 2))]

@@ -32,23 +32,11 @@ def list_components(
     """List what configurations may name: methods, operators, fields, penalties, priors, problems ..."""
     load_plugins(plugin)
     from deepir.config import SHIPPED_CONFIGS, headline, prior_names, shipped_names
-    from deepir.registry import components, summary
+    from deepir.registry import COMPONENT_MODULES, components, summary
 
     groups = {
         f"{kind}s".replace("ys", "ies"): {name: summary(each) for name, each in components(kind).items()}
-        for kind in (
-            "method",
-            "operator",
-            "field",
-            "penalty",
-            "denoiser",
-            "fidelity",
-            "effect",
-            "optimiser",
-            "problem",
-            "training",
-            "camera",
-        )
+        for kind in COMPONENT_MODULES
     }
     groups["priors (prior=NAME; a field or a .yaml file too)"] = {
         each: headline(SHIPPED_CONFIGS / "prior" / f"{each}.yaml") for each in prior_names()
