@@ -54,6 +54,22 @@ def deepir(folder, capfd):
 
 
 @pytest.fixture
+def refused(deepir, folder):
+    """Run a command that is refused: status 2, one line on stderr that holds the words, and nothing is written."""
+
+    def run(arguments, *words):
+        before = sorted(folder.rglob("*"))
+        status, out, err = deepir(*arguments)
+        assert (status, out, err.count("\n")) == (2, "", 1), err
+        assert err.startswith("deepir: error: ")
+        for each in words:
+            assert each in err
+        assert sorted(folder.rglob("*")) == before
+
+    return run
+
+
+@pytest.fixture
 def nuc(deepir):
     """`deepir run nuc`, quickly: few iterations, one thread."""
 

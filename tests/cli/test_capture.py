@@ -147,28 +147,6 @@ def test_ctrl_c_gives_the_camera_back(fake, take, folder):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--camera", "v4l"], "no camera is called 'v4l'; did you mean 'v4l2'?"),
-        (["devise=/dev/video2"], "no option 'devise'; did you mean 'device'?"),
-        (["--frames", "0"], "'--frames': Input should be greater than or equal to 1"),
-    ],
-)
-def test_mistakes_are_named(fake, take, arguments, said):
-    status, _, err = take(*arguments)
-    assert status == 2
-    assert said in err
-
-
-def test_what_is_there_stays(fake, take, folder):
-    (folder / "taken.npz").write_bytes(b"mine")
-    status, _, err = take()
-    assert status == 2
-    assert "taken.npz exists; replace it with --overwrite" in err
-    assert not fake.opened
-
-
-@pytest.mark.parametrize(
     ("camera", "library", "extra"), [("v4l2", "av", "camera"), ("boson", "flirpy.camera.boson", "boson")]
 )
 def test_without_the_library_the_extra_is_named(deepir, monkeypatch, camera, library, extra):

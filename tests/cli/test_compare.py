@@ -182,37 +182,6 @@ class TestHere:
         assert (folder / "runs/nuc-batch/a/scene.tiff").exists()
 
 
-REFUSED = {
-    "compare nuc data.path=burst.npz": ["nothing varies", "prior=tv,dip"],
-    "compare nuc data.path=burst.npz prior=tv,tvv": ["did you mean 'tv'"],
-    "compare nuc data.path=burst.npz data.frames=3,9": ["data.frames=9", "does not fit its 3 frames"],
-    "compare nuc data.path=burst.npz prior=tv,tv": ["prior=tv,tv: nothing varies"],
-    "compare nuc data.path=burst.npz prior=tv,red data.crop=[0,999,0,9]": ["error: data.crop: "],
-    "compare nuc data.path=burst.npz prior=tv,red fidelity=l3": [
-        "error: fidelity: no fidelity is called 'l3'"
-    ],
-    "compare nuc data.path=burst.npz output.dir=a,b": ["output.dir", "one folder"],
-    "compare nuc seed=0,1": ["data.path is missing"],
-    "compare nuc --seed 0,1": ["No such option: --seed", "seed=..."],
-    "compare nuk seed=0,1": ["did you mean 'nuc'"],
-    "batch nuc none*.npz": ["none*.npz: no such file"],
-    "batch nuc seed=0": ["no burst", "bursts/*.tiff"],
-    "batch nuc burst.npz data.path=burst.npz": ["data.path: ", "without it"],
-    "batch nuc burst.npz prior=tvv": ["did you mean 'tv'"],
-    "batch nuc burst_truth.npz": ["burst_truth"],
-}
-
-
-@pytest.mark.parametrize("line", REFUSED)
-def test_bad_input_is_one_line_and_nothing_is_written(line, deepir, folder):
-    before = sorted(folder.rglob("*"))
-    status, out, err = deepir(*line.split())
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    for words in REFUSED[line]:
-        assert words in err
-    assert sorted(folder.rglob("*")) == before
-
-
 @pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced_and_its_run_goes_on(deepir, folder):
     (folder / "fragile_method.py").write_text(DIES)

@@ -47,28 +47,6 @@ def test_raw_frames_pass_from_standard_input_to_standard_output(deepir, recordin
     assert outgoing.getvalue() == recording.tobytes()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "give a recording, or a camera"),
-        (("drive.npy", "--camera", "v4l2"), "give a recording, or a camera"),
-        (("-",), "data.raw.width"),
-        (("dirve.npy",), "no such file"),
-        (("drive.npy", "solver.max_iterations=3"), "only settings of"),
-        (("drive.npy", "--maps", "nowhere.npz"), "nowhere.npz"),
-        (("drive.npy", "--output", "out.avi"), "written as .tif"),
-        (("--camera", "boson5"), "boson5"),
-        (("drive.npy", "--port", "9000"), "add --page"),
-        (("drive.npy", "--record-to", "films"), "--record-to is an option of the page"),
-    ],
-)
-def test_mistakes_are_one_line(deepir, recording, arguments, words):
-    status, out, err = deepir("live", "--fast", *arguments)
-    assert (status, out) == (2, "")
-    assert words in err
-    assert err.count("\n") == 1
-
-
 @pytest.fixture
 def shown_to_programs(monkeypatch):
     """What a virtual camera is given: its size and rate, then pictures."""

@@ -95,41 +95,6 @@ def test_a_film_is_written(deepir, folder, maps):
     assert (folder / "a.mp4").stat().st_size > 500
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("apply maps.npz", "Missing argument 'FILE'"),
-        ("apply nowhere.npz burst.npz", "nowhere.npz: no such file"),
-        (
-            "apply burst.npz burst.npz",
-            "burst.npz: no gain and no offset; maps are made by `deepir calibrate`",
-        ),
-        ("apply maps.npz nowhere.npz", "nowhere.npz: no such file"),
-        ("apply maps.npz small.npy", "the frames are 20 x 20 px, the maps 40 x 48 px"),
-        ("apply maps.npz burst.npz --output maps.npz", "maps.npz exists; replace it with --overwrite"),
-        ("apply maps.npz burst.npz --output a.avi", "a.avi: a recording is written as .tif"),
-        ("apply maps.npz burst.npz --output nowhere/a.tif", "cannot be written"),
-        ("apply maps.npz burst.npz prior=tv", "prior=tv: only settings of data.key, data.raw"),
-        ("apply maps.npz burst.npz output.palette=iron", "'white-hot' or 'black-hot' or 'ironbow'"),
-        ("calibrate maps.npz burst.npz", "maps.npz exists; replace it with --overwrite"),
-        ("calibrate a.tif burst.npz", "give a file name that ends in .npz"),
-        ("calibrate a.npz burst.npz small.npy", "flat frames differ in size"),
-        ("calibrate a.npz small.npy small.npy", "two temperatures are needed"),
-        ("calibrate a.npz --burst burst.npz small.npy", "2 recordings given: one with --burst"),
-        ("calibrate a.npz data.key=frames", "0 recordings given"),
-        ("calibrate a.npz burst.npz seed=1", "seed=1: only settings of data.key, data.raw"),
-    ],
-)
-def test_what_is_wrong_is_said_and_nothing_is_written(deepir, folder, maps, line, message):
-    np.save(folder / "small.npy", np.random.default_rng(0).integers(0, 99, (2, 20, 20), np.uint16))
-    before = sorted(folder.iterdir())
-    status, out, err = deepir(*line.split())
-    assert (status, out) == (2, "")
-    assert err.count("\n") == 1
-    assert message in err
-    assert sorted(folder.iterdir()) == before
-
-
 def test_a_file_without_a_header_is_described(deepir, folder, simulation):
     (folder / "a.y16").write_bytes(simulation.frames.tobytes())
     status, out, err = deepir(
@@ -166,15 +131,6 @@ def test_a_radiometric_run_says_how_warm_the_scene_is(deepir, folder, simulation
     with np.load("runs/nuc/result.npz") as arrays:
         low, high = arrays["scene_kelvin"].min() - 273.15, arrays["scene_kelvin"].max() - 273.15
     assert f"temperatures {low:.2f} to {high:.2f} °C: runs/nuc/scene_kelvin.tiff" in out
-
-
-def test_a_recording_is_not_written_over_itself(deepir, folder, simulation, maps):
-    recordings.seq(folder / "flight.seq", simulation.frames)
-    before = (folder / "flight.seq").read_bytes()
-    status, _, err = deepir("apply", "maps.npz", "flight.seq", "--output", "./flight.seq", "--overwrite")
-    assert status == 2
-    assert "is the recording itself" in err
-    assert (folder / "flight.seq").read_bytes() == before
 
 
 def test_a_burst_that_stands_still_is_corrected_only_if_it_moved(deepir, folder):
