@@ -1,10 +1,14 @@
 import resource
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
+from deepir import registry
+from deepir.cameras import camera as capturing
+from deepir.cameras.camera import Camera
 from deepir.cli import main
 from deepir.simulate import Settings, simulate
 
@@ -88,6 +92,36 @@ def save(folder):
         return "other.npz"
 
     return write
+
+
+@pytest.fixture
+def fake(monkeypatch, simulation):
+    """A camera `fake` that gives what the test puts into `fake.frames`, and then the last again and again."""
+    state = SimpleNamespace(frames=list(simulation.frames), identity="", closed=0, opened=0)
+
+    class Fake(Camera):
+        """A camera that is made up."""
+
+        correction = "switch it off"
+
+        def __init__(self, *, device: str = "/dev/null"):
+            state.opened += 1
+            self.identity = state.identity
+            self.coming = iter(state.frames)
+            self.frame = None
+
+        def read(self):
+            self.frame = next(self.coming, self.frame)
+            if isinstance(self.frame, BaseException):
+                raise self.frame
+            return self.frame
+
+        def close(self):
+            state.closed += 1
+
+    monkeypatch.setitem(registry._components["camera"], "fake", Fake)
+    monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 0.2)
+    return state
 
 
 @pytest.fixture

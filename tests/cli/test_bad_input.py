@@ -211,6 +211,9 @@ def test_a_broken_configuration(content, refused, folder):
 COMMANDS = {
     "rn nuc": ["No such command 'rn'", "Did you mean 'run'"],
     "nuc": ["did you mean `deepir run nuc`"],
+    "help": ["all commands: deepir --help"],
+    "correct": ["Missing argument 'FILE'; `deepir correct --help`"],
+    "list fieldz": ["no kind and no component is called 'fieldz'; did you mean 'fields'?"],
     "run": ["Missing argument"],
     "run nuk": ["no configuration 'nuk'", "did you mean 'nuc'"],
     "run my.yaml": ["no configuration 'my.yaml'"],
@@ -220,6 +223,7 @@ COMMANDS = {
     "run nuc --out folder": ["No such option: --out", "output.dir=FOLDER"],
     "run nuc path=burst.npz": ["no option 'path'", "did you mean 'data.path'?"],
     "run nuc data.path=burst.npz --plugin nope": ["plugin 'nope' cannot be imported"],
+    "run nuc data.path=burst.npz --plugin broken": ["plugin 'broken' cannot be imported: division by zero"],
     "resume": ["Missing argument"],
     "resume nope": ["nope: no run in this folder"],
     "check brust.npz": ["no such file", "did you mean 'burst.npz'"],
@@ -233,6 +237,8 @@ COMMANDS = {
     "simulate out.npz n_frames=100000000": ["simulate: 3.07e+12 samples", "at most"],
     "simulate out.npz max_shift=1e9": ["simulate.max_shift = 1000000000.0: at most 2000 px"],
     "simulate out.npz motion=rigit": ["did you mean 'rigid'"],
+    "simulate out.npz kind=pan n_frame=3": ["did you mean 'n_frames'"],
+    "simulate out.npz kind=pan --scene camera": ["--scene"],
     "simulate out.npz --scene none.png": ["none.png: no such file"],
     "capture taken.npz --camera v4l": ["no camera is called 'v4l'; did you mean 'v4l2'?"],
     "capture taken.npz devise=/dev/video2": ["no option 'devise'; did you mean 'device'?"],
@@ -303,4 +309,5 @@ def test_command(line, refused, folder):
     np.savez("maps.npz", gain=np.ones(size), offset=np.zeros(size), bad_pixels=np.zeros(size, bool))
     np.save("small.npy", RNG.integers(0, 99, (2, 20, 20), np.uint16))
     (folder / "mine.png").write_bytes(b"mine")
+    (folder / "broken.py").write_text("1 / 0")
     refused(line.split(), *COMMANDS[line])

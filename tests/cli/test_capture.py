@@ -2,44 +2,12 @@
 
 import itertools
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from deepir import registry
 from deepir.cameras import camera as capturing
-from deepir.cameras.camera import Camera
 from deepir.io import read_frames
-
-
-@pytest.fixture
-def fake(monkeypatch, simulation):
-    """A camera `fake` that gives what the test puts into `fake.frames`, and then the last again and again."""
-    state = SimpleNamespace(frames=list(simulation.frames), closed=0, opened=0)
-
-    class Fake(Camera):
-        """A camera that is made up."""
-
-        correction = "switch it off"
-
-        def __init__(self, *, device: str = "/dev/null"):
-            state.opened += 1
-            self.coming = iter(state.frames)
-            self.frame = None
-
-        def read(self):
-            self.frame = next(self.coming, self.frame)
-            if isinstance(self.frame, BaseException):
-                raise self.frame
-            return self.frame
-
-        def close(self):
-            state.closed += 1
-
-    monkeypatch.setitem(registry._components["camera"], "fake", Fake)
-    monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 0.2)
-    return state
 
 
 @pytest.fixture
@@ -149,8 +117,6 @@ def test_ctrl_c_gives_the_camera_back(fake, take, folder):
 @pytest.mark.parametrize(
     ("camera", "library", "extra"), [("v4l2", "av", "camera"), ("boson", "flirpy.camera.boson", "boson")]
 )
-def test_without_the_library_the_extra_is_named(deepir, monkeypatch, camera, library, extra):
+def test_without_the_library_the_extra_is_named(refused, monkeypatch, camera, library, extra):
     monkeypatch.setitem(sys.modules, library, None)
-    status, _, err = deepir("capture", "taken.npz", "--camera", camera)
-    assert status == 2
-    assert f"pip install 'deepir[{extra}]'" in err
+    refused(("capture", "taken.npz", "--camera", camera), f"pip install 'deepir[{extra}]'")

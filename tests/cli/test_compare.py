@@ -130,6 +130,7 @@ class TestHere:
         status, _, err = deepir(*other)
         assert status == 2
         assert "solver.max_iterations=3, not 2" in err
+        assert "2 of 2 runs are finished already" in deepir(*AVERAGES, "threads=2")[2]
         assert deepir(*other, "output.dir=runs/other")[0] == 0
         assert deepir(*other, "--overwrite")[0] == 0
 
