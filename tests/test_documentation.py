@@ -6,7 +6,6 @@ from dataclasses import fields as dataclass_fields
 
 import numpy as np
 import pytest
-import torch
 import yaml
 from documentation import OFF_THE_SITE, PAGES, ROOT, blocks, rows, script
 from pydantic import BaseModel
@@ -23,15 +22,6 @@ PARTS = ROOT / "docs/tutorials/python.md"
 CONFIGURATION = ROOT / "docs/reference/configuration.md"
 #: Pages whose blocks belong together and are run by tests of their own.
 APART = {ROOT / "docs/how-to/extending.md"}
-
-
-@pytest.fixture
-def one_thread():
-    """Small arrays gain nothing from more, and lose where the other cores are busy."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def ids(path):
@@ -65,14 +55,14 @@ def test_files_that_are_named_are_there(page):
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page not in APART and blocks(page, "python")], ids=ids
 )
-def test_python_blocks_run(page, burst, tmp_path, monkeypatch, one_thread):
+def test_python_blocks_run(page, burst, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     np.savez("burst.npz", frames=burst.frames)
     for _, text in blocks(page, "python"):
         exec(compile(text, str(page), "exec"), {})
 
 
-def test_the_composed_form_finds_the_scene(burst, tmp_path, monkeypatch, one_thread):
+def test_the_composed_form_finds_the_scene(burst, tmp_path, monkeypatch):
     from deepir.metrics import scores
 
     monkeypatch.chdir(tmp_path)

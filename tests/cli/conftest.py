@@ -4,30 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
 from deepir import registry
 from deepir.cameras import camera as capturing
 from deepir.cameras.camera import Camera
 from deepir.cli import main
-from deepir.simulate import Settings, simulate
-
-CAMERA = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0, motion="shift", dead_pixels=0.0)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def one_thread():
-    """Small frames are slower with more."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-@pytest.fixture(scope="session")
-def simulation():
-    """A small burst with its truth."""
-    return simulate(None, CAMERA, seed=3)
 
 
 @pytest.fixture(autouse=True)
@@ -37,10 +18,10 @@ def no_plots(monkeypatch):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, simulation):
+def folder(tmp_path, monkeypatch, burst):
     """An empty working folder with `burst.npz` and `burst_truth.npz` in it."""
     monkeypatch.chdir(tmp_path)
-    simulation.save(tmp_path / "burst.npz")
+    burst.save(tmp_path / "burst.npz")
     return tmp_path
 
 
@@ -95,9 +76,9 @@ def save(folder):
 
 
 @pytest.fixture
-def fake(monkeypatch, simulation):
+def fake(monkeypatch, burst):
     """A camera `fake` that gives what the test puts into `fake.frames`, and then the last again and again."""
-    state = SimpleNamespace(frames=list(simulation.frames), identity="", closed=0, opened=0)
+    state = SimpleNamespace(frames=list(burst.frames), identity="", closed=0, opened=0)
 
     class Fake(Camera):
         """A camera that is made up."""

@@ -96,9 +96,9 @@ RUN = ("run", "nuc", "threads=1", "solver.max_iterations=3")
 
 
 @pytest.mark.parametrize("what", DATA)
-def test_data(what, refused, folder, simulation):
+def test_data(what, refused, folder, burst):
     make, expected = DATA[what]
-    refused((*RUN, f"data.path={make(simulation.frames, folder)}"), *expected)
+    refused((*RUN, f"data.path={make(burst.frames, folder)}"), *expected)
 
 
 #: Settings, of which those that belong together are parted by `&`.

@@ -20,12 +20,12 @@ def take(deepir):
     return run
 
 
-def test_what_the_camera_gave_is_a_burst_that_a_run_reads(fake, take, nuc, folder, simulation):
+def test_what_the_camera_gave_is_a_burst_that_a_run_reads(fake, take, nuc, folder, burst):
     status, out, err = take("--frames", 3)
     assert status == 0, err
     read = read_frames(folder / "taken.npz")
     assert read.dtype == "uint16"
-    np.testing.assert_array_equal(read.frames, simulation.frames)
+    np.testing.assert_array_equal(read.frames, burst.frames)
     assert "taken.npz: 3 frame(s) of 40 x 48 px, uint16" in out
     assert "deepir: switch it off" in err
     assert fake.closed == fake.opened == 1
@@ -41,9 +41,9 @@ def test_it_says_how_far_the_camera_has_moved(fake, take):
     assert third == "deepir: frame 3 of 3; that was the last"
 
 
-def test_the_reach_is_that_of_the_motion(simulation):
-    at = simulation.truth.motion[:, :2, 2]
-    np.testing.assert_allclose(capturing.motion_span(list(simulation.frames)), np.ptp(at, axis=0), atol=0.2)
+def test_the_reach_is_that_of_the_motion(burst):
+    at = burst.truth.motion[:, :2, 2]
+    np.testing.assert_allclose(capturing.motion_span(list(burst.frames)), np.ptp(at, axis=0), atol=0.2)
 
 
 @pytest.mark.parametrize(
@@ -60,25 +60,25 @@ def test_the_advice_is_what_is_missing(span, said):
     assert said in capturing.advice(span)
 
 
-def test_a_frame_that_comes_twice_is_taken_once(fake, take, folder, simulation):
-    fake.frames = [None, *np.repeat(simulation.frames, 3, axis=0)]
+def test_a_frame_that_comes_twice_is_taken_once(fake, take, folder, burst):
+    fake.frames = [None, *np.repeat(burst.frames, 3, axis=0)]
     take("--frames", 3)
-    np.testing.assert_array_equal(read_frames(folder / "taken.npz").frames, simulation.frames)
+    np.testing.assert_array_equal(read_frames(folder / "taken.npz").frames, burst.frames)
 
 
-def test_frames_lie_apart_in_time(fake, take, folder, simulation):
+def test_frames_lie_apart_in_time(fake, take, folder, burst):
     rng = np.random.default_rng(0)
-    frame = simulation.frames[0]
+    frame = burst.frames[0]
     fake.frames = (frame + rng.integers(0, 9, frame.shape, dtype=np.uint16) for _ in itertools.count())
     assert take("--frames", 3, "--every", 0.02)[0] == 0
     with np.load(folder / "taken.npz") as stored:
         assert (np.diff(stored["time"]) >= 0.02).all()
 
 
-def test_a_shutter_in_the_midst_is_reported(fake, take, monkeypatch, simulation):
+def test_a_shutter_in_the_midst_is_reported(fake, take, monkeypatch, burst):
     monkeypatch.setattr(capturing, "FREEZE_TIME", 0.02)
     monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 60.0)
-    a, b, c = simulation.frames
+    a, b, c = burst.frames
     fake.frames = [a, *[b] * 20, c]
     status, _, err = take("--frames", 3)
     assert status == 0

@@ -1,6 +1,8 @@
 """The other commands, and what the command line is like as a whole."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -100,8 +102,8 @@ def test_check_sees_the_motion_that_a_run_sees(deepir, tmp_path):
     assert "motion: yes, 40.0 px between frames, as a run registers them" in said
 
 
-def test_check_and_analyze_name_torn_frames_and_what_is_drawn(deepir, folder, simulation):
-    frames = simulation.frames.copy()
+def test_check_and_analyze_name_torn_frames_and_what_is_drawn(deepir, folder, burst):
+    frames = burst.frames.copy()
     frames[1, 24:] = frames[2, 24:]
     frames[:, 4:8, 4:16] = 9000
     np.savez("torn.npz", frames=frames)
@@ -157,6 +159,13 @@ def test_simulate_writes_a_burst_and_its_truth(deepir, folder):
     assert stored["frames"].shape == (4, 32, 48)
     assert json.loads(str(stored["settings"]))["seed"] == 2
     assert np.load("new_truth.npz")["scene"].shape == (32, 48)
+
+
+def test_an_interrupted_simulation_writes_nothing(deepir, folder, monkeypatch):
+    before = sorted(folder.iterdir())
+    monkeypatch.setattr("deepir.simulate.simulate", lambda *_, **__: os.kill(os.getpid(), signal.SIGINT))
+    assert deepir("simulate", "new.npz")[::2] == (130, "deepir: interrupted; nothing was written\n")
+    assert sorted(folder.iterdir()) == before
 
 
 def test_simulate_writes_a_recording_of_a_kind(deepir, folder):

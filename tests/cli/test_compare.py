@@ -168,10 +168,10 @@ class TestHere:
         assert "[0, 1, 2]" in out
         assert [row["frames"] for row in table(folder / "runs/nuc-compare")] == ["2", "3"]
 
-    def test_a_batch_corrects_each_burst(self, deepir, folder, simulation):
+    def test_a_batch_corrects_each_burst(self, deepir, folder, burst):
         (folder / "bursts").mkdir()
-        simulation.save(folder / "bursts/a.npz")
-        np.savez("bursts/b.npz", frames=simulation.frames[::-1])
+        burst.save(folder / "bursts/a.npz")
+        np.savez("bursts/b.npz", frames=burst.frames[::-1])
         (folder / "bursts/c.npz").write_text("no burst")
         status, _, err = deepir("batch", "nuc", "bursts/*.npz", "method=average")
         assert status == 1

@@ -16,9 +16,9 @@ RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=
 
 
 @pytest.fixture(scope="module")
-def scene(simulation):
+def scene(burst):
     """The scene of a run that is left alone."""
-    return run("nuc", "solver.max_iterations=8", frames=simulation.frames, threads=1).scene
+    return run("nuc", "solver.max_iterations=8", frames=burst.frames, threads=1).scene
 
 
 @pytest.fixture
@@ -113,8 +113,8 @@ def test_another_run_names_the_way_to_resume(refused, interrupted):
     refused(RUN, "(interrupted); continue it with", f"deepir resume {interrupted}")
 
 
-def test_a_changed_input_is_refused(refused, folder, interrupted, simulation):
-    np.savez(folder / "burst.npz", frames=simulation.frames[:, ::-1])
+def test_a_changed_input_is_refused(refused, folder, interrupted, burst):
+    np.savez(folder / "burst.npz", frames=burst.frames[:, ::-1])
     refused(("resume", "runs/nuc"), "burst.npz has changed since the run started")
 
 

@@ -84,10 +84,10 @@ def test_overwrite_replaces_the_run_and_nothing_else(nuc, folder):
     assert "seed: 2" in (folder / "runs/nuc/config.yaml").read_text()
 
 
-def test_overwriting_with_bad_data_keeps_the_former_run(nuc, folder, save, simulation):
+def test_overwriting_with_bad_data_keeps_the_former_run(nuc, folder, save, burst):
     nuc("data.path=burst.npz")
     before = {path.name: path.read_bytes() for path in (folder / "runs/nuc").iterdir()}
-    still = save(simulation.frames[[0, 0, 0]])
+    still = save(burst.frames[[0, 0, 0]])
     assert nuc(f"data.path={still}", "--overwrite")[0] == 2
     assert {path.name: path.read_bytes() for path in (folder / "runs/nuc").iterdir()} == before
 

@@ -117,12 +117,12 @@ def test_each_problem_has_a_page_with_commands_whose_settings_are_taken(page):
 
 
 @pytest.fixture
-def inputs(working_folder, simulation):
+def inputs(working_folder, burst):
     """What the commands of the problems' pages read."""
-    simulation.save(working_folder / "burst.npz")
+    burst.save(working_folder / "burst.npz")
     for name in ("frames", "video"):
-        np.savez(f"{name}.npz", frames=np.concatenate([simulation.frames] * 7))
-    tifffile.imwrite("picture.tiff", simulation.frames[0])
+        np.savez(f"{name}.npz", frames=np.concatenate([burst.frames] * 7))
+    tifffile.imwrite("picture.tiff", burst.frames[0])
     for name, level in (("cold", 8000), ("hot", 9000)):
         noise = np.random.default_rng(level).normal(0, 5, (3, 48, 64))  # of the shape that is simulated
         np.save(f"{name}.npy", (level + noise).astype(np.uint16))

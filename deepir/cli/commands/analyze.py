@@ -35,7 +35,7 @@ def analyze(
     from deepir.analysis.burst_assessment import report_lines
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
-    from deepir.report.analysis import write_analysis
+    from deepir.report.panels import write_analysis
 
     path = expanded(what)
     if output is not None and output.suffix != ".png":
