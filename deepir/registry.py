@@ -19,14 +19,6 @@ T = TypeVar("T")
 
 #: Modules and packages with deepir's components, by kind; all modules of a package are imported.
 COMPONENT_MODULES = {
-    "operator": ["deepir.operators"],
-    "field": ["deepir.fields", "deepir.fields.psf", "deepir.priors.networks"],
-    "penalty": ["deepir.priors.penalties"],
-    "denoiser": ["deepir.denoisers"],
-    "fidelity": ["deepir.likelihoods"],
-    "optimiser": ["deepir.optim.adam", "deepir.optim.lbfgs"],
-    "problem": ["deepir.problems"],
-    "effect": ["deepir.effects"],
     "method": [
         "deepir.pipeline.bursts",
         "deepir.pipeline.reconstruct",
@@ -36,6 +28,14 @@ COMPONENT_MODULES = {
         "deepir.baselines.temporal",
         "deepir.baselines.registered",
     ],
+    "operator": ["deepir.operators"],
+    "field": ["deepir.fields", "deepir.fields.psf", "deepir.priors.networks"],
+    "penalty": ["deepir.priors.penalties"],
+    "denoiser": ["deepir.denoisers"],
+    "fidelity": ["deepir.likelihoods"],
+    "effect": ["deepir.effects"],
+    "optimiser": ["deepir.optim.adam", "deepir.optim.lbfgs"],
+    "problem": ["deepir.problems"],
     "training": ["deepir.training"],
     "camera": ["deepir.cameras"],
 }

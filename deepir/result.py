@@ -139,9 +139,8 @@ class Result:
         Raises:
             DataError: A file cannot be written.
         """
-        from deepir.report.flow import write_flow
         from deepir.report.html import write_report
-        from deepir.report.panels import montage, write_summary
+        from deepir.report.panels import montage, write_flow, write_summary
 
         config = self.config
         output, folder = config.output if config else Output(), expanded(folder)

@@ -1,5 +1,6 @@
 """Code blocks and links of the documentation, so that what it shows is what is tested."""
 
+import importlib.util
 import re
 from pathlib import Path
 
@@ -20,6 +21,14 @@ def blocks(page, kind=None):
 def files(page):
     """The files that a page shows: name -> text."""
     return {name: text for name, text in blocks(page) if name}
+
+
+def script(name):
+    """A script of the documentation as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def rows(page, heading):

@@ -13,8 +13,13 @@ from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(n_frames=4, shape=(40, 48), max_shift=4.0, shading=0.0, dead_pixels=0.0)
 PROBLEMS = sorted(components("problem").keys() - {"generic"})
-
-pytestmark = pytest.mark.matrix
+#: Of each kind one, a penalty, learned filters, denoisers and networks: on `nuc` they belong to the quick tests.
+KINDS = ("tv", "foe", "red", "pnp", "dip", "siren", "grid", "deep_decoder")
+CASES = [
+    pytest.param(problem, prior, marks=() if problem == "nuc" and prior in KINDS else pytest.mark.matrix)
+    for problem in PROBLEMS
+    for prior in prior_names()
+]
 
 
 @functools.cache
@@ -26,8 +31,7 @@ def frames(shared):
     return bursts[0] if shared else np.stack([burst[0] for burst in bursts])
 
 
-@pytest.mark.parametrize("prior", prior_names())
-@pytest.mark.parametrize("problem", PROBLEMS)
+@pytest.mark.parametrize(("problem", "prior"), CASES)
 def test_a_prior_runs_on_a_problem(problem, prior):
     shared = problem != "multiview_nuc"
     result = deepir.run(problem, f"prior={prior}", "solver.max_iterations=2", frames=frames(shared))

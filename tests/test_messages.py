@@ -4,9 +4,11 @@ import pickle
 import re
 
 import pytest
+from documentation import script
 
 from deepir.messages import MAX_SHOWN, NOTES, WARNINGS, Message, labelled, shown
-from deepir.report import messages as page
+
+page = script("generated")
 
 EVERY_WAY = """
 raise DataError(f"{path}: holds {n:d} frames; take 3")

@@ -21,7 +21,7 @@ from deepir.cli.commands.compare import batch, compare
 from deepir.cli.commands.correct import correct
 from deepir.cli.commands.live import live
 from deepir.cli.commands.run import demo, resume, run, train
-from deepir.cli.terminal import echo, notify, printed_warnings, standard_streams
+from deepir.cli.terminal import Interrupted, echo, notify, printed_warnings, standard_streams
 from deepir.errors import DeepIRError, SolverError
 
 #: What `deepir` alone prints.
@@ -118,6 +118,9 @@ def _run(given: list[str]) -> int:
         status = typer.main.get_command(app).main(given, prog_name="deepir", standalone_mode=False)
         sys.stdout.flush()
         return int(status or 0)
+    except Interrupted as error:
+        notify(error.outcome)
+        return error.status
     except Exception as error:
         if hasattr(error, "format_message"):  # typer's own: an unknown command or option
             return _print_error(_usage(error.format_message(), given), 2)

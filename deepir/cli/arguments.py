@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-
-from deepir.cli.terminal import echo
 
 if TYPE_CHECKING:
     from deepir.config import Config
     from deepir.io.radiometry import Radiometry
 
 Settings = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.path=burst.npz", show_default=False),
+    list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.path=burst.npz")
 ]
 ReadingSettings = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.axes=hwn", show_default=False),
+    list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Settings, for example data.axes=hwn")
 ]
 Plugins = Annotated[
     list[str] | None,
@@ -32,6 +27,14 @@ Plugins = Annotated[
         "--plugin", metavar="MODULE", help="Python module that registers components; may be repeated."
     ),
 ]
+ConfigName = Annotated[
+    str, typer.Argument(metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.")
+]
+CorrectedOutput = Annotated[
+    Path | None, typer.Option(help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.")
+]
+Float32 = Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 DATA_SETTINGS = (
     "data.key",
     "data.raw",
@@ -41,9 +44,6 @@ DATA_SETTINGS = (
     "data.crop",
 )  # of how a file is read
 RECORDING_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # of how it is read and displayed
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
-LINE_EVERY = 10.0  # s between lines where there is no terminal
-T = TypeVar("T")
 
 
 def load_plugins(modules: Sequence[str] | None) -> list[str]:
@@ -103,18 +103,6 @@ def recording_radiometry(config: Config) -> Radiometry | None:
     return resolve_radiometry(found, data.radiometry)
 
 
-def check_output_name(path: Path, suffix: str) -> None:
-    """Check the name of an output file: its suffix, such as ".npz", and its folder.
-
-    Raises:
-        DataError: It has another suffix, or its folder is missing.
-    """
-    from deepir.errors import DataError
-
-    if path.suffix != suffix or not path.parent.is_dir():
-        raise DataError(f"{path}: give a file name that ends in {suffix}, in a folder that exists")
-
-
 def config_stem(name: str) -> str:
     """Name of a configuration without folder and suffix, for the default output folder.
 
@@ -125,21 +113,27 @@ def config_stem(name: str) -> str:
 
 
 @contextmanager
-def held_outputs(*paths: Path, overwrite: bool, source: str | Path | None = None) -> Iterator[None]:
+def held_outputs(
+    *paths: Path, overwrite: bool, suffix: str = "", source: str | Path | None = None
+) -> Iterator[None]:
     """A context in which no other process writes these files.
 
     Args:
         paths: The files.
         overwrite: They may be there.
+        suffix: With which their names must end, such as ".npz"; empty: any.
         source: A file that must not be among them.
 
     Raises:
-        DeepIRError: A file is there, or is the source; their folder is missing; another process writes them.
+        DeepIRError: A file is there, or is the source; a name ends otherwise; their folder is missing; another process
+            writes them.
     """
     from deepir.errors import DataError
     from deepir.storage.folder import locked_files
 
     for path in paths:
+        if suffix and (path.suffix != suffix or not path.parent.is_dir()):
+            raise DataError(f"{path}: give a file name that ends in {suffix}, in a folder that exists")
         if not path.parent.is_dir():
             raise DataError(f"{path}: cannot be written: there is no folder {path.parent}")
     with locked_files(*paths):
@@ -149,31 +143,3 @@ def held_outputs(*paths: Path, overwrite: bool, source: str | Path | None = None
             if path.exists() and not overwrite:
                 raise DataError(f"{path} exists; replace it with --overwrite, or give another name")
         yield
-
-
-def track(frames: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
-    """Pass frames on, and show how many there were and, with a `total`, how long the others take."""
-    if sys.stderr.isatty():
-        yield from _with_bar(frames, what, total)
-        return
-    begun = said = time.monotonic()
-    for count, frame in enumerate(frames):
-        if (now := time.monotonic()) - said > LINE_EVERY:
-            said = now
-            left = f" of {total}, {(now - begun) / count * (total - count):.0f} s to go" if total else ""
-            echo(f"{what}: {count} frames{left}", err=True)
-        yield frame
-
-
-def _with_bar(frames: Iterable[T], what: str, total: int | None) -> Iterator[T]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description:>12}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        yield from bar.track(frames, total=total, description=what)

@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -120,11 +120,12 @@ def _nowhere(mode: str) -> TextIO:
 
 
 class Interrupted(BaseException):
-    """The run is to stop; `status` is the exit status."""
+    """The command is to stop; `status` is the exit status, `outcome` says what becomes of its work."""
 
     def __init__(self, signum: int) -> None:
         super().__init__(f"signal {signum}")
         self.status = 128 + signum
+        self.outcome = "interrupted; nothing was written"
 
 
 class Interruptible:
@@ -160,22 +161,31 @@ class Interruptible:
         os.write(2, b"\ndeepir: stopping after this iteration; once more stops at once\n")
 
 
-def report_interrupted(error: Interrupted, folder: Path) -> int:
-    """Print how to continue an interrupted run; the exit status."""
+@contextmanager
+def watched_solve(folder: Path | None = None) -> Iterator[list[Callable[[Progress], None]]]:
+    """A context with the callbacks of a solve: its progress on stderr, and its end by a signal.
+
+    Args:
+        folder: Of the run, which may be continued; None: nothing is written.
+    """
+    from deepir.report.progress import show_progress
+
+    try:
+        with Interruptible() as interruptible, show_progress() as progress:
+            yield [interruptible, progress]
+    except Interrupted as error:
+        if folder is not None:
+            error.outcome = _continuation(folder)
+        raise
+
+
+def _continuation(folder: Path) -> str:
+    """How to continue an interrupted run."""
     from deepir.storage.folder import RunFolder
 
     run = RunFolder(folder).active
     if run.checkpoint.exists():
-        what = f"interrupted; go on with: deepir resume {folder}"
-    elif run.config.exists():
-        what = f"interrupted before the first checkpoint; start again with: deepir resume {folder}"
-    else:
-        what = "interrupted before anything was written"
-    notify(what)
-    return error.status
-
-
-def report_aborted(error: Interrupted) -> int:
-    """Print that a command that cannot be continued has written nothing; the exit status."""
-    notify("interrupted; nothing was written")
-    return error.status
+        return f"interrupted; go on with: deepir resume {folder}"
+    if run.config.exists():
+        return f"interrupted before the first checkpoint; start again with: deepir resume {folder}"
+    return "interrupted before anything was written"

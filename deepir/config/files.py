@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import os
 import re
@@ -85,9 +84,8 @@ def find(name: str | Path) -> Path:
         use = f"resume {name}" if (path / "config.yaml").is_file() else f"run nuc data.path={name}"
         raise ConfigError(f"{name}: not a configuration (a .yaml file); did you mean `deepir {use}`?")
     here = [str(each) for each in path.parent.glob("*.y*ml")] if path.parent.is_dir() else []
-    hint = _did_you_mean(str(name), [*shipped_names(), *here])
     raise ConfigError(
-        f"no configuration '{name}'; {hint}Give a .yaml file or one of: {', '.join(shipped_names())}"
+        f"no configuration '{name}'; {nearest(str(name), [*shipped_names(), *here])}, or another .yaml file"
     )
 
 
@@ -211,10 +209,9 @@ def _order_stages(config: Config, in_file: list[str], label: str) -> None:
         target = options.pop("before", None)
         if target is None:
             if name not in in_file:
-                hint = _did_you_mean(name, in_file).rstrip()
                 raise ConfigError(
-                    f"physics.{name}: not a stage of {label} ({', '.join(in_file)})"
-                    f"{f'; {hint}' if hint else '.'} A new stage must say where it goes, for example "
+                    f"physics.{name}: not a stage of {label}; {nearest(name, in_file)}. "
+                    "A new stage must say where it goes, for example "
                     f"physics.{name}.before={in_file[-1] if in_file else 'STAGE'}"
                 )
             continue
@@ -226,11 +223,6 @@ def _order_stages(config: Config, in_file: list[str], label: str) -> None:
         index = [key for key, _ in rest].index(target)
         stages.clear()
         stages.update([*rest[:index], (name, own), *rest[index:]])
-
-
-def _did_you_mean(name: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{close[0]}'? " if close else ""
 
 
 def _plain(value: Any) -> Any:

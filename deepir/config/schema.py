@@ -6,6 +6,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+Palette = Literal["white-hot", "black-hot", "ironbow", "inferno", "magma", "turbo"]
+Tones = Literal["percentile", "clahe"]
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", coerce_numbers_to_str=True)  # a folder may be called 2021
@@ -119,8 +122,8 @@ class Output(_Strict):
     """Folder and format of the results."""
 
     dir: str | None = None
-    palette: Literal["white-hot", "black-hot", "ironbow", "inferno", "magma", "turbo"] = "white-hot"
-    tones: Literal["percentile", "clahe"] = "percentile"
+    palette: Palette = "white-hot"
+    tones: Tones = "percentile"
     mat: bool = False  # result.mat beside result.npz
 
 

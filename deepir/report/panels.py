@@ -1,9 +1,7 @@
-"""Pictures of a run beside each other, and maps packed for its page."""
+"""Pictures of results beside each other: of a run, a recording, a dense motion and an analysis."""
 
 from __future__ import annotations
 
-import base64
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,24 +9,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
+from deepir.analysis.burst_assessment import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL
 from deepir.io import atomic_file
-from deepir.io.output.tone_mapping import DEVIATIONS, SIGNED, WHITE_HOT, colour_table, display_limits, stretch
+from deepir.io.output.tone_mapping import DEVIATIONS, SIGNED, WHITE_HOT, colour_table, stretch
 from deepir.report.drawing import COLOURS, Axes, composed, draw_colours, draw_map, map_height, write_figure
 
 if TYPE_CHECKING:
+    from deepir.analysis import BurstAssessment, PatternStatistics
     from deepir.recording.correct import CorrectedRecording
     from deepir.result import Result
 
 TOTAL_WIDTH = 1200  # px
 Panel = tuple[str, np.ndarray[Any, Any], float, float]
 Array = np.ndarray[Any, Any]
-MISSING_LEVEL = 65535  # level of samples that are not finite
-FINE_LEVELS = 4096  # levels between the display limits
-COARSE_LEVELS = 256  # the same, at least, of maps with far outliers
 SHOWN = (0.1, 0.5, 0.9)  # places in the recording of the frames shown
 PERCENTILES = (0.5, 99.5)  # of a picture's values, shown black and white
 PANEL_WIDTH = 460  # px
 PANEL_HEIGHTS = (260, 900)  # px, least and greatest
+FLOW_WIDTH, LEGEND_WIDTH = 330, 260  # px, of the picture of dense motion
+ANALYSIS_SIZE = (520, 390)  # px, width and height of a panel of an analysis
+FARTHEST_LAG = 25  # px, of its curves along x and y
 LEGEND_SHARE = 0.3  # of the height of the losses, kept free above them
 
 
@@ -64,37 +64,6 @@ def write_panels(path: Path, panels: Sequence[Panel], rows: int = 1) -> None:
     ]
     whole = composed([drawn[k : k + columns] for k in range(0, len(drawn), columns)]).convert("L")
     whole.quantize(64, dither=Image.Dither.NONE).save(path, format="PNG", optimize=True)
-
-
-def pack_map(image: Array, fine: int = FINE_LEVELS) -> dict[str, Any]:
-    """Levels of a map (h, w) as text, with the data to read them: `value = base + step * level`.
-
-    Levels are differences along x, high bytes first, for compression.
-
-    Args:
-        image: (h, w).
-        fine: Levels between the display limits.
-    """
-    whole, image = image.dtype == bool, np.asarray(image, np.float64)
-    finite = image[np.isfinite(image)]
-    least, most = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
-    low, high = display_limits(image)
-    span = high - low or most - least or 1.0
-    step = 1.0 if whole else np.clip((most - least) / (MISSING_LEVEL - 1), span / fine, span / COARSE_LEVELS)
-    base = max(least, low - step * MISSING_LEVEL / 2)
-    levels = np.round((np.where(np.isfinite(image), image, base) - base) / step).clip(0, MISSING_LEVEL - 1)
-    levels = np.where(np.isfinite(image), levels, MISSING_LEVEL).astype("<u2", order="C")
-    levels[:, 1:] -= levels[:, :-1].copy()
-    planes = levels.view(np.uint8).reshape(-1, 2).T[::-1].tobytes()
-    return {
-        "height": image.shape[0],
-        "width": image.shape[1],
-        "base": float(base),
-        "step": float(step),
-        "low": low,
-        "high": high if high > low else low + span,
-        "levels": base64.b64encode(zlib.compress(planes, 1)).decode(),
-    }
 
 
 def write_correction(path: Path, corrected: CorrectedRecording) -> None:
@@ -170,4 +139,127 @@ def _loss(history: list[dict[str, Any]], size: tuple[int, int]) -> Image.Image:
         colour = colours.setdefault(kind, COLOURS[len(colours) % len(COLOURS)])
         axes.line(np.arange(start, start + len(loss)), loss, colour, name)
         start += len(loss)
+    return axes.picture()
+
+
+def write_flow(path: Path, flow: Array, motion: Array) -> None:
+    """Write the deviation of some frames' flow from their homographies, with a legend.
+
+    Args:
+        path: A .png.
+        flow: (N, 2, h, w), x and y, px.
+        motion: (N, 3, 3), pull homographies, px.
+    """
+    import torch
+
+    from deepir.operators.motion_models import displacements
+    from deepir.operators.warp import project_pixels
+
+    moved = [k for k in range(len(flow)) if np.isfinite(motion[k]).all() and flow[k].any()]
+    shown = [moved[i] for i in evenly_spaced(len(moved))]
+    size = flow.shape[2:]
+    points = project_pixels(torch.from_numpy(motion[shown]).double(), size)
+    beside = flow[shown] - displacements(points).numpy()
+    reach = max(float(np.percentile(np.hypot(*beside.swapaxes(0, 1)), 99)), 1e-3) if shown else 1.0
+    height = max(map_height(size, FLOW_WIDTH, 0), LEGEND_WIDTH)
+    panels = [
+        draw_colours(flow_colours(picture / reach), f"frame {k}, beside its homography", (FLOW_WIDTH, height))
+        for k, picture in zip(shown, beside, strict=True)
+    ]
+    write_figure(path, [[*panels, _legend(reach, height)]])
+
+
+def _legend(reach: float, height: int) -> Image.Image:
+    """Colours of the vectors up to `reach`, px."""
+    x = np.linspace(-1, 1, 201)
+    wheel = np.stack(np.broadcast_arrays(x, x[:, None]))
+    colours = np.where(np.hypot(*wheel)[..., None] <= 1, flow_colours(wheel), 255).astype(np.uint8)
+    limits = (-reach, reach), (reach, -reach)
+    axes = Axes((LEGEND_WIDTH, height), "px, x right, y down", *limits, square=True)
+    axes.image(colours, (*limits[0], *limits[1]))
+    return axes.picture()
+
+
+def flow_colours(vectors: Array) -> Array:
+    """Vectors (2, h, w) as colours (h, w, 3), uint8: white is zero, full colour a length of one or more."""
+    hue = np.arctan2(vectors[1], vectors[0]) / (2 * np.pi) % 1
+    length = np.hypot(vectors[0], vectors[1]).clip(0, 1)
+    levels = np.stack((hue, length, 1 - 0.15 * length), -1)
+    whole = np.round(255 * levels).astype(np.uint8)
+    return np.asarray(Image.frombytes("HSV", whole.shape[1::-1], whole.tobytes()).convert("RGB"))
+
+
+def write_analysis(
+    path: Path,
+    statistics: PatternStatistics,
+    assessment: BurstAssessment | None = None,
+    scene_deviation: Array | None = None,
+) -> None:
+    """Write the picture.
+
+    Args:
+        path: A .png.
+        statistics: Of the pattern.
+        assessment: Of the burst, if there is one.
+        scene_deviation: (H, W), standard deviation of the scene, if it is known.
+    """
+    pattern = statistics.pattern
+    if statistics.temporal is not None:
+        last = _over_time(statistics.temporal)
+    elif scene_deviation is not None:
+        last = draw_map(scene_deviation, "standard deviation of the scene", DEVIATIONS, ANALYSIS_SIZE)
+    else:
+        last = Image.new("RGB", ANALYSIS_SIZE, "white")
+    above = [
+        draw_map(pattern, f"pattern, std {pattern.std():.3g}", SIGNED, ANALYSIS_SIZE, centre=0.0),
+        _around(statistics, assessment),
+    ]
+    write_figure(path, [above, [_along(statistics), last]])
+
+
+def _around(statistics: PatternStatistics, assessment: BurstAssessment | None) -> Image.Image:
+    """The autocorrelation, with the displacements of the frames: pale at points off the centre."""
+    middle = len(statistics.correlation) // 2
+    edge = middle + 0.5
+    view, title = min(edge, 3 * max(statistics.lengths) + 8), "autocorrelation, 0 dark to 1 bright"
+    if assessment is not None:
+        view = min(edge, max(view, float(np.abs(assessment.displacements).max()) + 2))
+        title += ", and where the frames look"
+    axes = Axes(ANALYSIS_SIZE, title, (-view, view), (view, -view), "lag in x and y (px)", square=True)
+    near = min(middle, int(view) + 1)
+    shown = np.s_[middle - near : middle + near + 1]
+    levels = np.round(255 * statistics.correlation[shown, shown].clip(0, 1)).astype(np.uint8)
+    end = near + 0.5
+    axes.image(colour_table("magma")[levels], (-end, end, end, -end))
+    if assessment is not None:
+        for k, place in enumerate(assessment.displacements):
+            centre = k == len(assessment.displacements) // 2
+            x, y = place.T
+            axes.points(x, y, "deepskyblue" if centre else "steelblue", 3.5 if centre else 1.5)
+    return axes.picture()
+
+
+def _along(statistics: PatternStatistics) -> Image.Image:
+    farthest = len(statistics.correlation) // 2
+    lags, middle = np.arange(farthest + 1), statistics.correlation
+    title = "autocorrelation along an axis; what stays are lines"
+    axes = Axes(ANALYSIS_SIZE, title, (0, min(farthest, FARTHEST_LAG)), (-0.2, 1.02), "lag (px)")
+    axes.level(CORRELATION_LENGTH_LEVEL)
+    for name, along, far, colour in zip(
+        "xy",
+        (middle[farthest, farthest:], middle[farthest:, farthest]),
+        statistics.lengths,
+        COLOURS[:2],
+        strict=True,
+    ):
+        axes.line(lags, along, colour, f"along {name}: {far:.1f} px", dots=True)
+    return axes.picture()
+
+
+def _over_time(in_time: Array) -> Image.Image:
+    limits = min(0.0, float(in_time.min())) - 0.02, 1.05
+    title = "autocorrelation from frame to frame"
+    axes = Axes(ANALYSIS_SIZE, title, (0, max(len(in_time) - 1, 1)), limits, "frames apart")
+    axes.level(STABILITY_LEVEL)
+    axes.line(np.arange(len(in_time)), in_time, COLOURS[0], dots=True)
     return axes.picture()

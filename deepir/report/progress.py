@@ -1,4 +1,4 @@
-"""Progress of a run: a bar in a terminal, lines elsewhere."""
+"""Progress of solves and of recordings: a bar in a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -6,21 +6,25 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepir.paths import printable
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+
     from deepir.optim.solve import Progress
+
+LINE_INTERVAL = 10.0  # s between lines where there is no terminal
+T = TypeVar("T")
 
 
 class ProgressLines:
     """Prints a line when a stage begins and ends, and every `every` seconds."""
 
-    def __init__(self, say: Callable[[str], None], every: float = 10.0) -> None:
+    def __init__(self, say: Callable[[str], None], every: float = LINE_INTERVAL) -> None:
         self.say, self.every = say, every
         self.start = self.last_printed = time.monotonic()
         self.first: float | None = None
@@ -48,32 +52,12 @@ class ProgressLines:
 
 
 class ProgressBar:
-    """A bar on stderr with stage, iteration, loss, held-out error and the time left at most."""
+    """Advances a bar with stage, iteration, loss, held-out error and the time left at most."""
 
-    def __init__(self, every: float = 2.0) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as RichProgress
-
-        self.every, self.last, self.held_out = every, -math.inf, ""
-        self.bar = RichProgress(
-            TextColumn("{task.description:>12}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.fields[what]}"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            transient=True,
-        )
-        self.task = self.bar.add_task("registering", total=None, what="")
-
-    def __enter__(self) -> ProgressBar:
-        self.bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.bar.stop()
+    def __init__(self, bar: RichProgress, every: float = 2.0) -> None:
+        self.bar, self.every = bar, every
+        self.last, self.held_out = -math.inf, ""
+        self.task = bar.add_task("registering", total=None, what="")
 
     def __call__(self, progress: Progress) -> None:
         """Advance the bar."""
@@ -87,8 +71,18 @@ class ProgressBar:
         )
 
 
+def _bar(column: Any) -> RichProgress:
+    """A bar on stderr with a name, a column of its own and the time left; it is removed at its end."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as RichProgress
+
+    columns = TextColumn("{task.description:>12}"), BarColumn(bar_width=24), column, TimeRemainingColumn()
+    return RichProgress(*columns, console=Console(stderr=True), transient=True)
+
+
 @contextmanager
-def registering(say: Callable[[str], None], every: float = 10.0) -> Iterator[threading.Event]:
+def registering(say: Callable[[str], None], every: float = LINE_INTERVAL) -> Iterator[threading.Event]:
     """A context that says every `every` seconds that frames are registered, until its event is set."""
     begun, start = threading.Event(), time.monotonic()
 
@@ -111,8 +105,10 @@ def _print_line(line: str) -> None:
 def show_progress() -> Iterator[Callable[[Progress], None]]:
     """A context with a callback: a bar in a terminal, lines elsewhere."""
     if sys.stderr.isatty():
-        with ProgressBar() as bar:
-            yield bar
+        from rich.progress import TextColumn
+
+        with _bar(TextColumn("{task.fields[what]}")) as bar:
+            yield ProgressBar(bar)
         return
     with registering(_print_line) as begun:
 
@@ -122,3 +118,20 @@ def show_progress() -> Iterator[Callable[[Progress], None]]:
 
         lines = ProgressLines(_print_line)
         yield advance
+
+
+def track(frames: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+    """Pass frames on, and show how many there were and, with a `total`, how long the others take."""
+    if sys.stderr.isatty():
+        from rich.progress import MofNCompleteColumn
+
+        with _bar(MofNCompleteColumn()) as bar:
+            yield from bar.track(frames, total=total, description=what)
+        return
+    begun = printed = time.monotonic()
+    for count, frame in enumerate(frames):
+        if count and (now := time.monotonic()) - printed > LINE_INTERVAL:
+            printed = now
+            left = f" of {total}, {(now - begun) / count * (total - count):.0f} s to go" if total else ""
+            _print_line(f"{what}: {count} frames{left}")
+        yield frame

@@ -11,8 +11,7 @@ from glob import glob
 from pathlib import Path
 from typing import Any
 
-from deepir.config import Config, dump, load, read
-from deepir.config.overrides import parse_yaml
+from deepir.config import Config, load, read
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.frames import digest
 from deepir.paths import expanded
@@ -149,7 +148,7 @@ class Cell:
         if state == "new":
             return state
         then, now = (
-            _flattened(parse_yaml(dump(each))) for each in (read(self.folder.active.config), self.config)
+            dict(_leaves(each.model_dump())) for each in (read(self.folder.active.config), self.config)
         )
         for key in sorted(then.keys() | now.keys()):
             if key != "threads" and then.get(key) != now.get(key):
@@ -267,11 +266,8 @@ def check_inputs(found: Sequence[Cell]) -> None:
             check_unchanged(cell.folder.record().inputs, now, cell.folder.path)
 
 
-def _flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    return dict(_leaves(tree, prefix))
-
-
-def _leaves(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The values of nested mappings, by their keys and those above, such as `data.path`."""
     for key, value in tree.items():
         if isinstance(value, Mapping):
             yield from _leaves(value, f"{prefix}{key}.")

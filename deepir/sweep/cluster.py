@@ -2,39 +2,38 @@
 
 from __future__ import annotations
 
-import importlib.util
 import logging
+import signal
+import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
-from deepir.errors import ConfigError
+import dask
+from dask.system import CPU_COUNT
+from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin, as_completed
+
+from deepir.config import Config, Data
+from deepir.config.schema import Output, Solver
+from deepir.errors import ConfigError, DeepIRError
+from deepir.registry import load_plugin
+from deepir.runner import execute, prepare
+from deepir.simulate import Settings, simulate
+from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
-from deepir.sweep.work import finish_cell
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 LOOPBACK = "127.0.0.1"  # a scheduler runs whatever it is sent: nobody else may reach it
 SCHEDULER_TIMEOUT = "10s"  # time for a scheduler to answer
 #: Without Dask's MALLOC_TRIM_THRESHOLD_: returning memory after each operation costs most of the time.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
-
-
-def demand_dask() -> None:
-    """Check that Dask is installed.
-
-    Raises:
-        ConfigError: It is not.
-    """
-    if importlib.util.find_spec("distributed") is None:
-        raise ConfigError("compare and batch run on Dask, which is missing: pip install 'deepir[compare]'")
+#: One run at a time: torch's seed and the package's log belong to the process.
+PROCESS_LOCK = threading.Lock()
+#: Size of the frames by which a process is warmed up, px.
+WARM_UP_SHAPE = (40, 48)
 
 
 def core_count() -> int:
     """Number of cores that this process may use."""
-    from dask.system import CPU_COUNT
-
     return int(CPU_COUNT)
 
 
@@ -54,8 +53,6 @@ def run_cells(
     Raises:
         ConfigError: The scheduler does not answer.
     """
-    from distributed import as_completed
-
     with _client(workers, scheduler) as client:
         tasks = {
             client.submit(finish_cell, cell, plugins, pure=False, priority=-i): cell
@@ -66,8 +63,6 @@ def run_cells(
 
 
 def _failure(error: BaseException) -> str:
-    from distributed import KilledWorker
-
     if isinstance(error, KilledWorker):
         return "its workers died, one after another; if for want of memory, use fewer --workers, or data.crop"
     return " ".join(f"{type(error).__name__}: {error}".split())
@@ -75,11 +70,6 @@ def _failure(error: BaseException) -> str:
 
 @contextmanager
 def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
-    import dask
-    from distributed import Client, LocalCluster
-
-    from deepir.sweep.work import IgnoreInterrupts
-
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters, cells report
     settings = {
         "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT,
@@ -109,3 +99,56 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
         ):
             client.register_plugin(IgnoreInterrupts())
             yield client
+
+
+class IgnoreInterrupts(WorkerPlugin):
+    """Ignore Ctrl-C, which a terminal sends to the workers too; each would end with a traceback."""
+
+    name = "deepir-uninterrupted"
+
+    def setup(self, worker: Worker) -> None:
+        """Called in the main thread of each worker as it starts, replacements included."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+_warm: set[str] = set()  # what this process has run
+
+
+def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
+    """Run a cell, or continue it where a lost worker left it; its error in one line, or None."""
+    with PROCESS_LOCK:
+        try:
+            for each in plugins:
+                load_plugin(each)
+            _warm_up(cell.config)
+            _forget_peak_memory()
+            state = cell.folder.state()
+            if state == "interrupted":
+                resume(cell.folder.path, plugins=plugins)
+            elif state == "new":
+                run_into(cell.config, cell.folder.path, plugins=plugins)
+        except DeepIRError as error:
+            return " ".join(str(error).split())
+        except Exception as error:  # whatever it is, it ends this cell only
+            return " ".join(f"{type(error).__name__}: {error}".split())
+    return None
+
+
+def _warm_up(config: Config) -> None:
+    """Run small frames first, once for each method in a process: loading and compiling is no part of its seconds."""
+    kind = config.model_dump_json(include={"problem", "method", "prior", "physics", "device"})
+    if kind in _warm:
+        return
+    _warm.add(kind)
+    small = config.model_copy(
+        update={"data": Data(fps=config.data.fps), "output": Output(), "solver": Solver(max_iterations=1)}
+    )
+    with suppress(Exception):  # the run itself says what is wrong
+        frames = simulate(settings=Settings(shape=WARM_UP_SHAPE, n_frames=4)).frames
+        execute(small, prepare(small, frames))
+
+
+def _forget_peak_memory() -> None:
+    """Reset this process's peak memory on Linux; elsewhere the peak is that of all cells so far."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from deepir.config import dump, load
 from deepir.errors import ConfigError
 from deepir.paths import expanded
 from deepir.storage.folder import Record, locked_folder, remove_temporaries
-from deepir.sweep import cluster, table
+from deepir.sweep import table
 from deepir.sweep.cells import SWEEP_FILES, Axis, Cell, check_cells, check_inputs, make_cells
 
 
@@ -33,6 +34,8 @@ class Sweep:
         self, report: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]
     ) -> None:
         """Finish all cells; `report` is called with each as it ends."""
+        from deepir.sweep import cluster
+
         if cells := self.unfinished():
             workers = min(self.workers, len(cells))
             for cell, error in cluster.run_cells(
@@ -44,13 +47,11 @@ class Sweep:
 
     def write(self, title: str) -> list[table.Row]:
         """Write `table.csv`, `table.md`, `quality.png` and `report.html`; the rows."""
-        from deepir.sweep.table import write_plots, write_report
-
         found = table.make_rows(self.cells, self.errors)
         table.write_markdown(self.folder / "table.md", found, title)
         table.write_csv(self.folder / "table.csv", found)
-        write_plots(self.folder / "quality.png", found)
-        write_report(self.folder / "report.html", found, title)
+        table.write_plots(self.folder / "quality.png", found)
+        table.write_report(self.folder / "report.html", found, title)
         return found
 
 
@@ -82,7 +83,10 @@ def prepare(
     Raises:
         DeepIRError: A setting, a file or the folder is wrong; nothing is written.
     """
-    cluster.demand_dask()
+    if importlib.util.find_spec("distributed") is None:
+        raise ConfigError("compare and batch run on Dask, which is missing: pip install 'deepir[compare]'")
+    from deepir.sweep import cluster
+
     if any(axis.key.partition(".")[0] == "output" for axis in axes):
         raise ConfigError(
             "output.dir: the results of all cells go into one folder, each into its own within it"

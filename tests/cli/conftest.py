@@ -1,29 +1,14 @@
 import resource
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
+from deepir import registry
+from deepir.cameras import camera as capturing
+from deepir.cameras.camera import Camera
 from deepir.cli import main
-from deepir.simulate import Settings, simulate
-
-CAMERA = Settings(n_frames=3, shape=(40, 48), counts=True, max_shift=4.0, motion="shift", dead_pixels=0.0)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def one_thread():
-    """Small frames are slower with more."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-@pytest.fixture(scope="session")
-def simulation():
-    """A small burst with its truth."""
-    return simulate(None, CAMERA, seed=3)
 
 
 @pytest.fixture(autouse=True)
@@ -33,10 +18,10 @@ def no_plots(monkeypatch):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, simulation):
+def folder(tmp_path, monkeypatch, burst):
     """An empty working folder with `burst.npz` and `burst_truth.npz` in it."""
     monkeypatch.chdir(tmp_path)
-    simulation.save(tmp_path / "burst.npz")
+    burst.save(tmp_path / "burst.npz")
     return tmp_path
 
 
@@ -49,6 +34,22 @@ def deepir(folder, capfd):
         status = main([str(each) for each in arguments])
         out, err = capfd.readouterr()
         return status, out, err
+
+    return run
+
+
+@pytest.fixture
+def refused(deepir, folder):
+    """Run a command that is refused: status 2, one line on stderr that holds the words, and nothing is written."""
+
+    def run(arguments, *words):
+        before = sorted(folder.rglob("*"))
+        status, out, err = deepir(*arguments)
+        assert (status, out, err.count("\n")) == (2, "", 1), err
+        assert err.startswith("deepir: error: ")
+        for each in words:
+            assert each in err
+        assert sorted(folder.rglob("*")) == before
 
     return run
 
@@ -72,6 +73,36 @@ def save(folder):
         return "other.npz"
 
     return write
+
+
+@pytest.fixture
+def fake(monkeypatch, burst):
+    """A camera `fake` that gives what the test puts into `fake.frames`, and then the last again and again."""
+    state = SimpleNamespace(frames=list(burst.frames), identity="", closed=0, opened=0)
+
+    class Fake(Camera):
+        """A camera that is made up."""
+
+        correction = "switch it off"
+
+        def __init__(self, *, device: str = "/dev/null"):
+            state.opened += 1
+            self.identity = state.identity
+            self.coming = iter(state.frames)
+            self.frame = None
+
+        def read(self):
+            self.frame = next(self.coming, self.frame)
+            if isinstance(self.frame, BaseException):
+                raise self.frame
+            return self.frame
+
+        def close(self):
+            state.closed += 1
+
+    monkeypatch.setitem(registry._components["camera"], "fake", Fake)
+    monkeypatch.setattr(capturing, "FRAME_TIMEOUT", 0.2)
+    return state
 
 
 @pytest.fixture

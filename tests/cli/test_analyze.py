@@ -45,17 +45,6 @@ def test_a_burst_along_one_axis_is_flagged(deepir, bursts):
     assert Path("here.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize(("name", "says"), [("flat.npy", "ends in .png"), ("there.png", "--overwrite")])
-def test_it_draws_over_nothing(deepir, bursts, name, says):
-    """Least of all over the burst itself."""
-    Path("there.png").write_bytes(b"mine")
-    before = Path(name).read_bytes()
-    status, _, err = deepir("analyze", "flat.npy", "--flat", "--output", name)
-    assert status == 2
-    assert says in err
-    assert Path(name).read_bytes() == before
-
-
 def test_a_run_is_analysed_as_it_is(deepir, bursts):
     deepir("run", "nuc", "data.path=both.npz", "output.dir=runs/mine", "solver.max_iterations=3")
     folder = Path("runs/mine")
@@ -74,20 +63,6 @@ def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
     assert "the pattern is stable for longer than the 6 frames over which it was measured" in out
     assert "this burst" not in out
     assert "than the 3 frames" in deepir("analyze", "flat.npy", "data.frames=6", "--flat")[1]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nothing.npz"], "nothing.npz: no such file"),
-        (["flat.npy", "seed=3", "--flat"], "seed=3: only settings of data are accepted here"),
-        (["both.npz", "sed=3"], "did you mean 'seed'"),
-    ],
-)
-def test_errors_say_what_to_do(deepir, bursts, arguments, message):
-    status, _, err = deepir("analyze", *arguments)
-    assert status == 2
-    assert message in err
 
 
 def stored(name, *, scene, motion):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepir.sweep.work import finish_cell
+from deepir.sweep.cluster import finish_cell
 
 pytest.importorskip("distributed")
 
@@ -130,6 +130,7 @@ class TestHere:
         status, _, err = deepir(*other)
         assert status == 2
         assert "solver.max_iterations=3, not 2" in err
+        assert "2 of 2 runs are finished already" in deepir(*AVERAGES, "threads=2")[2]
         assert deepir(*other, "output.dir=runs/other")[0] == 0
         assert deepir(*other, "--overwrite")[0] == 0
 
@@ -167,10 +168,10 @@ class TestHere:
         assert "[0, 1, 2]" in out
         assert [row["frames"] for row in table(folder / "runs/nuc-compare")] == ["2", "3"]
 
-    def test_a_batch_corrects_each_burst(self, deepir, folder, simulation):
+    def test_a_batch_corrects_each_burst(self, deepir, folder, burst):
         (folder / "bursts").mkdir()
-        simulation.save(folder / "bursts/a.npz")
-        np.savez("bursts/b.npz", frames=simulation.frames[::-1])
+        burst.save(folder / "bursts/a.npz")
+        np.savez("bursts/b.npz", frames=burst.frames[::-1])
         (folder / "bursts/c.npz").write_text("no burst")
         status, _, err = deepir("batch", "nuc", "bursts/*.npz", "method=average")
         assert status == 1
@@ -180,37 +181,6 @@ class TestHere:
         assert (b["psnr_aligned"], b["error"]) == ("", "")
         assert "not a format that deepir reads" in c["error"]
         assert (folder / "runs/nuc-batch/a/scene.tiff").exists()
-
-
-REFUSED = {
-    "compare nuc data.path=burst.npz": ["nothing varies", "prior=tv,dip"],
-    "compare nuc data.path=burst.npz prior=tv,tvv": ["did you mean 'tv'"],
-    "compare nuc data.path=burst.npz data.frames=3,9": ["data.frames=9", "does not fit its 3 frames"],
-    "compare nuc data.path=burst.npz prior=tv,tv": ["prior=tv,tv: nothing varies"],
-    "compare nuc data.path=burst.npz prior=tv,red data.crop=[0,999,0,9]": ["error: data.crop: "],
-    "compare nuc data.path=burst.npz prior=tv,red fidelity=l3": [
-        "error: fidelity: no fidelity is called 'l3'"
-    ],
-    "compare nuc data.path=burst.npz output.dir=a,b": ["output.dir", "one folder"],
-    "compare nuc seed=0,1": ["data.path is missing"],
-    "compare nuc --seed 0,1": ["No such option: --seed", "seed=..."],
-    "compare nuk seed=0,1": ["did you mean 'nuc'"],
-    "batch nuc none*.npz": ["none*.npz: no such file"],
-    "batch nuc seed=0": ["no burst", "bursts/*.tiff"],
-    "batch nuc burst.npz data.path=burst.npz": ["data.path: ", "without it"],
-    "batch nuc burst.npz prior=tvv": ["did you mean 'tv'"],
-    "batch nuc burst_truth.npz": ["burst_truth"],
-}
-
-
-@pytest.mark.parametrize("line", REFUSED)
-def test_bad_input_is_one_line_and_nothing_is_written(line, deepir, folder):
-    before = sorted(folder.rglob("*"))
-    status, out, err = deepir(*line.split())
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    for words in REFUSED[line]:
-        assert words in err
-    assert sorted(folder.rglob("*")) == before
 
 
 @pytest.mark.slow

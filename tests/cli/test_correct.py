@@ -27,6 +27,14 @@ def recording():
     return scenes, scenes + pattern + 3 * rng.standard_normal(scenes.shape)
 
 
+@pytest.fixture
+def walk(folder, recording):
+    """The frames in `walk.npz`, as counts."""
+    frames = recording[1].round().astype(np.uint16)
+    np.savez("walk.npz", frames=frames)
+    return frames
+
+
 @pytest.fixture(scope="module")
 def segments(recording):
     return estimate_segments(choose_keyframes(iter(recording[1].round().astype(np.uint16))))
@@ -44,15 +52,10 @@ def fixed_pattern(frames, scenes):
     return np.std(np.diff(difference, axis=1))
 
 
-def test_the_fixed_pattern_is_taken_off_and_maps_can_be_applied(deepir, folder, recording):
+def test_the_fixed_pattern_is_taken_off_and_maps_can_be_applied(deepir, folder, walk, recording):
     scenes, frames = recording
-    np.savez("walk.npz", frames=frames.round().astype(np.uint16))
     assert deepir("correct", "walk.npz")[0] == 0
-    assert {each.name for each in folder.glob("walk_*")} == {
-        "walk_corrected.tif",
-        "walk_corrected_maps.npz",
-        "walk_corrected.png",
-    }
+    assert outputs(folder).keys() == {"walk_corrected.tif", "walk_corrected_maps.npz", "walk_corrected.png"}
     corrected = read_frames("walk_corrected.tif")
     assert corrected.dtype == "uint16"
     assert fixed_pattern(corrected.frames, scenes) < 0.2 * fixed_pattern(frames, scenes)
@@ -60,12 +63,9 @@ def test_the_fixed_pattern_is_taken_off_and_maps_can_be_applied(deepir, folder, 
     assert fixed_pattern(read_frames("again.tif").frames, scenes) < 0.2 * fixed_pattern(frames, scenes)
 
 
-def test_a_result_is_replaced_only_on_demand(deepir, folder, recording):
-    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+def test_a_result_is_replaced_only_on_demand(refused, folder, walk):
     (folder / "walk_corrected.tif").write_bytes(b"mine")
-    status, _, err = deepir("correct", "walk.npz")
-    assert status == 2
-    assert "--overwrite" in err
+    refused(("correct", "walk.npz"), "--overwrite")
     assert (folder / "walk_corrected.tif").read_bytes() == b"mine"
 
 
@@ -73,8 +73,7 @@ def outputs(folder):
     return {each.name: each.read_bytes() for each in folder.glob("walk_*")}
 
 
-def test_what_cannot_be_written_leaves_the_former_result(deepir, folder, recording, estimated, full_disk):
-    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+def test_what_cannot_be_written_leaves_the_former_result(deepir, folder, walk, estimated, full_disk):
     with full_disk(100_000):  # enough for the maps
         status, _, err = deepir("correct", "walk.npz")
     assert status == 2
@@ -89,9 +88,8 @@ def test_what_cannot_be_written_leaves_the_former_result(deepir, folder, recordi
 
 
 def test_of_an_interrupted_correction_the_maps_are_kept_unless_there_were_others(
-    deepir, folder, recording, estimated, monkeypatch
+    deepir, folder, walk, estimated, monkeypatch
 ):
-    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
     monkeypatch.setattr(
         "deepir.io.output.recording.write_frames", lambda *_: os.kill(os.getpid(), signal.SIGINT)
     )
@@ -103,28 +101,20 @@ def test_of_an_interrupted_correction_the_maps_are_kept_unless_there_were_others
     assert (status, "nothing was written" in err) == (130, True)
 
 
-def test_a_part_of_the_frames_is_corrected(deepir, folder, recording, estimated):
-    frames = recording[1].round().astype(np.uint16)
-    edged = np.pad(frames, ((0, 0), (2, 0), (0, 0)))  # as with telemetry above the picture
+def test_a_part_of_the_frames_is_corrected(deepir, folder, walk, estimated):
+    edged = np.pad(walk, ((0, 0), (2, 0), (0, 0)))  # as with telemetry above the picture
     np.savez("walk.npz", frames=edged)
     assert deepir("correct", "walk.npz", "data.crop=[2,62,0,80]", "--output", "part.tif")[0] == 0
-    assert read_frames("part.tif").frames.shape == frames.shape
-    assert np.array_equal(correct(edged, crop=[2, 62, 0, 80]).frames[5], correct(frames).frames[5])
+    assert read_frames("part.tif").frames.shape == walk.shape
+    assert np.array_equal(correct(edged, crop=[2, 62, 0, 80]).frames[5], correct(walk).frames[5])
 
 
-def test_one_process_writes_a_correction(deepir, folder, recording):
-    np.savez("walk.npz", frames=recording[1].round().astype(np.uint16))
+def test_one_process_writes_a_correction(refused, folder, walk):
     with locked_files(folder / "walk_corrected.tif"):
-        status, _, err = deepir("correct", "walk.npz")
-    assert status == 2
-    assert f"another process is at work here (process {os.getpid()} on " in err
-    assert outputs(folder) == {}
+        refused(("correct", "walk.npz"), f"another process is at work here (process {os.getpid()} on ")
 
 
-def test_a_camera_at_rest_is_refused_and_nothing_is_written(deepir, folder, recording):
+def test_a_camera_at_rest_is_refused(refused, recording):
     noise = 3 * np.random.default_rng(1).standard_normal((60, *SIZE))
     np.savez("rest.npz", frames=(recording[1][0] + noise).round().astype(np.uint16))
-    status, _, err = deepir("correct", "rest.npz")
-    assert status == 2
-    assert "stands still" in err
-    assert not list(folder.glob("rest_*"))
+    refused(("correct", "rest.npz"), "stands still")

@@ -26,7 +26,7 @@ def test_a_run_that_cannot_be_written_leaves_the_former_one_and_goes_on(nuc, dee
 
 def test_a_comparison_that_cannot_be_written_leaves_the_former_one(deepir, folder, full_disk, monkeypatch):
     pytest.importorskip("distributed")
-    from deepir.sweep.work import finish_cell
+    from deepir.sweep.cluster import finish_cell
 
     monkeypatch.setattr(
         "deepir.sweep.cluster.run_cells", lambda cells, **_: [(cell, finish_cell(cell)) for cell in cells]
@@ -41,42 +41,28 @@ def test_a_comparison_that_cannot_be_written_leaves_the_former_one(deepir, folde
     assert "read: 3" in (folder / "runs/nuc-compare/seed=0/config.yaml").read_text()
 
 
-def test_a_simulation_that_cannot_be_written_leaves_nothing(deepir, folder, full_disk):
+@pytest.mark.parametrize(
+    ("command", "size"),
+    [
+        ("simulate new.npz n_frames=3 shape=[40,48]", 50_000),
+        ("simulate burst.npz n_frames=3 shape=[40,48] --overwrite", 50_000),
+        ("apply maps.npz noise.npz --output film.mp4 --overwrite", 30_000),
+        ("apply maps.npz noise.npz --output film.tif --overwrite", 30_000),
+        ("calibrate found.npz noise.npz", 4_000),
+    ],
+)
+def test_what_cannot_be_written_leaves_the_former_file_or_none(deepir, folder, full_disk, command, size):
+    if "mp4" in command:
+        pytest.importorskip("av")
+    shape = (64, 80)
+    np.savez("noise.npz", frames=np.random.default_rng(0).normal(8000, 200, (40, *shape)).astype(np.float32))
+    np.savez("maps.npz", gain=np.ones(shape), offset=np.zeros(shape), bad_pixels=np.zeros(shape, bool))
+    for name in ("film.mp4", "film.tif"):
+        (folder / name).write_bytes(b"former")
     before = contents(folder)
-    with full_disk(50_000):
-        status, _, err = deepir("simulate", "new.npz", "n_frames=3", "shape=[40,48]")
-        again = deepir("simulate", "burst.npz", "n_frames=3", "shape=[40,48]", "--overwrite")
-    assert (status, again[0]) == (2, 2)
+    with full_disk(size):
+        status, out, err = deepir(*command.split())
+    assert (status, out, err.count("\n")) == (2, "", 1)
     assert "cannot be written: File too large" in err
     assert contents(folder) == before
-
-
-@pytest.mark.parametrize("output", ["film.mp4", "film.tif"])
-def test_a_recording_that_cannot_be_written_leaves_the_former_one(deepir, folder, full_disk, output):
-    if output.endswith(".mp4"):
-        pytest.importorskip("av")
-    frames = np.random.default_rng(0).normal(8000, 200, (40, 64, 80)).astype(np.float32)
-    np.savez("noise.npz", frames=frames)
-    np.savez(
-        "maps.npz", gain=np.ones((64, 80)), offset=np.zeros((64, 80)), bad_pixels=np.zeros((64, 80), bool)
-    )
-    (folder / output).write_bytes(b"former")
-    before = contents(folder)
-    command = ("apply", "maps.npz", "noise.npz", "--output", output, "--overwrite")
-    with full_disk(30_000):
-        status, out, err = deepir(*command)
-    assert (status, out) == (2, "")
-    assert f"{output}: cannot be written: File too large" in err
-    assert err.count("\n") == 1
-    assert contents(folder) == before
-    assert deepir(*command)[0] == 0
-
-
-def test_maps_that_cannot_be_written_leave_nothing(deepir, folder, full_disk):
-    np.savez("flat.npz", frames=np.random.default_rng(0).normal(8000, 20, (12, 40, 48)).astype(np.float32))
-    before = contents(folder)
-    with full_disk(4_000):
-        status, _, err = deepir("calibrate", "maps.npz", "flat.npz")
-    assert status == 2
-    assert "maps.npz: cannot be written: File too large" in err
-    assert contents(folder) == before
+    assert deepir(*command.split())[0] == 0

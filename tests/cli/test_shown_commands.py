@@ -1,19 +1,23 @@
-"""The commands of the tutorials, the gallery and the page on priors, with smaller frames and fewer iterations."""
+"""The commands of the pages, with smaller frames and fewer iterations: they run, and print what is shown."""
 
 import re
 import shlex
 
+import numpy as np
 import pytest
+import tifffile
 from documentation import ROOT
 
 from deepir.cli import main
-from deepir.config import SHIPPED_CONFIGS
+from deepir.config import SHIPPED_CONFIGS, load
 
 FIRST_RECORDING = ROOT / "docs/tutorials/first-recording.md"
 TUTORIAL = ROOT / "docs/tutorials/burst.md"
 GALLERY = ROOT / "docs/tutorials/gallery.md"
 WHICH_PRIOR = ROOT / "docs/how-to/which-prior.md"
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), re.MULTILINE | re.DOTALL))
+#: Pages of problems.
+PROBLEMS = ["super-resolution", "narcissus", "deconvolution", "thermal-lag", "flow", "many-views"]
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
 
@@ -57,29 +61,18 @@ def without_figures(line):
     return re.sub(r"converged|stopped as planned|[\d.]+(e[+-]\d+)?", "#", line.strip())
 
 
-def test_the_tutorial_runs_and_prints_what_it_shows(capfd, working_folder):
+@pytest.mark.parametrize(
+    "page", [TUTORIAL, pytest.param(FIRST_RECORDING, marks=pytest.mark.slow)], ids=lambda page: page.stem
+)
+def test_a_tutorial_runs_and_prints_what_it_shows(page, capfd, working_folder):
     printed: set[str] = set()
-    for kind, text in shown(TUTORIAL):
-        if kind == "text":
-            assert {without_figures(line) for line in text.splitlines()} <= printed
-            continue
-        printed = set()
-        for line in commands(text):
-            printed |= {without_figures(each) for each in command(line, capfd).splitlines()}
-
-
-@pytest.mark.slow
-def test_the_first_recording_is_corrected_as_shown(capfd, working_folder):
-    printed: set[str] = set()
-    for kind, text in shown(FIRST_RECORDING):
+    for kind, text in shown(page):
         if kind == "text":
             assert {without_figures(line) for line in text.splitlines()} <= printed
             continue
         for line in commands(text):
             if line.startswith("deepir ") and "--page" not in line:
                 printed |= {without_figures(each) for each in command(line, capfd).splitlines()}
-    written = {path.name for path in working_folder.iterdir()}
-    assert written >= {"walk_corrected.tif", "walk_corrected_maps.npz", "walk_corrected.png", "again.tif"}
 
 
 def test_every_shipped_configuration_is_in_the_gallery():
@@ -106,3 +99,40 @@ def test_the_priors_that_are_shown_run(capfd, working_folder):
     for line in commands(text):
         command(line, capfd)
     assert {path.name for path in (working_folder / "runs").iterdir()} == {"tv", "red", "tgv", "dip"}
+
+
+def commands_of_problem(page):
+    """The arguments of each `deepir ...` in the blocks of a problem's page, frames made small."""
+    text = "".join(text for kind, text in shown(ROOT / f"docs/explanation/{page}.md") if kind == "sh")
+    lines = commands(SHAPE.sub("shape=[48,64]", text))
+    return [shlex.split(each, comments=True)[1:] for each in lines if each.startswith("deepir ")]
+
+
+@pytest.mark.parametrize("page", PROBLEMS)
+def test_each_problem_has_a_page_with_commands_whose_settings_are_taken(page):
+    runs = [each for each in commands_of_problem(page) if each[0] == "run"]
+    assert runs
+    for _, name, *settings in runs:
+        load(name, [each for each in settings if "=" in each and not each.startswith("--")])
+
+
+@pytest.fixture
+def inputs(working_folder, burst):
+    """What the commands of the problems' pages read."""
+    burst.save(working_folder / "burst.npz")
+    for name in ("frames", "video"):
+        np.savez(f"{name}.npz", frames=np.concatenate([burst.frames] * 7))
+    tifffile.imwrite("picture.tiff", burst.frames[0])
+    for name, level in (("cold", 8000), ("hot", 9000)):
+        noise = np.random.default_rng(level).normal(0, 5, (3, 48, 64))  # of the shape that is simulated
+        np.save(f"{name}.npy", (level + noise).astype(np.uint16))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PROBLEMS)
+def test_the_commands_of_a_problems_page_run(page, inputs, capfd):
+    for number, arguments in enumerate(commands_of_problem(page)):
+        own = [] if any("output.dir" in each for each in arguments) else [f"output.dir=runs/{number}"]
+        quick = ["solver.max_iterations=1", "threads=1", *own]
+        more = quick if arguments[0] == "run" else ["--overwrite"]
+        assert main([*arguments, *more]) == 0, (arguments, capfd.readouterr().err)

@@ -73,8 +73,8 @@ def test_what_an_encoding_lacks_is_escaped(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_name_cannot_write_on_the_terminal(deepir, folder, simulation, name):
-    np.savez(name, frames=simulation.frames)
+def test_a_name_cannot_write_on_the_terminal(deepir, folder, burst, name):
+    np.savez(name, frames=burst.frames)
     for command in (
         ("check", name),
         ("check", f"none{name}"),

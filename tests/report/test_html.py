@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from deepir.messages import labelled
-from deepir.report.html import write_report
-from deepir.report.panels import MISSING_LEVEL, pack_map
+from deepir.report.html import MISSING_LEVEL, pack_map, write_report
 from deepir.result import neutral
 
 

@@ -73,15 +73,6 @@ def test_values_that_would_share_a_folder_are_refused(made):
         made("data.simulate.shape=[40,48],[40 48]")
 
 
-def test_a_finished_cell_of_another_configuration_is_refused(made):
-    cell, _ = made("method=average,joint")
-    run_into(cell.config, cell.folder.path)
-    assert cell.state() == "finished"
-    assert made("method=average,joint", "threads=2")[0].state() == "finished"
-    with pytest.raises(ConfigError, match=r"holds a run with solver.max_iterations=None, not 3.*--overwrite"):
-        made("method=average,joint", "solver.max_iterations=3")[0].state()
-
-
 def test_a_finished_cell_of_other_data_is_refused(tmp_path, burst):
     np.savez(tmp_path / "burst.npz", frames=burst.frames)
     settings = [f"data.path={tmp_path}/burst.npz", "method=average,joint"]

@@ -14,49 +14,41 @@ if TYPE_CHECKING:
     from deepir.analysis import BurstAssessment, PatternStatistics
     from deepir.result import Array
 
+JUDGED = ("gain", "offset", "scene", "motion", "bad_pixels")  # arrays of a result
+
 
 def analyze(
-    what: Annotated[
-        str, typer.Argument(metavar="FILE|RUN", help="A burst, or the folder of a run.", show_default=False)
-    ],
+    what: Annotated[str, typer.Argument(metavar="FILE|RUN", help="A burst, or the folder of a run.")],
     settings: Settings = None,
     flat: Annotated[bool, typer.Option("--flat", help="The frames are of a uniform source.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option(
-            help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png.",
-            show_default=False,
-        ),
+        typer.Option(help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png."),
     ] = None,
     overwrite: Overwrite = False,
-) -> int:
+) -> None:
     """Report the jitter and the frames that a camera needs: deepir analyze burst.npz, or shutter.npz --flat.
 
     A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
     file's format.
     """
     from deepir.analysis.burst_assessment import report_lines
-    from deepir.cli.terminal import Interrupted, report_aborted
     from deepir.errors import ConfigError, DataError
     from deepir.paths import expanded
-    from deepir.report.analysis import write_analysis
+    from deepir.report.panels import write_analysis
 
     path = expanded(what)
     if output is not None and output.suffix != ".png":
         raise ConfigError(f"--output {output}: a picture's name ends in .png")
     if output is not None and output.exists() and not overwrite:
         raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
-    try:
-        statistics, assessment, scene_deviation = _analysis(path, settings or [], flat=flat)
-    except Interrupted as error:
-        return report_aborted(error)
+    statistics, assessment, scene_deviation = _analysis(path, settings or [], flat=flat)
     for line in report_lines(statistics, assessment, scene_deviation):
         echo(line)
     picture = output or _default_picture(path)
     _make_folder(picture.parent)
     write_analysis(picture, statistics, assessment, scene_deviation)
     echo(f"picture: {picture}")
-    return 0
 
 
 def _is_run(path: Path) -> bool:
@@ -84,11 +76,10 @@ def _analysis(
 
     if flat:
         return _of_flat(path, settings), None, None
-    if not _is_run(path):
-        return _of_burst(path, settings)
-    if settings:
+    if _is_run(path) and settings:
         raise ConfigError(f"{path}: a finished run takes no settings")
-    return _of_run(path)
+    arrays, scene_deviation = _of_run(path) if _is_run(path) else _of_burst(path, settings)
+    return *_judged(**arrays), scene_deviation
 
 
 def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:
@@ -99,46 +90,41 @@ def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:
     return flat_statistics(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
 
 
-def _of_burst(
-    path: Path, settings: list[str]
-) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
+def _of_burst(path: Path, settings: list[str]) -> tuple[dict[str, Array], Array | None]:
+    """Arrays of the result of a burst, and the deviation of its scene."""
     import deepir
-    from deepir.cli.terminal import Interruptible
+    from deepir.cli.terminal import watched_solve
     from deepir.messages import labelled, shown
-    from deepir.report.progress import show_progress
 
-    with Interruptible() as interruptible, show_progress() as progress:
-        callbacks = (interruptible, progress)
+    with watched_solve() as callbacks:
         result = deepir.run("nuc", *settings, f"data.path={path}", output={}, callbacks=callbacks)
     for line in shown(labelled(result.messages), f"the report of `deepir run nuc data.path={path}`"):
         notify(line)
-    scene_deviation = result.uncertainty.get("scene")
-    return *_judged(
-        result.gain, result.offset, result.scene, result.motion, result.bad_pixels
-    ), scene_deviation
+    return {name: getattr(result, name) for name in JUDGED}, result.uncertainty.get("scene")
 
 
-def _of_run(path: Path) -> tuple[PatternStatistics, BurstAssessment | None, Array | None]:
+def _of_run(path: Path) -> tuple[dict[str, Array], Array | None]:
+    """The same of a run in a folder."""
     import numpy as np
 
     from deepir.errors import DataError
 
     with np.load(path / "result.npz") as stored:
-        found = [stored[name] for name in ("gain", "offset", "scene", "motion", "bad_pixels")]
-    if found[0].ndim > 2:
+        found = {name: stored[name] for name in JUDGED}
+    if found["gain"].ndim > 2:
         raise DataError(
-            f"{path}: a result of {len(found[0])} bands; analyse a run of one of them, frames[:, 0]"
+            f"{path}: a result of {len(found['gain'])} bands; analyse a run of one of them, frames[:, 0]"
         )
     beside, scene_deviation = path / "uncertainty.npz", None
     if beside.exists():
         with np.load(beside) as stored:
             # With a scene for each frame there is no single map.
             scene_deviation = stored["scene"] if stored["scene"].ndim == 2 else None
-    return *_judged(*found), scene_deviation
+    return found, scene_deviation
 
 
 def _judged(
-    gain: Array, offset: Array, scene: Array, motion: Array, bad: Array
+    gain: Array, offset: Array, scene: Array, motion: Array, bad_pixels: Array
 ) -> tuple[PatternStatistics, BurstAssessment | None]:
     """Statistics of the pattern of a result at the mean flux, and the assessment of its burst."""
     import numpy as np
@@ -146,7 +132,7 @@ def _judged(
     from deepir.analysis import assess_burst, map_statistics
 
     pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
-    statistics = map_statistics(pattern, ~bad)
+    statistics = map_statistics(pattern, ~bad_pixels)
     finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
     coarser = np.diag([1 / finer, 1 / finer, 1])
     seen = motion[np.isfinite(motion).all((1, 2))]

@@ -12,15 +12,16 @@ import typer
 from deepir.cli.arguments import (
     DATA_SETTINGS,
     RECORDING_SETTINGS,
+    CorrectedOutput,
+    Float32,
     Overwrite,
     ReadingSettings,
-    check_output_name,
     held_outputs,
     recording_config,
     recording_radiometry,
     split_arguments,
 )
-from deepir.cli.terminal import echo, notify
+from deepir.cli.terminal import Interruptible, echo, notify
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -36,35 +37,25 @@ def apply(
     ],
     file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of the same camera.")],
     settings: ReadingSettings = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.", show_default=False
-        ),
-    ] = None,
-    float32: Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")] = False,
+    output: CorrectedOutput = None,
+    float32: Float32 = False,
     overwrite: Overwrite = False,
-) -> int:
+) -> None:
     """Correct a whole recording, frame by frame: deepir apply maps.npz flight.seq --output flight.mp4.
 
     The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.crop, data.swap_bytes,
     data.radiometry, output.palette, output.tones.
     """
     from deepir.calibration import read_maps
-    from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
     from deepir.messages import shown
 
     config = recording_config(file, settings or (), RECORDING_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
-    try:
-        with Interruptible(), held_outputs(target, overwrite=overwrite, source=config.data.path):
-            found = read_maps(maps)
-            for line in shown(_messages(maps), f"{maps}/report.html"):
-                notify(f"{maps}: {line}")
-            echo(_apply(found, config, target, rounded=not float32))
-    except Interrupted as error:
-        return report_aborted(error)
-    return 0
+    with Interruptible(), held_outputs(target, overwrite=overwrite, source=config.data.path):
+        found = read_maps(maps)
+        for line in shown(_messages(maps), f"{maps}/report.html"):
+            notify(f"{maps}: {line}")
+        echo(_apply(found, config, target, rounded=not float32))
 
 
 def _messages(maps: Path) -> list[str]:
@@ -113,14 +104,13 @@ def calibrate(
         typer.Argument(
             metavar="FLAT|KEY=VALUE",
             help="Recordings of something uniform, each of another temperature; settings such as data.key=raw.",
-            show_default=False,
         ),
     ],
     burst: Annotated[
         bool, typer.Option("--burst", help="The recording is a burst of a moving camera.")
     ] = False,
     overwrite: Overwrite = False,
-) -> int:
+) -> None:
     """Estimate a camera's gain, offset and bad pixels: deepir calibrate maps.npz cold.npz hot.npz.
 
     One flat recording gives the offset, two or more the gain too. With --burst both come from the scene's motion.
@@ -128,13 +118,10 @@ def calibrate(
     from deepir.errors import DataError
 
     files, settings = split_arguments(what)
-    check_output_name(out, ".npz")
     if not files or (burst and len(files) > 1):
         raise DataError(f"{len(files)} recordings given: one with --burst, else one or more flat ones")
-    with held_outputs(out, overwrite=overwrite):
+    with Interruptible(), held_outputs(out, overwrite=overwrite, suffix=".npz"):
         maps = _from_burst(files[0], settings) if burst else _from_flats(files, settings)
-        if isinstance(maps, int):
-            return maps
         maps.save(out)
     good = ~maps.bad_pixels
     echo(
@@ -142,7 +129,6 @@ def calibrate(
         f"{maps.bad_pixels.sum()} bad pixel(s)"
     )
     echo(f"to correct a recording: deepir apply {out} FILE")
-    return 0
 
 
 def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps:
@@ -169,17 +155,13 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
     return calibration.maps_from_flats(means, files)
 
 
-def _from_burst(file: str, settings: Sequence[str]) -> CorrectionMaps | int:
+def _from_burst(file: str, settings: Sequence[str]) -> CorrectionMaps:
     from deepir.calibration import CorrectionMaps
-    from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
+    from deepir.cli.terminal import watched_solve
     from deepir.config import load
-    from deepir.report.progress import show_progress
     from deepir.runner import execute, prepare
 
     config = load("nuc", [f"data.path={file}", *settings])
-    try:
-        with Interruptible() as interruptible, show_progress() as progress:
-            result = execute(config, prepare(config), callbacks=(interruptible, progress))
-    except Interrupted as error:
-        return report_aborted(error)
+    with watched_solve() as callbacks:
+        result = execute(config, prepare(config), callbacks=callbacks)
     return CorrectionMaps(result.gain, result.offset, result.bad_pixels)

@@ -25,32 +25,18 @@ REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does 
 def list_components(
     name: Annotated[
         str | None,
-        typer.Argument(
-            metavar="NAME", help="A kind, such as fields, or a part of a name.", show_default=False
-        ),
+        typer.Argument(metavar="NAME", help="A kind, such as fields, or a part of a name."),
     ] = None,
     plugin: Plugins = None,
 ) -> None:
     """List what configurations may name: methods, operators, fields, penalties, priors, problems ..."""
     load_plugins(plugin)
     from deepir.config import SHIPPED_CONFIGS, headline, prior_names, shipped_names
-    from deepir.registry import components, summary
+    from deepir.registry import COMPONENT_MODULES, components, summary
 
     groups = {
         f"{kind}s".replace("ys", "ies"): {name: summary(each) for name, each in components(kind).items()}
-        for kind in (
-            "method",
-            "operator",
-            "field",
-            "penalty",
-            "denoiser",
-            "fidelity",
-            "effect",
-            "optimiser",
-            "problem",
-            "training",
-            "camera",
-        )
+        for kind in COMPONENT_MODULES
     }
     groups["priors (prior=NAME; a field or a .yaml file too)"] = {
         each: headline(SHIPPED_CONFIGS / "prior" / f"{each}.yaml") for each in prior_names()
@@ -93,9 +79,7 @@ def _options(component: Any) -> str:
 
 
 def check(
-    what: Annotated[
-        str, typer.Argument(metavar="FILE|CONFIG", help="A burst, or a configuration.", show_default=False)
-    ],
+    what: Annotated[str, typer.Argument(metavar="FILE|CONFIG", help="A burst, or a configuration.")],
     settings: Settings = None,
     plugin: Plugins = None,
 ) -> int:

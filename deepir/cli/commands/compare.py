@@ -10,36 +10,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deepir.cli.arguments import Overwrite, Plugins, config_stem, load_plugins, split_arguments
-from deepir.cli.terminal import echo, notify
+from deepir.cli.arguments import ConfigName, Overwrite, Plugins, config_stem, load_plugins, split_arguments
+from deepir.cli.terminal import Interrupted, Interruptible, echo, notify
 
 if TYPE_CHECKING:
-    from deepir.sweep.cells import Cell
+    from deepir.sweep.cells import Axis, Cell
     from deepir.sweep.sweep import Sweep
     from deepir.sweep.table import Row
 
-Workers = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes to start; by default one for each core.", show_default=False),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(metavar="tcp://HOST:PORT", help="Use a running Dask cluster.", show_default=False),
-]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes to start; by default one for each core.")]
+Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a running Dask cluster.")]
 
 
 def compare(
-    config: Annotated[
-        str,
-        typer.Argument(
-            metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.", show_default=False
-        ),
-    ],
+    config: ConfigName,
     settings: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="KEY=VALUE,VALUE", help="Settings; all combinations are run.", show_default=False
-        ),
+        typer.Argument(metavar="KEY=VALUE,VALUE", help="Settings; all combinations are run."),
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -52,35 +39,17 @@ def compare(
     quality.png. The same command again continues an interrupted comparison.
     """
     plugins = load_plugins(plugin)
-    from deepir.sweep.cells import parse_axes
-    from deepir.sweep.sweep import prepare
-
-    fixed, axes = parse_axes(settings or ())
-    with prepare(
-        config,
-        fixed,
-        axes,
-        folder=sweep_folder(config, "compare"),
-        workers=workers,
-        remote=scheduler is not None,
-        overwrite=overwrite,
-    ) as checked:
-        return run_and_report(checked, ["compare", config, *(settings or ())], scheduler, plugins)
+    command = ["compare", config, *(settings or ())]
+    return _sweep(command, settings or (), [], workers, scheduler, overwrite=overwrite, plugins=plugins)
 
 
 def batch(
-    config: Annotated[
-        str,
-        typer.Argument(
-            metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.", show_default=False
-        ),
-    ],
+    config: ConfigName,
     what: Annotated[
         list[str],
         typer.Argument(
             metavar="BURST|KEY=VALUE",
             help="Files, folders of pictures or globs of these; settings for all of them.",
-            show_default=False,
         ),
     ],
     workers: Workers = None,
@@ -95,57 +64,62 @@ def batch(
     """
     plugins = load_plugins(plugin)
     from deepir.errors import ConfigError, DataError
-    from deepir.sweep.cells import burst_axis, parse_axes
-    from deepir.sweep.sweep import prepare
+    from deepir.sweep.cells import burst_axis
 
     patterns, settings = split_arguments(what)
     if not patterns:
         raise DataError("no burst: give files, folders of pictures or a glob, for example 'bursts/*.tiff'")
     if any(each.partition("=")[0].strip() == "data.path" for each in settings):
         raise ConfigError("data.path: bursts are given without it, for example deepir batch nuc burst.npz")
+    bursts = [burst_axis(patterns)]
+    command = ["batch", config, *what]
+    return _sweep(command, settings, bursts, workers, scheduler, overwrite=overwrite, plugins=plugins)
+
+
+def _sweep(
+    command: Sequence[str],
+    settings: Sequence[str],
+    bursts: Sequence[Axis],
+    workers: int | None,
+    scheduler: str | None,
+    *,
+    overwrite: bool,
+    plugins: Sequence[str],
+) -> int:
+    """Run the missing cells, then write and print the table; the exit status.
+
+    Args:
+        command: The command line, for the table's title: kind of the sweep, configuration ...
+        settings: `key=value` and `key=value,value`.
+        bursts: The axis of bursts, if there is one.
+        workers: Number of processes; None: one for each core.
+        scheduler: Address of a Dask scheduler; None: local workers.
+        overwrite: Replace former runs.
+        plugins: Modules to import on the workers.
+    """
+    from deepir.sweep.cells import parse_axes
+    from deepir.sweep.sweep import prepare
+
+    kind, config, *_ = command
     fixed, axes = parse_axes(settings)
     with prepare(
         config,
         fixed,
-        [burst_axis(patterns), *axes],
-        folder=sweep_folder(config, "batch"),
+        [*bursts, *axes],
+        folder=Path("runs") / f"{config_stem(config)}-{kind}",
         workers=workers,
         remote=scheduler is not None,
         overwrite=overwrite,
     ) as checked:
-        return run_and_report(checked, ["batch", config, *what], scheduler, plugins)
-
-
-def sweep_folder(config: str, kind: str) -> Path:
-    """Default output folder: runs/NAME-KIND of the configuration's name."""
-    return Path("runs") / f"{config_stem(config)}-{kind}"
-
-
-def run_and_report(
-    checked: Sweep, command: Sequence[str], scheduler: str | None, plugins: Sequence[str]
-) -> int:
-    """Run the missing cells, then write and print the table.
-
-    Args:
-        checked: The sweep, checked.
-        command: The command line, for the table's title.
-        scheduler: Address of a Dask scheduler; None: local workers.
-        plugins: Modules to import on the workers.
-
-    Returns:
-        The exit status.
-    """
-    from deepir.cli.terminal import Interrupted, Interruptible
-
-    status = 0
-    try:
-        with Interruptible():
-            checked.run(_Progress(checked), scheduler, plugins)
-    except Interrupted as error:
-        notify("interrupted; the same command continues with the missing runs")
-        status = error.status
-    _report(checked.write(shlex.join(["deepir", *command])), checked.folder)
-    return status or int(bool(checked.errors))
+        status = 0
+        try:
+            with Interruptible():
+                checked.run(_Progress(checked), scheduler, plugins)
+        except Interrupted as error:
+            notify("interrupted; the same command continues with the missing runs")
+            status = error.status
+        _report(checked.write(shlex.join(["deepir", *command])), checked.folder)
+        return status or int(bool(checked.errors))
 
 
 class _Progress:

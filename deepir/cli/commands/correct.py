@@ -10,13 +10,15 @@ import typer
 
 from deepir.cli.arguments import (
     RECORDING_SETTINGS,
+    CorrectedOutput,
+    Float32,
     Overwrite,
     ReadingSettings,
     held_outputs,
     recording_config,
     recording_radiometry,
 )
-from deepir.cli.terminal import echo, notify
+from deepir.cli.terminal import Interrupted, Interruptible, echo, notify
 from deepir.messages import labelled
 
 if TYPE_CHECKING:
@@ -28,23 +30,16 @@ if TYPE_CHECKING:
 def correct(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of a camera that moves.")],
     settings: ReadingSettings = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.", show_default=False
-        ),
-    ] = None,
-    float32: Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")] = False,
+    output: CorrectedOutput = None,
+    float32: Float32 = False,
     overwrite: Overwrite = False,
-) -> int:
+) -> None:
     """Correct a whole recording of a moving camera: deepir correct drive.avi.
 
     Writes the corrected recording, the camera's maps (OUTPUT_maps.npz, for `deepir apply`) and a picture (OUTPUT.png).
     The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.crop, data.swap_bytes,
     data.radiometry, output.palette, output.tones.
     """
-    from deepir.cli.terminal import Interrupted, Interruptible, report_aborted
-
     config = recording_config(file, settings or (), RECORDING_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     maps, picture = (target.with_name(f"{target.stem}{end}") for end in ("_maps.npz", ".png"))
@@ -55,10 +50,8 @@ def correct(
             _correct(config, *outputs, rounded=not float32)
     except Interrupted as error:
         if maps.exists() and not known:
-            notify(f"interrupted; go on with: deepir apply {maps} {file}")
-            return error.status
-        return report_aborted(error)
-    return 0
+            error.outcome = f"interrupted; go on with: deepir apply {maps} {file}"
+        raise
 
 
 def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded: bool) -> None:
@@ -66,14 +59,13 @@ def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded
     import functools
     from concurrent.futures import ThreadPoolExecutor
 
-    from deepir.cli.arguments import track
-    from deepir.cli.terminal import Interrupted
     from deepir.correct_recording import sensor_of_burst
     from deepir.io import atomic_files, stream_data
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording, findings_lines
     from deepir.report.panels import write_correction
+    from deepir.report.progress import track
 
     data, shown = config.data, config.output
     begun = time.perf_counter()

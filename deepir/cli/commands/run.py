@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deepir.cli.arguments import (
+    ConfigName,
     Overwrite,
     Plugins,
     Settings,
-    check_output_name,
     config_stem,
     held_outputs,
     load_plugins,
 )
-from deepir.cli.terminal import echo
+from deepir.cli.terminal import Interruptible, echo, watched_solve
 
 if TYPE_CHECKING:
     from deepir.config import Config
@@ -29,16 +29,11 @@ REPORT_INTERVAL = 250  # iterations between two lines of progress
 
 
 def run(
-    config: Annotated[
-        str,
-        typer.Argument(
-            metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.", show_default=False
-        ),
-    ],
+    config: ConfigName,
     settings: Settings = None,
     overwrite: Overwrite = False,
     plugin: Plugins = None,
-) -> int:
+) -> None:
     """Correct a burst: deepir run nuc data.path=burst.npz [prior=tv ...].
 
     Results go to output.dir (runs/NAME). `deepir list` shows what the settings may name.
@@ -47,29 +42,23 @@ def run(
     from deepir.config import load
 
     checked = load(config, settings or ())
-    return run_and_store(checked, output_folder(checked, config), overwrite=overwrite, plugins=plugins)
+    run_and_store(checked, output_folder(checked, config), overwrite=overwrite, plugins=plugins)
 
 
 def resume(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder.", show_default=False)],
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder.")],
     plugin: Plugins = None,
-) -> int:
+) -> None:
     """Finish a run that was interrupted, from its last checkpoint."""
     plugins = load_plugins(plugin)
-    from deepir.cli.terminal import Interrupted, Interruptible, report_interrupted
-    from deepir.report.progress import show_progress
     from deepir.storage import stored
 
-    try:
-        with Interruptible() as interruptible, show_progress() as progress:
-            result = stored.resume(folder, plugins=plugins, callbacks=[interruptible, progress])
-    except Interrupted as error:
-        return report_interrupted(error, folder)
+    with watched_solve(folder) as callbacks:
+        result = stored.resume(folder, plugins=plugins, callbacks=callbacks)
     if result is None:
         echo(f"{folder}: already finished")
     else:
         report_result(result, folder)
-    return 0
 
 
 def output_folder(config: Config, name: str) -> Path:
@@ -81,24 +70,13 @@ def output_folder(config: Config, name: str) -> Path:
     return Path("runs") / config_stem(name)
 
 
-def run_and_store(config: Config, folder: Path, *, overwrite: bool, plugins: list[str]) -> int:
-    """Run into a folder, with progress on stderr.
-
-    Returns:
-        The exit status.
-    """
-    from deepir.cli.terminal import Interrupted, Interruptible, report_interrupted
-    from deepir.report.progress import show_progress
+def run_and_store(config: Config, folder: Path, *, overwrite: bool, plugins: list[str]) -> None:
+    """Run into a folder, with progress on stderr, and print what came out."""
     from deepir.storage.stored import run_into
 
-    try:
-        with Interruptible() as interruptible, show_progress() as progress:
-            both = (interruptible, progress)
-            result = run_into(config, folder, overwrite=overwrite, plugins=plugins, callbacks=both)
-    except Interrupted as error:
-        return report_interrupted(error, folder)
+    with watched_solve(folder) as callbacks:
+        result = run_into(config, folder, overwrite=overwrite, plugins=plugins, callbacks=callbacks)
     report_result(result, folder)
-    return 0
 
 
 def report_result(result: Result, folder: Path) -> None:
@@ -122,9 +100,8 @@ def report_result(result: Result, folder: Path) -> None:
     )
 
 
-def demo() -> int:
+def demo() -> None:
     """Correct a simulated burst of five frames in counts; results and pictures in runs/demo/."""
-    from deepir.cli.commands.run import run_and_store
     from deepir.config import load
     from deepir.simulate import Settings, simulate
     from deepir.storage.folder import RunFolder
@@ -136,10 +113,8 @@ def demo() -> int:
         path, truth = burst.save(DEMO_FOLDER / "burst.npz")
     echo(f"simulated {path}; correcting it with: deepir run nuc data.path={path}")
     config = load("nuc", [f"data.path={path}", f"data.truth={truth}"])
-    status = run_and_store(config, DEMO_FOLDER, overwrite=True, plugins=[])
-    if status == 0:
-        _compare()
-    return status
+    run_and_store(config, DEMO_FOLDER, overwrite=True, plugins=[])
+    _compare()
 
 
 def _compare() -> None:
@@ -163,9 +138,7 @@ def _compare() -> None:
 
 
 def train(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="What to train: see `deepir list`.", show_default=False)
-    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="What to train: see `deepir list`.")],
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.safetensors", help="File of the weights; default: NAME.safetensors."),
@@ -189,11 +162,10 @@ def train(
 
     kind = lookup("training", name, "train")
     path = out or Path(f"{name}.safetensors")
-    check_output_name(path, ".safetensors")
     torch.set_num_threads(threads)
     about = {"training": name, "seed": seed, "iterations": iterations or kind.iterations, "threads": threads}
     about |= {"deepir": deepir.__version__, "torch": torch.__version__}
-    with held_outputs(path, overwrite=overwrite):
+    with Interruptible(), held_outputs(path, overwrite=overwrite, suffix=".safetensors"):
         network = training.train(kind, seed=seed, iterations=iterations, report=_report_progress)
         weights.save(network, path, about)
     echo(f"weights: {path}")

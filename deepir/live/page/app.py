@@ -1,18 +1,23 @@
-"""What the server answers: the page, its files, the pictures, and snapshots."""
+"""What the server answers, and to whom: the page, its files, the pictures, and snapshots."""
 
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import json
+import secrets
 from collections.abc import Callable, Collection
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from pydantic import ValidationError
 from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS
@@ -29,6 +34,15 @@ FILES = {
     STATIC / "live.css": "text/css",
     STATIC / "picture.js": "text/javascript",
     STATIC / "live.js": "text/javascript",
+}
+#: Of every answer: only the page's own files load and run, no other site may show or read them.
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
 }
 LOOK_INTERVAL = 0.005  # s between two looks for a new frame, while a viewer waits for one
 STATUS_INTERVAL = 0.25  # s after which a viewer hears how it goes without a new frame
@@ -137,3 +151,61 @@ def _download(content: bytes, name: str, kind: str) -> Response:
     return Response(
         content, media_type=kind, headers={"Content-Disposition": f'attachment; filename="{name}"'}
     )
+
+
+class Guard:
+    """Refuses (403) foreign host names, foreign origins, and requests without the token.
+
+    A site whose name is made to point here (DNS rebinding) gives itself away by the `Host` it asks for, one that
+    connects from its own page by its `Origin`.
+
+    Args:
+        app: That answers what is allowed.
+        host: Name or address that the server is bound to.
+        token: With which paths must begin; empty: none.
+    """
+
+    def __init__(self, app: ASGIApp, host: str, token: str = "") -> None:
+        self._app, self._host, self._token = app, host, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or refuse it."""
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"].endswith("response.start"):
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        if refused := self._refused(scope):
+            await PlainTextResponse(refused, 403)(scope, receive, send_with_headers)
+            return
+        rest = scope["path"][len(self._prefix) :]
+        await self._app({**scope, "path": rest}, receive, send_with_headers)
+
+    @property
+    def _prefix(self) -> str:
+        return f"/{self._token}" if self._token else ""
+
+    def _refused(self, scope: Scope) -> str:
+        """Why a request is refused; empty if it is not."""
+        headers = Headers(scope=scope)
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if not self._known(host):
+            return "this host name is not known here: use the address that deepir has printed"
+        if origin is not None and origin.partition("://")[2] != host:
+            return "pages of other sites may not look here"
+        begin = scope["path"][: len(self._prefix) + 1].encode()
+        if self._token and not secrets.compare_digest(begin, f"{self._prefix}/".encode()):
+            return "the address is not whole: use the one that deepir has printed"
+        return ""
+
+    def _known(self, host: str) -> bool:
+        """Whether a host is an address, this machine or what the server is bound to: no site can claim these."""
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+            if name in ("localhost", self._host.lower()):
+                return True
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import io
 import queue
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from PIL import Image
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from deepir.arrays.samples import as_float32
+from deepir.config.schema import Palette, Tones
 from deepir.io.output.tone_mapping import (
-    PALETTES,
     PERCENTILE,
     TONE_MAPPINGS,
     WHITE_HOT,
@@ -65,15 +65,6 @@ def _encoded(picture: Array, form: str, **options: int) -> bytes:
     return file.getvalue()
 
 
-def _one_of(names: Collection[str]) -> AfterValidator:
-    def check(name: str) -> str:
-        if name not in names:
-            raise ValueError(f"one of {', '.join(names)}")
-        return name
-
-    return AfterValidator(check)
-
-
 Fraction = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -91,8 +82,8 @@ class ViewerRequest(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     seen: int = 0
-    palette: Annotated[str, _one_of(PALETTES)]
-    tones: Annotated[str, _one_of(TONE_MAPPINGS)]
+    palette: Palette
+    tones: Tones
     raw: bool = False
     point: tuple[Fraction, Fraction] | None = None
     command: Command | None = None

@@ -3,7 +3,7 @@
 const MISSING = 65535;
 const bytes = (text) => Uint8Array.from(atob(text), (each) => each.charCodeAt(0));
 
-/** The levels of a map as deepir/report/maps.py packs them: differences along x, high bytes before low ones. */
+/** The levels of a map as deepir/report/html.py packs them: differences along x, high bytes before low ones. */
 async function unpacked(map) {
   const stream = new Blob([bytes(map.levels)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer());

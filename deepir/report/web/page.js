@@ -33,6 +33,34 @@ function said(value, digits) {
   return (digits === undefined ? plain : value.toFixed(digits)).replace("-", "−");
 }
 
+/** A fraction of a width or height, kept inside. */
+const within = (value) => Math.max(0, Math.min(1 - 1e-9, value));
+
+/** Where an event is in a box: fractions of its width and height. */
+function under(event, box) {
+  const rect = box.getBoundingClientRect();
+  const [x, y] = [(event.clientX - rect.left) / rect.width, (event.clientY - rect.top) / rect.height];
+  return { x: within(x), y: within(y) };
+}
+
+/** Where an arrow key leads from a point: a pixel on, or ten with Shift; null for another key. */
+function stepped(event, { x, y }, { width, height }) {
+  const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+  if (!(event.key in steps)) return null;
+  event.preventDefault();
+  const [dx, dy] = steps[event.key].map((each) => each * (event.shiftKey ? 10 : 1));
+  return { x: within(x + dx / width), y: within(y + dy / height) };
+}
+
+/** Names to choose one of, in a box; `change` is called with it, `picture` gives what stands beside a name. */
+function choices(box, key, names, chosen, change, picture = () => []) {
+  for (const name of names) {
+    const input = make("input", { type: "radio", name: key, value: name, change: () => change(name) });
+    input.checked = name === chosen;
+    find(box).append(make("label", {}, input, make("span", { text: name }, ...picture(name))));
+  }
+}
+
 find("#theme").addEventListener("click", () => {
   const root = document.documentElement;
   const now =

@@ -27,25 +27,15 @@ function place(map, point) {
 /** Let a view be pointed at, and moved in by the arrow keys. */
 function listen(view) {
   const { box, map } = view;
-  const clamp = (value) => Math.max(0, Math.min(1 - 1e-9, value));
-  const inside = (event) => {
-    const rect = box.getBoundingClientRect();
-    return {
-      x: clamp((event.clientX - rect.left) / rect.width),
-      y: clamp((event.clientY - rect.top) / rect.height),
-    };
-  };
-  box.addEventListener("pointermove", (event) => pointAt(inside(event)));
-  box.addEventListener("pointerdown", (event) => pointAt(inside(event)));
+  box.addEventListener("pointermove", (event) => pointAt(under(event, box)));
+  box.addEventListener("pointerdown", (event) => pointAt(under(event, box)));
   box.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && pointAt(null));
   let at = { x: 0.5, y: 0.5 };
-  const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
   box.addEventListener("keydown", (event) => {
     if (event.key === "Escape") pointAt(null);
-    if (event.target !== box || !(event.key in steps)) return;
-    event.preventDefault();
-    const [dx, dy] = steps[event.key].map((each) => each * (event.shiftKey ? 10 : 1));
-    at = { x: clamp(at.x + dx / map.width), y: clamp(at.y + dy / map.height) };
+    const next = event.target === box && stepped(event, at, map);
+    if (!next) return;
+    at = next;
     pointAt(at, view);
   });
   views.push(view);
@@ -155,13 +145,8 @@ function card(map) {
 }
 
 function choosePalette() {
-  for (const name of Object.keys(palettes)) {
-    const input = make("input", { type: "radio", name: "palette", value: name });
-    input.checked = name === palette;
-    input.addEventListener("change", () => {
-      palette = name;
-      views.forEach((view) => view.show());
-    });
-    find("#palette").append(make("label", {}, input, make("span", { text: name })));
-  }
+  choices("#palette", "palette", Object.keys(palettes), palette, (name) => {
+    palette = name;
+    views.forEach((view) => view.show());
+  });
 }

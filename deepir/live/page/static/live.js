@@ -47,7 +47,8 @@ function ask() {
   requestAnimationFrame(() => {
     if (socket.readyState !== WebSocket.OPEN) return;
     const number = isStale ? 0 : seen;
-    socket.send(JSON.stringify({ seen: number, ...chosen, raw: showsRaw(), point: point(), command }));
+    const at = point() && [point().x, point().y];
+    socket.send(JSON.stringify({ seen: number, ...chosen, raw: showsRaw(), point: at, command }));
     isStale = false;
     command = null;
   });
@@ -146,16 +147,6 @@ function read(spot) {
   text(find("#reading"), words.join(" · "));
 }
 
-function choices(box, names, key, picture) {
-  for (const name of names) {
-    const input = make("input", { type: "radio", name: key, value: name });
-    input.checked = name === chosen[key];
-    input.addEventListener("change", () => choose(key, name));
-    find(box).append(make("label", {}, input, make("span", { text: name }, ...picture(name))));
-  }
-  choose(key, chosen[key]);
-}
-
 function choose(key, name) {
   chosen[key] = name;
   isStale = true;
@@ -165,8 +156,10 @@ function choose(key, name) {
 
 text(find("#title"), data.title);
 document.title = data.title ? `${data.title} – deepir live` : "deepir live";
-choices("#palettes", data.palettes, "palette", (name) => [make("img", { src: `palettes/${name}.png`, alt: "" })]);
-choices("#tones", data.tones, "tones", () => []);
+const swatch = (name) => [make("img", { src: `palettes/${name}.png`, alt: "" })];
+choices("#palettes", "palette", data.palettes, chosen.palette, (name) => choose("palette", name), swatch);
+choices("#tones", "tones", data.tones, chosen.tones, (name) => choose("tones", name));
+choose("palette", chosen.palette);
 slider.addEventListener("input", () => (isStale = true));
 find("#hold").addEventListener("click", () => (command = now.holding ? "learn" : "hold"));
 find("#record").addEventListener("click", () => (command = now.recording ? "stop" : "record"));

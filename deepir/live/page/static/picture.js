@@ -41,18 +41,11 @@ function mark() {
   for (const each of [find("#cross"), find("#bubble")]) {
     each.hidden = !here;
     if (!here) continue;
-    each.style.left = `${100 * here[0]}%`;
-    each.style.top = `${100 * here[1]}%`;
+    each.style.left = `${100 * here.x}%`;
+    each.style.top = `${100 * here.y}%`;
   }
-  find("#bubble").classList.toggle("flip", here?.[0] > 0.7);
+  find("#bubble").classList.toggle("flip", here?.x > 0.7);
   if (!here) find("#reading").textContent = "\u00a0";
-}
-
-const within = (value) => Math.max(0, Math.min(1 - 1e-9, value));
-
-function under(event) {
-  const rect = box.getBoundingClientRect();
-  return [within((event.clientX - rect.left) / rect.width), within((event.clientY - rect.top) / rect.height)];
 }
 
 function pointAt(here) {
@@ -66,17 +59,13 @@ function keep(here) {
 }
 
 slider.addEventListener("input", split);
-box.addEventListener("pointermove", (event) => event.pointerType === "mouse" && pointAt(under(event)));
+box.addEventListener("pointermove", (event) => event.pointerType === "mouse" && pointAt(under(event, box)));
 box.addEventListener("pointerleave", () => pointAt(null));
-box.addEventListener("click", (event) => event.target !== slider && keep(under(event)));
+box.addEventListener("click", (event) => event.target !== slider && keep(under(event, box)));
 box.addEventListener("keydown", (event) => {
-  const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
   if (event.key === "Escape") keep(null);
-  if (event.target !== box || !(event.key in steps)) return;
-  event.preventDefault();
-  const [dx, dy] = steps[event.key].map((each) => each * (event.shiftKey ? 10 : 1));
-  const [x, y] = kept ?? [0.5, 0.5];
-  keep([within(x + dx / size.width), within(y + dy / size.height)]);
+  const next = event.target === box && stepped(event, kept ?? { x: 0.5, y: 0.5 }, size);
+  if (next) keep(next);
 });
 /** Large pixels stay square, small ones are averaged. */
 new ResizeObserver(() => {

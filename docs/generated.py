@@ -1,4 +1,4 @@
-"""The page of messages: `python -m deepir.report.messages docs/reference/messages.md` writes it.
+"""Pages of the reference that are written from the code: `python docs/generated.py` writes them.
 
 Messages are found in the source of the package: calls of errors, of the log, and of `Message`.
 """
@@ -7,18 +7,54 @@ from __future__ import annotations
 
 import ast
 import re
-import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import deepir
+from deepir.config import SHIPPED_CONFIGS, headline, prior_names, shipped_names
+from deepir.config.components import options_schema
 from deepir.messages import NOTES, WARNINGS
+from deepir.registry import components, summary
 
-PACKAGE = Path(__file__).parents[1]
-PAGE_HEADER = """# Messages
+PACKAGE = Path(deepir.__file__).parent
+REFERENCE = Path(__file__).parent / "reference"
+COMPONENTS_HEADER = """# Components
+
+What a configuration may name. `deepir list` prints the same, with plugins.
+`python docs/generated.py` writes this page.
+[Extending](../how-to/extending.md) says how to add to it.
+"""
+#: Kind -> heading and description.
+COMPONENT_KINDS = {
+    "operator": ("Operators", "Stages of `physics`, applied top to bottom. Each slot takes a field."),
+    "field": (
+        "Fields",
+        "How an unknown is represented: `type` of the scene or of a slot. Sums are written `column+row+pixel`.",
+    ),
+    "penalty": ("Penalties", "Under `penalties` of the scene or of a slot; several may stack."),
+    "denoiser": ("Denoisers", "What `red` regularises by: `scene.penalties.red.denoiser`."),
+    "fidelity": ("Fidelities", "How prediction and data are compared: `fidelity`."),
+    "effect": (
+        "Effects",
+        "Imperfections that a problem estimates: `effects.NAME` is false, or a mapping of options.",
+    ),
+    "optimiser": (
+        "Optimisers",
+        "How a group of unknowns moves: `method` of a step of `solver.plan`, and of `scene.fit`.",
+    ),
+    "problem": ("Problems", "How a problem is started and solved: `problem`."),
+    "method": ("Methods", "What runs: `method`. [Methods](methods.md) has their sources."),
+    "training": ("Trainings", "What `deepir train NAME` trains."),
+    "camera": (
+        "Cameras",
+        "Drivers for `deepir capture --camera NAME`; [cameras](../how-to/cameras.md#take-a-burst).",
+    ),
+}
+MESSAGES_HEADER = """# Messages
 
 Everything that deepir reports, with what to do. `…` stands for a name or a number.
-`python -m deepir.report.messages docs/reference/messages.md` writes this page from the code.
+`python docs/generated.py` writes this page from the code.
 
 - A **warning** or a **note** on a result has a name. `warning[motion-small]` is explained [below](#motion-small).
 - An **error** ends a command, and nothing is half-written. Its message says what is wrong, where, and what to do.
@@ -43,13 +79,13 @@ SEVERITIES = {
 TOPICS = {
     "Cameras and live correction": (
         "`deepir capture` and `deepir live`.",
-        ("cameras", "live", "cli.live", "cli.commands.live", "cli.commands.capture"),
+        ("cameras", "live", "cli.live_frames", "cli.commands.live", "cli.commands.capture"),
     ),
     "Simulation": ("`data.simulate` and `deepir simulate`.", ("simulate", "cli.commands.simulate")),
     "Files and frames": (
         "Reading and writing; `data` in the configuration. A file that is damaged or truncated was not copied or "
         "recorded in full: copy or export it again.",
-        ("io", "burst", "calibration", "weights", "cli.outputs", "cli.commands.calibrate"),
+        ("io", "burst", "calibration", "weights", "cli.commands.apply"),
     ),
     "Configuration": (
         "A misspelt key is reported as `no option '…'; did you mean '…'?`, a value of the wrong type as "
@@ -70,6 +106,61 @@ TOPICS = {
 }
 #: Function -> what it reports.
 KINDS = {"warning": "warning", "warn_once": "warning", "_print_error": "error"}
+
+
+def components_page() -> str:
+    """The page in Markdown: deepir's own components, without plugins."""
+    parts = [COMPONENTS_HEADER]
+    for kind, (title, text) in COMPONENT_KINDS.items():
+        found = {
+            name: each for name, each in components(kind).items() if each.__module__.startswith("deepir.")
+        }
+        columns = ["name", "what", *(["slots"] if kind == "operator" else []), "options"]
+        rows = [_row(name, each, kind) for name, each in found.items()]
+        if not any(row[-1] for row in rows):
+            columns, rows = columns[:-1], [row[:-1] for row in rows]
+        parts.append(f"## {title}\n\n{text}\n\n{_table(columns, rows)}")
+    shipped = {
+        "Priors": (
+            "Presets of the scene: `prior`.",
+            {n: SHIPPED_CONFIGS / "prior" / f"{n}.yaml" for n in prior_names()},
+        ),
+        "Configurations": (
+            "Shipped: `deepir run NAME`.",
+            {n: SHIPPED_CONFIGS / f"{n}.yaml" for n in shipped_names()},
+        ),
+    }
+    for title, (text, files) in shipped.items():
+        table = _table(["name", "what"], [[f"`{name}`", headline(path)] for name, path in files.items()])
+        parts.append(f"## {title}\n\n{text}\n\n{table}")
+    return "\n".join(parts)
+
+
+def _row(name: str, component: Any, kind: str) -> list[str]:
+    slots = [", ".join(f"`{slot}`" for slot in _slots(component))] if kind == "operator" else []
+    options = "" if kind in ("problem", "denoiser", "training") else _options(component)
+    return [f"`{name}`", summary(component), *slots, options]
+
+
+def _slots(operator: Any) -> Mapping[str, Any]:
+    example, x, _ = operator.example()
+    slots: Mapping[str, Any] = example.slots(tuple(x.shape), len(x))
+    return slots
+
+
+def _options(component: Any) -> str:
+    """Options with their defaults; a default of None is found from the data, or not used."""
+    fields = options_schema(component).model_fields
+    return ", ".join(
+        f"`{name}`" + (f" ({field.default})" if field.default is not None and not field.is_required() else "")
+        for name, field in fields.items()
+    )
+
+
+def _table(columns: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table; `|` within a cell is escaped."""
+    lines = [columns, ["---"] * len(columns), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 class Found(NamedTuple):
@@ -126,7 +217,7 @@ def template(text: ast.expr) -> str:
 def messages_page() -> str:
     """The page in Markdown."""
     found = list(messages())
-    parts = [PAGE_HEADER]
+    parts = [MESSAGES_HEADER]
     for severity, (title, description, explanations) in SEVERITIES.items():
         parts.append(f"## {title}\n\n{description}\n")
         for name, (meaning, remedy) in explanations.items():
@@ -158,4 +249,5 @@ def _escaped(text: str) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(messages_page(), encoding="utf-8")
+    for name, page in {"components": components_page, "messages": messages_page}.items():
+        (REFERENCE / f"{name}.md").write_text(page(), encoding="utf-8")
