@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from deepir.arrays.samples import as_float32
 from deepir.errors import DeepIRError
 from deepir.io import read_frames, readers, stream_frames
-from deepir.io.frames import to_float32
 from deepir.runner import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
@@ -114,7 +114,7 @@ def read_or_refuse(path, content):
     streamed = refused_in_one_line(path, lambda: list(stream_frames(path)))
     assert time.perf_counter() - begun < LONGEST
     if frames is not None and streamed is not None:
-        np.testing.assert_array_equal([to_float32(frame) for frame in streamed], frames)
+        np.testing.assert_array_equal([as_float32(frame) for frame in streamed], frames)
     return frames
 
 
@@ -131,7 +131,7 @@ def refused_in_one_line(path, read):
 
 
 def test_every_reader_is_tried():
-    names = {reader.__name__.rpartition(".")[2] for reader in readers.all_readers()}
+    names = {reader.name for reader in readers.all_readers()}
     assert names - {"folder", "envi"} == {kind.partition(",")[0] for kind in FILES}
 
 
@@ -139,7 +139,7 @@ def test_every_reader_is_tried():
 def test_whole_files_are_read(tmp_path, contents, kind):
     (tmp_path / "file").write_bytes(contents(kind))
     reader = readers.find_reader(tmp_path / "file")
-    assert reader.__name__.rpartition(".")[2] == kind.partition(",")[0]
+    assert reader.name == kind.partition(",")[0]
     assert read_frames(tmp_path / "file").frames.shape[1:] in ((18, 16), (120, 160))
 
 

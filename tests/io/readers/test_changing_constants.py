@@ -6,7 +6,7 @@ import recordings
 
 from deepir.config.schema import Radiometry
 from deepir.io import read_frames, stream_frames
-from deepir.io.containers import fff
+from deepir.io.readers import flir
 from deepir.io.radiometry import Linear, Planck
 
 KELVIN = np.random.default_rng(0).uniform(285, 300, (20, 24)).astype(np.float32)
@@ -21,7 +21,7 @@ def counted(monkeypatch, **changes):
     """FLIR's FFF of the temperatures KELVIN, as a camera with other constants and settings counts them."""
     for name, values in changes.items():
         monkeypatch.setattr(recordings, name, getattr(recordings, name) | values)
-    law = fff.read_radiometry(fff.read_records(recordings.fff(np.zeros((20, 24))), "a")[0])
+    law = flir.read_radiometry(flir.read_records(recordings.fff(np.zeros((20, 24))), "a")[0])
     content = recordings.fff(np.rint(law.counts(KELVIN)))
     monkeypatch.undo()
     return content

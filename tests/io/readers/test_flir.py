@@ -10,7 +10,7 @@ import recordings
 
 from deepir.errors import DataError
 from deepir.io import read_frames
-from deepir.io.containers import fff
+from deepir.io.readers import flir
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -96,7 +96,7 @@ def test_pngs_are_read_in_either_order_of_bytes(swapped):
     stored = plane.byteswap() if swapped else plane
     packed = imagecodecs.png_encode(stored)
     record = struct.pack("<HHH", 2, 24, 20) + bytes(26) + packed
-    np.testing.assert_array_equal(fff.read_raw_plane({fff.RAW_RECORD: record}, Path("a.jpg")), plane)
+    np.testing.assert_array_equal(flir.read_raw_plane({flir.RAW_RECORD: record}, Path("a.jpg")), plane)
 
 
 def test_the_older_kind_of_seq_is_named(tmp_path, burst):

@@ -47,9 +47,10 @@ def test_nothing_here_imports_torch():
 def test_a_new_format_is_one_new_file_and_comes_before_general_readers(tmp_path, monkeypatch):
     (tmp_path / "thermal_jpeg.py").write_text(
         "import numpy as np\n"
-        "SUFFIXES = ('.rjpg',)\n"
-        "def sniff(head, path): return head.startswith(b'\\xff\\xd8\\xff\\xe1FLIR')\n"
-        "def read(path, key): return np.full((20, 24), 7.0)\n"
+        "from deepir.io.readers import Reader\n"
+        "class ThermalJpeg(Reader):\n"
+        "    name, suffixes, signatures = 'thermal_jpeg', ('.rjpg',), (b'\\xff\\xd8\\xff\\xe1FLIR',)\n"
+        "    def read(self, path, key): return np.full((20, 24), 7.0)\n"
     )
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff\xe1FLIR")
     monkeypatch.setattr(readers, "__path__", [*readers.__path__, str(tmp_path)])
@@ -106,6 +107,6 @@ def test_the_table_of_formats_is_that_of_the_readers():
         name.strip("`"): tuple(re.findall(r"`(\.\w+)`", suffixes))
         for name, suffixes, _ in rows(ROOT / "docs/reference/files.md", "# Files")
     }
-    there = {reader.__name__.rpartition(".")[2]: tuple(reader.SUFFIXES) for reader in readers.all_readers()}
+    there = {reader.name: reader.suffixes for reader in readers.all_readers()}
     assert shown == there
     assert list(shown) == sorted(shown)

@@ -6,7 +6,7 @@ import recordings
 
 from deepir.errors import DataError
 from deepir.io import read_frames
-from deepir.io.readers.pictures import video
+from deepir.io.readers import video
 
 pytest.importorskip("av")
 
