@@ -3,6 +3,7 @@
 import gzip
 import importlib.util
 import io
+import math
 import struct
 
 import imagecodecs
@@ -22,6 +23,31 @@ def npy(path, frames):
         np.save(file, frames)
 
 
+def sparse_npy(path, shape, dtype="|u1"):
+    """An array of zeros that takes no room on the disk."""
+    with path.open("wb") as file:
+        header = {"descr": dtype, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.truncate(file.tell() + np.dtype(dtype).itemsize * math.prod(shape))
+
+
+#: ENVI's orders of the axes.
+INTERLEAVES = {"bsq": "nhw", "bil": "hnw", "bip": "hwn"}
+
+
+def envi(path, frames, interleave="bsq", extra="", before=b""):
+    """Samples, and a header beside them."""
+    turned = frames.transpose(["nhw".index(each) for each in INTERLEAVES[interleave]])
+    path.write_bytes(before + np.ascontiguousarray(turned).tobytes())
+    n, h, w = frames.shape
+    number = {"u1": 1, "i2": 2, "i4": 3, "f4": 4, "f8": 5, "u2": 12, "u4": 13}[frames.dtype.str[1:]]
+    path.with_suffix(".hdr").write_text(
+        f"ENVI\ndescription = {{\n  a flight}}\nsamples = {w}\nlines   = {h}\nbands = {n}\n"
+        f"header offset = {len(before)}\ndata type = {number}\n"
+        f"byte order = {int(frames.dtype.str[0] == '>')}\ninterleave = {interleave}\n{extra}"
+    )
+
+
 def tiff(path, frames, **options):
     tifffile.imwrite(path, frames, photometric="minisblack", **options)
 
@@ -38,11 +64,12 @@ def png(path, frames):
     path.write_bytes(imagecodecs.png_encode(frames[0]))
 
 
-def pgm(path, frames):
-    height, width = frames.shape[1:]
-    path.write_bytes(
-        b"".join(b"P5\n%d %d\n65535\n" % (width, height) + f.astype(">u2").tobytes() for f in frames)
-    )
+def pgm(path, frames, largest=65535, comment=b"", plain=False):
+    head = b"%s\n%s%d %d\n%d\n" % (b"P2" if plain else b"P5", comment, *frames.shape[:0:-1], largest)
+    dtype = "u1" if largest < 256 else ">u2"
+    words = (b" ".join(b"%d" % value for value in frame.ravel()) + b"\n" for frame in frames)
+    samples = (frame.astype(dtype).tobytes() for frame in frames)
+    path.write_bytes(b"".join(head + each for each in (words if plain else samples)))
 
 
 def folder(path, frames):
@@ -72,15 +99,31 @@ def mat73(path, frames):
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
 
 
-def film(path, frames, codec="ffv1", stored="gray16le"):
+def film(path, frames, codec="ffv1", stored="gray16le", given=None, size=None):
+    """A film of arrays in the pixel format `stored`, made of those that are `given` in another; `size`: of a frame."""
     import av
 
     with av.open(path, "w") as container:
         track = container.add_stream(codec, rate=30)
-        track.height, track.width = frames.shape[1:]
+        track.height, track.width = size or frames.shape[1:3]
         track.pix_fmt = stored
         for frame in frames:
-            container.mux(track.encode(av.VideoFrame.from_ndarray(frame, format=stored)))
+            container.mux(track.encode(av.VideoFrame.from_ndarray(frame, format=given or stored)))
+        container.mux(track.encode())
+
+
+def unnamed_film(path, frames):
+    """Uncompressed 16 bits a sample, which FFmpeg takes for colours."""
+    import av
+
+    height, width = frames.shape[1:]
+    with av.open(path, "w") as container:
+        track = container.add_stream("rawvideo", rate=9)
+        track.width, track.height, track.pix_fmt = width, height, "rgb555le"
+        for frame in frames:
+            shown = av.VideoFrame(width, height, "rgb555le")
+            shown.planes[0].update(frame.astype("<u2").tobytes().ljust(shown.planes[0].buffer_size, b"\0"))
+            container.mux(track.encode(shown))
         container.mux(track.encode())
 
 
@@ -150,10 +193,10 @@ def flir_jpeg_png(path, frames):
     flir_jpeg(path, frames, imagecodecs.png_encode(frames[0].byteswap()))
 
 
-def dji_jpeg(path, frames):
+def dji_jpeg(path, frames, shown=None):
     content = frames[0].astype("<u2").tobytes()
     parts = [content[at : at + 60_000] for at in range(0, len(content), 60_000)]
-    path.write_bytes(jpeg_with(0xE3, parts, frames.shape[1:]))
+    path.write_bytes(jpeg_with(0xE3, parts, shown or frames.shape[1:]))
 
 
 def infiray_jpeg(path, frames):
@@ -193,6 +236,29 @@ def cptv(path, frames, bits=16):
         section = [(b"w", bytes([bits])), (b"f", struct.pack("<I", len(packed)))]
         content += b"F" + bytes([len(section)]) + b"".join(field(*each) for each in section) + packed
     path.write_bytes(gzip.compress(content, 1))
+
+
+def forged(write, mark, skip, content):
+    """A writer of what `write` writes, with other bytes `skip` bytes after the start of a mark."""
+
+    def write_forged(path, frames):
+        write(path, frames)
+        changed = bytearray(path.read_bytes())
+        at = changed.index(mark) + skip
+        changed[at : at + len(content)] = content
+        path.write_bytes(changed)
+
+    return write_forged
+
+
+def cut(write, count):
+    """A writer of what `write` writes, without its last bytes."""
+
+    def write_cut(path, frames):
+        write(path, frames)
+        path.write_bytes(path.read_bytes()[:-count])
+
+    return write_cut
 
 
 def needs(library, *values):

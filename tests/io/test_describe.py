@@ -3,16 +3,13 @@ import pytest
 
 from deepir.io import Frames, describe, read_frames
 
-RNG_SEED = 4
-
-
 def burst_of(frames, dtype="uint16"):
     return Frames(np.asarray(frames, np.float32), "a", dtype, "")
 
 
 def simulated(step, count=4, noise=6.0, contrast=200.0):
     """Frames of a smooth scene that moves `step` px right each frame, behind a fixed pattern, with noise."""
-    rng = np.random.default_rng(RNG_SEED)
+    rng = np.random.default_rng(4)
     y, x = np.mgrid[:128, :160]
     pattern = 20 * rng.standard_normal((128, 160))
     return np.stack(
