@@ -14,7 +14,7 @@ from scipy import ndimage
 from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
-from deepir.io.inspection.describe import FULL_SCALE_COUNTS
+from deepir.io.inspection.samples import FULL_SCALE_COUNTS
 from deepir.io.readers.numpy_arrays import Npz
 
 MAX_GAIN_DEVIATION = 0.5  # deviation from the median gain, as a share of it, from which a pixel is bad

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -83,25 +83,6 @@ def check_size(
             f"{path}: {declared / GIB:.1f} GiB of data; at most {MAX_ARRAY_BYTES // GIB} GiB are read at once. "
             "Split the file."
         )
-
-
-def stack_frames(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[Any, Any]:
-    """Frames (N, h, w) of single frames (h, w) of a file.
-
-    Raises:
-        DataError: There are none, they differ in size, or exceed what the file can hold.
-    """
-    found: list[np.ndarray[Any, Any]] = []
-    stored, total = path.stat().st_size, 0
-    for frame in frames:
-        total += frame.nbytes
-        check_size(path, total, stored, compressed=True)
-        found.append(frame)
-        if frame.shape != found[0].shape:
-            raise DataError(f"{path}: frames differ in size: {found[0].shape} and {frame.shape}")
-    if not found:
-        raise DataError(f"{path}: a recording without frames")
-    return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
 
 @functools.cache

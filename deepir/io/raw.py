@@ -11,7 +11,7 @@ import numpy as np
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io.containers.file_bytes import read_samples, stream_planes
+from deepir.io.file_bytes import read_samples, stream_planes
 from deepir.io.readers import Array, Reader
 
 

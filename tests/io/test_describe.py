@@ -3,6 +3,7 @@ import pytest
 
 from deepir.io import Frames, describe, read_frames
 
+
 def burst_of(frames, dtype="uint16"):
     return Frames(np.asarray(frames, np.float32), "a", dtype, "")
 

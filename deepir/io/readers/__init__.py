@@ -7,18 +7,20 @@ import functools
 import importlib
 import pkgutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from deepir.errors import DataError, DeepIRError
-from deepir.io.guards import stack_frames
+from deepir.errors import DataError, DeepIRError, nearest
+from deepir.io.guards import check_size
 from deepir.io.radiometry import Radiometry
 
 Array = np.ndarray[Any, np.dtype[Any]]
+PREFERRED_NAMES = ("frames", "raw")  # names of the array that holds the frames, in order of preference
+MAX_LISTED = 20  # arrays that a message lists
 
 
 class Reader:
@@ -47,8 +49,21 @@ class Reader:
         return head.startswith(self.signatures)
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The stored array, of any shape and type; masked for a format with masks."""
-        return stack_frames(self.stream(path, key), path)
+        """The stored array, of any shape and type; masked for a format with masks.
+
+        Here the frames of `stream`: `DataError` if they differ in size, or exceed what the file can hold.
+        """
+        found: list[Array] = []
+        stored, total = path.stat().st_size, 0
+        for frame in self.stream(path, key):
+            total += frame.nbytes
+            check_size(path, total, stored, compressed=True)
+            found.append(frame)
+            if frame.shape != found[0].shape:
+                raise DataError(f"{path}: frames differ in size: {found[0].shape} and {frame.shape}")
+        if not found:
+            raise DataError(f"{path}: a recording without frames")
+        return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """The same frame by frame, or in larger pieces."""
@@ -169,6 +184,41 @@ def radiometries(path: Path, key: str | None = None, reader: Reader | None = Non
     with decoding(path):
         found = reader.radiometries(path, key)
     return found if len(set(found)) > 1 else found[:1]
+
+
+def can_be_frames(shape: tuple[int, ...]) -> bool:
+    """Whether an array may be a frame or a stack; MATLAB's numbers and vectors are matrices too, of one row."""
+    return 2 <= len(shape) <= 4 and 2 <= sum(side > 1 for side in shape) <= 3
+
+
+def choose_array(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | None) -> str:
+    """Name of the frames' array: `key`, else `frames`, else `raw`, else the only array with two or three dimensions.
+
+    Args:
+        shapes: Shapes of the arrays by name.
+        path: The file, for messages.
+        key: The user's choice.
+
+    Raises:
+        DataError: There is none, or several; the message lists the arrays.
+    """
+    if key is not None and key not in shapes:
+        raise DataError(f"{path}: no array '{key}'; {nearest(key, shapes)}")
+    for name in (key, *PREFERRED_NAMES):
+        if name in shapes:
+            return str(name)
+    pictures = [name for name, shape in shapes.items() if can_be_frames(shape)]
+    if len(pictures) != 1:
+        listing = ", ".join(f"{name} {shape}" for name, shape in sorted(shapes.items())[:MAX_LISTED])
+        if len(shapes) > MAX_LISTED:
+            listing += f" and {len(shapes) - MAX_LISTED} more"
+        single = [shapes[name] for name in pictures if len(shapes[name]) == 2]
+        each = len(single) > 2 and len(single) == len(pictures) and len(set(single)) == 1
+        advice = "They look like a frame each: join them, as numpy.stack does, and save one. " if each else ""
+        raise DataError(
+            f"{path}: which array is meant? Give its key (data.key). {advice}Arrays: {listing or 'none'}"
+        )
+    return pictures[0]
 
 
 @contextmanager

@@ -15,11 +15,10 @@ import imagecodecs
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.containers import jpeg
-from deepir.io.containers.file_bytes import FileBytes
+from deepir.io.file_bytes import FileBytes
 from deepir.io.guards import check_size, warn_once
 from deepir.io.radiometry import Planck, Radiometry, air_transmission
-from deepir.io.readers import Array, Reader
+from deepir.io.readers import Array, Reader, jpeg
 from deepir.io.readers.pictures import decode_png
 
 APP1 = 0xE1  # marker of the segments of a JPEG with FLIR's records

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.containers.named_arrays import choose_array
 from deepir.io.guards import check_size, import_optional
 from deepir.io.radiometry import ZERO_CELSIUS, Linear, Radiometry
-from deepir.io.readers import Array, Reader
+from deepir.io.readers import Array, Reader, choose_array
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of an HDF5 file
 MATLAB_SIGNATURE = b"MATLAB 7.3 MAT-file"  # first bytes of MATLAB's user block before it

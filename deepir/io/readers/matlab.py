@@ -11,10 +11,9 @@ import numpy as np
 import scipy.io
 
 from deepir.errors import DataError
-from deepir.io.containers.file_bytes import FileBytes
-from deepir.io.containers.named_arrays import can_be_frames, choose_array
+from deepir.io.file_bytes import FileBytes
 from deepir.io.guards import check_size
-from deepir.io.readers import Array, Reader
+from deepir.io.readers import Array, Reader, can_be_frames, choose_array
 
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
 #: First number of a matrix in version 4, little- or big-endian: 1000 M + 10 P + T, P the type of values, T zero.

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.lib import format as npy_format
 
 from deepir.errors import DataError
-from deepir.io.containers.file_bytes import read_planes
-from deepir.io.containers.named_arrays import choose_array
+from deepir.io.file_bytes import read_planes
 from deepir.io.guards import check_size
-from deepir.io.readers import Array, Reader
+from deepir.io.readers import Array, Reader, choose_array
 
 MAX_HEADER_BYTES = 10_000  # that NumPy parses
 Header = tuple[tuple[int, ...], bool, np.dtype[Any]]

@@ -12,9 +12,8 @@ import numpy as np
 from PIL import Image
 
 from deepir.errors import DataError
-from deepir.io.containers import jpeg
 from deepir.io.guards import LOSSY_TOLERANCE, check_size, to_grey
-from deepir.io.readers import Array, Reader
+from deepir.io.readers import Array, Reader, jpeg
 
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # samples per pixel by PNG's colour type
 #: Magic number, width, height and largest value, with comments between them, and the white space before the samples.
