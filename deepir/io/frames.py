@@ -16,7 +16,7 @@ from deepir.config import schema
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.guards import judging_colours_in, warn_once
+from deepir.io.guards import judging_colours_in, masked, warn_once
 from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.checks import crop
 from deepir.io.inspection.samples import SAMPLED_FRAMES, have_wrapped, in_order, lost_samples, swapped
@@ -238,7 +238,7 @@ def stream_frames(
         frames = as_of_frame_0(frames, laws, radiometry, source)
     for frame in frames:
         lost = lost_samples(np.ma.getdata(frame)[None], frame.dtype)
-        yield frame if lost is None else np.ma.masked_array(frame, np.ma.getmaskarray(frame) | lost[0])
+        yield frame if lost is None else masked(frame, lost[0])
 
 
 def read_data(data: schema.Data, *, bands: bool = False) -> Frames:

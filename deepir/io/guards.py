@@ -102,6 +102,11 @@ def judging_colours_in(box: Sequence[int] | None) -> Iterator[None]:
         _judged.reset(token)
 
 
+def masked(frames: np.ndarray[Any, Any], lost: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Frames that are masked where samples are lost besides, if any are."""
+    return np.ma.masked_array(frames, np.ma.getmaskarray(frames) | lost) if lost.any() else frames
+
+
 def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0) -> np.ndarray[Any, Any]:
     """The one channel of a grey picture that was stored in colour.
 
@@ -129,4 +134,4 @@ def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0)
             "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture. If only a "
             "bar or a legend at its edge is in colour, take it off with data.crop"
         )
-    return np.ma.masked_array(first, coloured) if coloured.any() else first
+    return masked(first, coloured)

@@ -15,6 +15,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.file_bytes import read_samples, stream_planes
+from deepir.io.guards import masked
 from deepir.io.readers import Array, Reader
 
 HEADER_MARK = b"ENVI"  # first bytes of a header
@@ -121,5 +122,4 @@ def _samples_of(path: Path, header: Path) -> Path:
 def _known(frames: Array, fields: dict[str, str]) -> Array:
     """Masked where samples hold the value that the header names for lost ones."""
     value = fields.get("data ignore value")
-    lost = frames == float(value) if value else np.zeros(1, bool)
-    return np.ma.masked_array(frames, lost) if lost.any() else frames
+    return masked(frames, frames == float(value)) if value else frames

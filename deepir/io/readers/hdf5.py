@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.guards import check_size, import_optional
+from deepir.io.guards import check_size, import_optional, masked
 from deepir.io.radiometry import ZERO_CELSIUS, Linear, Radiometry
 from deepir.io.readers import Array, Reader, choose_array
 
@@ -106,7 +106,7 @@ def _known(array: Array, attributes: Any) -> Array:
     lost = lost | (array < low) | (array > high)
     if str(_text(attributes, "_Unsigned")).lower() == "true" and array.dtype.kind == "i":
         array = array.view(f"{array.dtype.byteorder}u{array.dtype.itemsize}")
-    return np.ma.masked_array(array, lost) if lost.any() else array
+    return masked(array, lost)
 
 
 def _text(attributes: Any, name: str) -> str:

@@ -16,14 +16,13 @@ import tifffile
 from deepir.config import schema
 from deepir.errors import ConfigError, DataError
 from deepir.io.file_bytes import FileBytes, stream_planes
-from deepir.io.guards import check_size, to_grey
+from deepir.io.guards import check_size, masked, to_grey
 from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array, Reader
 
 GDAL_NODATA = 42113  # the tag of the value of lost samples, a text
 SUBDIRECTORIES = 330  # the tag SubIFDs
-#: Bytes of a value of the types that an offset has: LONG, IFD, LONG8, SLONG8, IFD8.
-VALUE_BYTES = {4: 4, 13: 4, 16: 8, 17: 8, 18: 8}
+OFFSET_FORMATS = {4: "I", 13: "I", 16: "Q", 17: "Q", 18: "Q"}  # of the types LONG, IFD, LONG8, SLONG8, IFD8
 PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture
 
 # Python prints messages of a library's logger that nobody handles; ours become errors instead.
@@ -105,8 +104,8 @@ def _count_directories(path: Path) -> int:
     with FileBytes(path) as data:
         order = "<" if data[:2] == b"II" else ">"
         large = struct.unpack(f"{order}H", data[2:4])[0] == 43
-        offset, count, entry = ("Q", "Q", "HHQQ") if large else ("I", "H", "HHII")
-        first = data[8:16] if large else data[4:8]
+        offset, count, entry, width = ("Q", "Q", "HHQ8s", 8) if large else ("I", "H", "HHI4s", 4)
+        first = data[width : 2 * width]
         waiting, seen, found = [(*struct.unpack(order + offset, first), True)], set[int](), 0
         while waiting:
             at, is_main = waiting.pop()
@@ -118,32 +117,25 @@ def _count_directories(path: Path) -> int:
             found += is_main
             start = at + struct.calcsize(order + count)
             (entries,) = struct.unpack(order + count, data[at:start])
-            size = struct.calcsize(order + entry)
-            end = start + entries * size + struct.calcsize(order + offset)
-            if end > len(data):
+            size = entries * struct.calcsize(order + entry)
+            if start + size + width > len(data):
                 raise DataError(f"{path}: truncated: its directory at byte {at} lies outside the file")
-            table = data[start:end]
-            for tag, kind, length, value in struct.iter_unpack(order + entry, table[: entries * size]):
-                if tag == SUBDIRECTORIES and kind in VALUE_BYTES:
-                    waiting += [
-                        (sub, False) for sub in _offsets(data, order, kind, length, value, large=large)
-                    ]
-            waiting.append((*struct.unpack(order + offset, table[entries * size :]), is_main))
+            for tag, kind, length, value in struct.iter_unpack(order + entry, data[start : start + size]):
+                if tag == SUBDIRECTORIES and kind in OFFSET_FORMATS:
+                    below = f"{order}{length}{OFFSET_FORMATS[kind]}"
+                    stored = struct.calcsize(below)
+                    offsets = value[:stored]
+                    if stored > width:  # in their place is that of their list
+                        (place,) = struct.unpack(order + offset, value)
+                        if place + stored > len(data):
+                            raise DataError(
+                                f"{path}: truncated: its list of directories lies outside the file"
+                            )
+                        offsets = data[place : place + stored]
+                    waiting += [(sub, False) for sub in struct.unpack(below, offsets)]
+            following = data[start + size : start + size + width]
+            waiting.append((*struct.unpack(order + offset, following), is_main))
         return found
-
-
-def _offsets(data: FileBytes, order: str, kind: int, length: int, value: int, *, large: bool) -> list[int]:
-    """The offsets of sub-directories; a single one stands in place of where they are."""
-    each = VALUE_BYTES[kind]
-    if length == 1 and each == (8 if large else 4):
-        return [value]
-    if length * each <= (8 if large else 4):  # several that are packed into the entry: no writer does that
-        return []
-    if value + length * each > len(data):
-        raise DataError(f"{data.path}: truncated: its list of directories lies outside the file")
-    return list(
-        struct.unpack(f"{order}{length}{'I' if each == 4 else 'Q'}", data[value : value + length * each])
-    )
 
 
 def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:
@@ -192,6 +184,4 @@ def _stack(pixels: Array, axes: str, path: Path, *, nodata: float | None = None)
     ):  # more than colours and alpha: frames along the last axis
         pixels = to_grey(pixels, path)
     frames = pixels.reshape(-1, *pixels.shape[-2:])
-    if nodata is None or math.isnan(nodata) or not (lost := frames == nodata).any():
-        return frames
-    return np.ma.masked_array(frames, lost)
+    return frames if nodata is None else masked(frames, frames == nodata)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.guards import LOSSY_TOLERANCE, check_size, import_optional, to_grey, warn_once
+from deepir.io.guards import LOSSY_TOLERANCE, check_size, import_optional, masked, to_grey, warn_once
 from deepir.io.readers import Array, Reader
 
 #: Formats of grey films of 9 to 16 bits that keep their counts; in others they are stretched to 16.
@@ -86,7 +86,7 @@ class Video(Reader):
                     continue
                 pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
                 coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
-                yield np.ma.masked_array(counts, coloured) if coloured.any() else counts
+                yield masked(counts, coloured)
 
 
 def _counted(container: Any, path: Path) -> Iterator[Any]:
