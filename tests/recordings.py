@@ -238,27 +238,28 @@ def cptv(path, frames, bits=16):
     path.write_bytes(gzip.compress(content, 1))
 
 
-def forged(write, mark, skip, content):
-    """A writer of what `write` writes, with other bytes `skip` bytes after the start of a mark."""
+def changed(write, change):
+    """A writer of what `change` makes of the bytes that `write` writes."""
 
-    def write_forged(path, frames):
+    def write_changed(path, frames):
         write(path, frames)
-        changed = bytearray(path.read_bytes())
-        at = changed.index(mark) + skip
-        changed[at : at + len(content)] = content
-        path.write_bytes(changed)
+        path.write_bytes(change(path.read_bytes()))
 
-    return write_forged
+    return write_changed
+
+
+def replaced(content, mark, skip, new):
+    """Bytes with others `skip` bytes after the start of a mark."""
+    at = content.index(mark) + skip
+    return content[:at] + new + content[at + len(new) :]
+
+
+def forged(write, mark, skip, new):
+    return changed(write, lambda content: replaced(content, mark, skip, new))
 
 
 def cut(write, count):
-    """A writer of what `write` writes, without its last bytes."""
-
-    def write_cut(path, frames):
-        write(path, frames)
-        path.write_bytes(path.read_bytes()[:-count])
-
-    return write_cut
+    return changed(write, lambda content: content[:-count])
 
 
 def needs(library, *values):
@@ -267,21 +268,46 @@ def needs(library, *values):
     return pytest.param(*values, marks=pytest.mark.skipif(missing, reason=f"{library} is not installed"))
 
 
-#: What keeps many frames of uint16, and what keeps one; the name is that of the reader where that is not its suffix.
-MANY = [
-    ("burst.npz", npz),
-    ("burst.npy", npy),
-    ("burst.tif", tiff),
-    ("big.tif", big_tiff),
-    ("lzw.tiff", lzw_tiff),
-    ("folder", folder),
-    ("burst.mat", mat),
-    ("burst.pgm", pgm),
-    ("burst.seq", seq),
-    ("burst.csq", csq),
-    ("burst.cptv", cptv),
-    needs("h5py", "burst.h5", hdf5),
-    needs("h5py", "burst73.mat", mat73),
-    needs("av", "burst.avi", film),
-]
-ONE = [("frame.png", png), ("flir.jpg", flir_jpeg), ("flir_png.jpg", flir_jpeg_png)]
+def small_picture(kind):
+    return lambda path, frames: Image.fromarray(frames[0].astype(np.uint8)).save(path, format=kind)
+
+
+def colour_png(path, frames):
+    path.write_bytes(imagecodecs.png_encode(np.stack([frames[0]] * 4, axis=-1)))
+
+
+#: Files of each reader that reads files alone, by its name: at least one, or a test fails.
+FILES = {
+    "npy": npy,
+    "npz": lambda path, frames: np.savez(path, frames=frames),
+    "npz, compressed": npz,
+    "tiff": tiff,
+    "tiff, big": big_tiff,
+    "tiff, lzw": lzw_tiff,
+    "tiff, imagej": lambda path, frames: tifffile.imwrite(path, frames, imagej=True),
+    "png": png,
+    "png, colour": colour_png,
+    "picture, jpeg": small_picture("JPEG"),
+    "picture, bmp": small_picture("BMP"),
+    "mat": mat,
+    "hdf5": hdf5,
+    "hdf5, matlab": mat73,
+    "flir_jpeg": flir_jpeg,
+    "flir_jpeg, png": flir_jpeg_png,
+    "flir_sequence, seq": seq,
+    "flir_sequence, csq": csq,
+    "cptv": cptv,
+    "pgm": pgm,
+    "dji_jpeg": lambda path, frames: dji_jpeg(path, np.resize(frames, (1, 120, 160))),
+    "infiray_jpeg": lambda path, frames: infiray_jpeg(path, np.resize(frames, (1, 120, 160))),
+    "video, mkv": film,
+}
+
+
+def written(folder, kind, frames):
+    """A file of that kind, whose name says nothing of it; the test is skipped where its library is missing."""
+    library = {"hdf5": "h5py", "video": "av"}.get(kind.partition(",")[0])
+    if library is not None:
+        pytest.importorskip(library)
+    FILES[kind](folder / "file.mkv", frames)
+    return next(folder.iterdir())

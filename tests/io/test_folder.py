@@ -4,7 +4,7 @@ import recordings
 from PIL import Image
 
 from deepir.errors import DataError
-from deepir.io import read_frames
+from deepir.io import read_frames, stream_frames
 
 
 def test_the_digest_of_a_folder_changes_with_any_of_its_files(tmp_path, burst):
@@ -20,6 +20,7 @@ def test_folders_are_in_natural_order_and_leave_out_what_is_no_picture(tmp_path,
     (tmp_path / "f" / ".hidden.png").write_bytes(b"no picture")
     (tmp_path / "f" / "Thumbs.db").touch()
     np.testing.assert_array_equal(read_frames(tmp_path / "f").frames, burst)
+    np.testing.assert_array_equal(list(stream_frames(tmp_path / "f")), burst)
 
 
 def test_globs_choose_files(tmp_path, burst):

@@ -16,31 +16,23 @@ from recordings import needs
 from deepir.config.schema import Raw
 from deepir.io import read_frames, readers, stream_frames
 
-FORMATS = [*recordings.MANY, *recordings.ONE]
-
 
 def layout(**given):
     return Raw(width=24, height=20, **given)
 
 
-@pytest.mark.parametrize(("name", "write"), FORMATS)
-def test_every_format_gives_its_frames_exactly(tmp_path, burst, name, write):
-    write(tmp_path / name, burst)
-    stored = burst[:1] if (name, write) in recordings.ONE else burst
-    read = read_frames(tmp_path / name)
-    assert (read.frames.dtype, read.dtype, read.source) == (np.float32, "uint16", str(tmp_path / name))
-    np.testing.assert_array_equal(read.frames, stored)
-    streamed = list(stream_frames(tmp_path / name))
-    assert {frame.dtype.newbyteorder("=") for frame in streamed} == {np.dtype(np.uint16)}
-    np.testing.assert_array_equal(streamed, stored)
-
-
-@pytest.mark.parametrize(("name", "write"), FORMATS)
-def test_contents_decide_the_format_and_not_the_name(tmp_path, burst, name, write):
-    write(tmp_path / name, burst)
-    if (tmp_path / name).is_file():
-        (tmp_path / name).rename(tmp_path / "burst.xyz")
-        np.testing.assert_array_equal(read_frames(tmp_path / "burst.xyz").frames[0], burst[0])
+@pytest.mark.parametrize("kind", sorted(recordings.FILES.keys() - {"picture, jpeg"}))
+def test_every_format_gives_its_frames_exactly_whatever_the_name(tmp_path, burst, kind):
+    path = recordings.written(tmp_path, kind, burst)
+    read = read_frames(path)
+    stored = np.uint8 if kind == "picture, bmp" else np.uint16
+    assert (read.frames.dtype, read.dtype, read.source) == (np.float32, np.dtype(stored).name, str(path))
+    np.testing.assert_array_equal(read.frames, np.resize(burst, read.frames.shape).astype(stored))
+    has_one = kind.startswith(("png", "picture", "flir_jpeg", "dji_jpeg", "infiray_jpeg"))
+    assert len(read.frames) == (1 if has_one else 3)
+    streamed = list(stream_frames(path))
+    assert {frame.dtype.newbyteorder("=") for frame in streamed} == {np.dtype(stored)}
+    np.testing.assert_array_equal(streamed, read.frames)
 
 
 def appended_pages(path, frames):

@@ -17,7 +17,7 @@ import recordings
 import scipy.io
 import tifffile
 from PIL import Image
-from recordings import cut, forged
+from recordings import changed, cut, forged, replaced
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
@@ -86,13 +86,8 @@ def zip_bomb(field):
 
 
 def huge_cptv(width):
-    def write(path, frames):
-        recordings.cptv(path, frames)
-        whole = gzip.decompress(path.read_bytes())
-        at = whole.index(b"\4X") + 2
-        path.write_bytes(gzip.compress(whole[:at] + width.to_bytes(4, "little") + whole[at + 4 :]))
-
-    return write
+    width = width.to_bytes(4, "little")
+    return changed(recordings.cptv, lambda c: gzip.compress(replaced(gzip.decompress(c), b"\4X", 2, width)))
 
 
 def huge_tiff(path, frames):
@@ -121,6 +116,10 @@ def palette_tiff(path, frames):
     tifffile.imwrite(path, frames[0].astype(np.uint8), photometric="palette", colormap=colours)
 
 
+def many_samples_a_pixel(path, frames):
+    tifffile.imwrite(path, np.moveaxis(np.tile(frames, (3, 1, 1)), 0, -1), planarconfig="contig")
+
+
 def plain_pgm(path, frames):
     recordings.pgm(path, frames, plain=True)
 
@@ -142,21 +141,17 @@ def in_cell(frames):
 def of_type(kind, packed):
     """An array of MATLAB's whose values are of no numeric type: SciPy's reader would end the process."""
 
-    def write(path, frames):
-        forged(matlab(frames=lambda f: f.transpose(1, 2, 0)), b"frames\0\0", 8, bytes([kind]))(path, frames)
-        if packed:
-            whole = path.read_bytes()
-            body = zlib.compress(whole[128:])
-            path.write_bytes(whole[:128] + struct.pack("<II", 15, len(body)) + body)
+    def pack(whole):
+        body = zlib.compress(whole[128:])
+        return whole[:128] + struct.pack("<II", 15, len(body)) + body
 
-    return write
+    plain = forged(matlab(frames=lambda f: f.transpose(1, 2, 0)), b"frames\0\0", 8, bytes([kind]))
+    return changed(plain, pack) if packed else plain
 
 
-def without_a_segment(path, frames):
-    recordings.flir_jpeg(path, frames)
-    whole = path.read_bytes()
-    second = whole.index(b"FLIR\0\1\1")
-    path.write_bytes(whole[: second - 4] + whole[second + 404 + 4 :])
+def without_a_segment(whole):
+    second = whole.index(b"FLIR\0\1\1") - 4
+    return whole[:second] + whole[second + 412 :]
 
 
 def fff(*makers):
@@ -173,9 +168,7 @@ def csq_with(packed):
 
 
 def huge_jpeg_ls(frame):
-    packed = imagecodecs.jpegls_encode(frame)
-    at = packed.index(b"\xff\xf7") + 5
-    return packed[:at] + b"\xff\xff\xff\xff" + packed[at + 4 :]
+    return replaced(imagecodecs.jpegls_encode(frame), b"\xff\xf7", 5, b"\xff\xff\xff\xff")
 
 
 def jpeg(marker, *parts, after=b""):
@@ -227,11 +220,9 @@ def film_in_colour(path, frames):
 
 def film_of_a_huge_table(path, frames):
     """Of the times of its frames."""
-    recordings.film(
-        path.with_suffix(".mp4"), np.full((3, 32, 32), 90, np.uint8), "mpeg4", "yuv420p", given="gray"
-    )
-    path.with_suffix(".mp4").rename(path)
-    forged(lambda *_: None, b"stts", 8, b"\x7f\xff\xff\xff")(path, frames)
+    grey = np.full((3, 32, 32), 90, np.uint8)
+    recordings.film(path.with_suffix(".mp4"), grey, "mpeg4", "yuv420p", given="gray")
+    path.write_bytes(replaced(path.with_suffix(".mp4").read_bytes(), b"stts", 8, b"\x7f\xff\xff\xff"))
 
 
 #: Writers of files that are refused, and what is said, by the names of the files.
@@ -270,7 +261,7 @@ REFUSED = {
         ),
         (jpeg(0xE1, b"Exif\0\0", after=bytes(40_000)), "after the picture: 40,000 bytes"),
         (infiray_of_another_size, "of a kind that is not known"),
-        (without_a_segment, "of FLIR's 5 segments it has 4"),
+        (changed(recordings.flir_jpeg, without_a_segment), "of FLIR's 5 segments it has 4"),
     ],
     "a.img": [
         (envi("data type = 12", "data type = 6"), "no ENVI header of real numbers"),
@@ -315,6 +306,7 @@ REFUSED = {
         ),
         *((of_type(kind, packed), "which no number has") for kind in (8, 14, 99) for packed in (False, True)),
         (lambda p, f: scipy.io.savemat(p, {"frame": f[0] * 1.0}, format="4"), "MATLAB 4"),
+        (matlab(frames=lambda f: f), r"data\.axes=wnh reads 3 frames"),  # saved by Python
     ],
     "a.pgm": [
         (lambda p, f: recordings.pgm(p, (8000 + f // 64).byteswap()), r"data\.swap_bytes=true"),
@@ -330,12 +322,13 @@ REFUSED = {
         (pages_of_two_sizes, r"pages differ in size: \(20, 20\) and \(24, 24\)"),
         (lambda p, f: tifffile.imwrite(p, np.moveaxis(f, 0, -1), photometric="rgb"), "radiometry"),
         (palette_tiff, "radiometry"),
+        (many_samples_a_pixel, r"data\.axes=hwn reads 9 frames"),
         (huge_tiff, "declares 2,000,000,000,000 bytes"),
         (circular_tiff(following=1544), "reached twice"),
         (circular_tiff(below=1544), "reached twice"),
         *(
             (cut(write, lost), "truncated")
-            for write in (recordings.tiff, recordings.lzw_tiff)
+            for write in (recordings.tiff, recordings.big_tiff, recordings.lzw_tiff)
             for lost in (20, 200, 1500)
         ),
     ],

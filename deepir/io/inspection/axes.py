@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io.inspection.checks import MIN_FRAME_SIDE
 
@@ -69,7 +70,7 @@ def turned_axes(frames: Array) -> str | None:
     first axis but not along another.
     """
     shape = frames.shape
-    block = np.ma.getdata(frames)[:BLOCK_SIDE, :BLOCK_SIDE, :BLOCK_SIDE].astype(np.float32)
+    block = as_float32(np.ma.getdata(frames)[:BLOCK_SIDE, :BLOCK_SIDE, :BLOCK_SIDE])
     is_large = min(block.shape) > LAGS[-1] + 1
     correlations = [_correlations(block, axis) if is_large else [0.0, 0.0] for axis in range(3)]
     first = correlations[0]
