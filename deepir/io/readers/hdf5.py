@@ -35,11 +35,7 @@ class Hdf5(Reader):
     any_axes = True
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The stored array; MATLAB's (h, w, N) becomes (N, h, w).
-
-        Args:
-            path: The file.
-            key: Path of the array in the file.
+        """The stored array, the `key` of which is its path in the file; MATLAB's (h, w, N) becomes (N, h, w).
 
         Raises:
             DataError: Several arrays are possible, or the data are in other files.
