@@ -242,5 +242,6 @@ def _roughness(frames: Array) -> float:
     """Mean step from sample to sample over the mean deviation from the median, of (N, h, w)."""
     values = frames.astype(np.float32)
     spread = float(np.abs(values - np.median(values)).mean())
-    steps = min(float(np.abs(np.diff(values, axis=axis)).mean()) for axis in (-1, -2))
+    axes = [axis for axis in (-1, -2) if values.shape[axis] > 1]
+    steps = min((float(np.abs(np.diff(values, axis=axis)).mean()) for axis in axes), default=0.0)
     return steps / spread if spread else 0.0
