@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepir.arrays.samples import as_float32
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.io import crop, fit_truth, read_data, read_mask, read_truth, validate
-from deepir.io.frames import is_banded, select_frames, selected_in_float32, to_float32, unselected_pairs
+from deepir.io.frames import is_banded, select_frames, selected_in_float32, unselected_pairs
 from deepir.io.frames import to_stack as stacked
 from deepir.io.inspection.axes import oriented
 from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
@@ -272,7 +273,7 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
         raise ConfigError(
             f"data.frames={data.frames!r}: frame 0, on which the truth of a simulated burst lies, goes first"
         )
-    stack = to_float32(select_frames(simulation.frames, data.frames, source))
+    stack = as_float32(select_frames(simulation.frames, data.frames, source))
     return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth_arrays(simulation)
 
 

@@ -14,8 +14,8 @@ from scipy import ndimage
 from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
-from deepir.io.inspection.describe import FULL_SCALE_COUNTS
-from deepir.io.readers.arrays import npz
+from deepir.io.inspection.samples import FULL_SCALE_COUNTS
+from deepir.io.readers.numpy_arrays import Npz
 
 MAX_GAIN_DEVIATION = 0.5  # deviation from the median gain, as a share of it, from which a pixel is bad
 MAX_BAD_SHARE = 0.5  # share of deviating pixels from which the recordings are not flat
@@ -120,9 +120,10 @@ def read_maps(path: Path) -> CorrectionMaps:
     """
     file = path / "result.npz" if path.is_dir() else path
     with readers.decoding(file):
-        if readers.find_reader(file) is not npz:
+        reader = readers.find_reader(file)
+        if not isinstance(reader, Npz):
             raise DataError(f"{file}: maps are an .npz with gain and offset, or the folder of a run")
-        found = npz.read_all(file)
+        found = reader.read_all(file)
     if missing := [name for name in ("gain", "offset") if name not in found]:
         raise DataError(
             f"{file}: no {' and no '.join(missing)}; maps are made by `deepir calibrate` or a run"

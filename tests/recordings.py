@@ -3,6 +3,7 @@
 import gzip
 import importlib.util
 import io
+import math
 import struct
 
 import imagecodecs
@@ -22,6 +23,31 @@ def npy(path, frames):
         np.save(file, frames)
 
 
+def sparse_npy(path, shape, dtype="|u1"):
+    """An array of zeros that takes no room on the disk."""
+    with path.open("wb") as file:
+        header = {"descr": dtype, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.truncate(file.tell() + np.dtype(dtype).itemsize * math.prod(shape))
+
+
+#: ENVI's orders of the axes.
+INTERLEAVES = {"bsq": "nhw", "bil": "hnw", "bip": "hwn"}
+
+
+def envi(path, frames, interleave="bsq", extra="", before=b""):
+    """Samples, and a header beside them."""
+    turned = frames.transpose(["nhw".index(each) for each in INTERLEAVES[interleave]])
+    path.write_bytes(before + np.ascontiguousarray(turned).tobytes())
+    n, h, w = frames.shape
+    number = {"u1": 1, "i2": 2, "i4": 3, "f4": 4, "f8": 5, "u2": 12, "u4": 13}[frames.dtype.str[1:]]
+    path.with_suffix(".hdr").write_text(
+        f"ENVI\ndescription = {{\n  a flight}}\nsamples = {w}\nlines   = {h}\nbands = {n}\n"
+        f"header offset = {len(before)}\ndata type = {number}\n"
+        f"byte order = {int(frames.dtype.str[0] == '>')}\ninterleave = {interleave}\n{extra}"
+    )
+
+
 def tiff(path, frames, **options):
     tifffile.imwrite(path, frames, photometric="minisblack", **options)
 
@@ -38,11 +64,12 @@ def png(path, frames):
     path.write_bytes(imagecodecs.png_encode(frames[0]))
 
 
-def pgm(path, frames):
-    height, width = frames.shape[1:]
-    path.write_bytes(
-        b"".join(b"P5\n%d %d\n65535\n" % (width, height) + f.astype(">u2").tobytes() for f in frames)
-    )
+def pgm(path, frames, largest=65535, comment=b"", plain=False):
+    head = b"%s\n%s%d %d\n%d\n" % (b"P2" if plain else b"P5", comment, *frames.shape[:0:-1], largest)
+    dtype = "u1" if largest < 256 else ">u2"
+    words = (b" ".join(b"%d" % value for value in frame.ravel()) + b"\n" for frame in frames)
+    samples = (frame.astype(dtype).tobytes() for frame in frames)
+    path.write_bytes(b"".join(head + each for each in (words if plain else samples)))
 
 
 def folder(path, frames):
@@ -72,15 +99,31 @@ def mat73(path, frames):
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
 
 
-def film(path, frames, codec="ffv1", stored="gray16le"):
+def film(path, frames, codec="ffv1", stored="gray16le", given=None, size=None):
+    """A film of arrays in the pixel format `stored`, made of those that are `given` in another; `size`: of a frame."""
     import av
 
     with av.open(path, "w") as container:
         track = container.add_stream(codec, rate=30)
-        track.height, track.width = frames.shape[1:]
+        track.height, track.width = size or frames.shape[1:3]
         track.pix_fmt = stored
         for frame in frames:
-            container.mux(track.encode(av.VideoFrame.from_ndarray(frame, format=stored)))
+            container.mux(track.encode(av.VideoFrame.from_ndarray(frame, format=given or stored)))
+        container.mux(track.encode())
+
+
+def unnamed_film(path, frames):
+    """Uncompressed 16 bits a sample, which FFmpeg takes for colours."""
+    import av
+
+    height, width = frames.shape[1:]
+    with av.open(path, "w") as container:
+        track = container.add_stream("rawvideo", rate=9)
+        track.width, track.height, track.pix_fmt = width, height, "rgb555le"
+        for frame in frames:
+            shown = av.VideoFrame(width, height, "rgb555le")
+            shown.planes[0].update(frame.astype("<u2").tobytes().ljust(shown.planes[0].buffer_size, b"\0"))
+            container.mux(track.encode(shown))
         container.mux(track.encode())
 
 
@@ -150,10 +193,10 @@ def flir_jpeg_png(path, frames):
     flir_jpeg(path, frames, imagecodecs.png_encode(frames[0].byteswap()))
 
 
-def dji_jpeg(path, frames):
+def dji_jpeg(path, frames, shown=None):
     content = frames[0].astype("<u2").tobytes()
     parts = [content[at : at + 60_000] for at in range(0, len(content), 60_000)]
-    path.write_bytes(jpeg_with(0xE3, parts, frames.shape[1:]))
+    path.write_bytes(jpeg_with(0xE3, parts, shown or frames.shape[1:]))
 
 
 def infiray_jpeg(path, frames):
@@ -195,27 +238,76 @@ def cptv(path, frames, bits=16):
     path.write_bytes(gzip.compress(content, 1))
 
 
+def changed(write, change):
+    """A writer of what `change` makes of the bytes that `write` writes."""
+
+    def write_changed(path, frames):
+        write(path, frames)
+        path.write_bytes(change(path.read_bytes()))
+
+    return write_changed
+
+
+def replaced(content, mark, skip, new):
+    """Bytes with others `skip` bytes after the start of a mark."""
+    at = content.index(mark) + skip
+    return content[:at] + new + content[at + len(new) :]
+
+
+def forged(write, mark, skip, new):
+    return changed(write, lambda content: replaced(content, mark, skip, new))
+
+
+def cut(write, count):
+    return changed(write, lambda content: content[:-count])
+
+
 def needs(library, *values):
     """A parameter of a test that is left out where `library` is not installed."""
     missing = importlib.util.find_spec(library) is None
     return pytest.param(*values, marks=pytest.mark.skipif(missing, reason=f"{library} is not installed"))
 
 
-#: What keeps many frames of uint16, and what keeps one; the name is that of the reader where that is not its suffix.
-MANY = [
-    ("burst.npz", npz),
-    ("burst.npy", npy),
-    ("burst.tif", tiff),
-    ("big.tif", big_tiff),
-    ("lzw.tiff", lzw_tiff),
-    ("folder", folder),
-    ("burst.mat", mat),
-    ("burst.pgm", pgm),
-    ("burst.seq", seq),
-    ("burst.csq", csq),
-    ("burst.cptv", cptv),
-    needs("h5py", "burst.h5", hdf5),
-    needs("h5py", "burst73.mat", mat73),
-    needs("av", "burst.avi", film),
-]
-ONE = [("frame.png", png), ("flir.jpg", flir_jpeg), ("flir_png.jpg", flir_jpeg_png)]
+def small_picture(kind):
+    return lambda path, frames: Image.fromarray(frames[0].astype(np.uint8)).save(path, format=kind)
+
+
+def colour_png(path, frames):
+    path.write_bytes(imagecodecs.png_encode(np.stack([frames[0]] * 4, axis=-1)))
+
+
+#: Files of each reader that reads files alone, by its name: at least one, or a test fails.
+FILES = {
+    "npy": npy,
+    "npz": lambda path, frames: np.savez(path, frames=frames),
+    "npz, compressed": npz,
+    "tiff": tiff,
+    "tiff, big": big_tiff,
+    "tiff, lzw": lzw_tiff,
+    "tiff, imagej": lambda path, frames: tifffile.imwrite(path, frames, imagej=True),
+    "png": png,
+    "png, colour": colour_png,
+    "picture, jpeg": small_picture("JPEG"),
+    "picture, bmp": small_picture("BMP"),
+    "mat": mat,
+    "hdf5": hdf5,
+    "hdf5, matlab": mat73,
+    "flir_jpeg": flir_jpeg,
+    "flir_jpeg, png": flir_jpeg_png,
+    "flir_sequence, seq": seq,
+    "flir_sequence, csq": csq,
+    "cptv": cptv,
+    "pgm": pgm,
+    "dji_jpeg": lambda path, frames: dji_jpeg(path, np.resize(frames, (1, 120, 160))),
+    "infiray_jpeg": lambda path, frames: infiray_jpeg(path, np.resize(frames, (1, 120, 160))),
+    "video, mkv": film,
+}
+
+
+def written(folder, kind, frames):
+    """A file of that kind, whose name says nothing of it; the test is skipped where its library is missing."""
+    library = {"hdf5": "h5py", "video": "av"}.get(kind.partition(",")[0])
+    if library is not None:
+        pytest.importorskip(library)
+    FILES[kind](folder / "file.mkv", frames)
+    return next(folder.iterdir())

@@ -43,25 +43,15 @@ def test_raw_frames_come_as_they_are(device):
             "video_size": "16x18",
             "format": "v4l2",
         }
-        camera.container = SimpleNamespace(
-            demux=_then_waiting(camera.container, camera.track, 3), close=camera.container.close
-        )
+        packets = iter([packet for packet in camera.container.demux(camera.track) if packet.size])
+
+        def demux(_):
+            yield from packets
+            raise BlockingIOError(errno.EAGAIN, "nothing yet")
+
+        camera.container = SimpleNamespace(demux=demux, close=camera.container.close)
         np.testing.assert_array_equal(camera.read(), RAMP[-1])  # the newest
         assert camera.read() is None
-
-
-def _then_waiting(container, track, count):
-    """`demux` of a device: `count` packets, then it would block."""
-    packets = iter([packet for packet in container.demux(track) if packet.size][:count])
-
-    def demux(_):
-        yield next(packets, None) or _wait()
-
-    return demux
-
-
-def _wait():
-    raise BlockingIOError(errno.EAGAIN, "nothing yet")
 
 
 def test_a_camera_that_is_unplugged_is_gone(device):
@@ -110,54 +100,36 @@ def test_no_device_at_all():
 
 @pytest.fixture
 def flirpy(monkeypatch):
-    """A Boson as flirpy gives it; its commands are in `flirpy.commands`."""
-    module = SimpleNamespace(commands=[], FLR_BOSON_AUTO_FFC=1, connected=True, mode=1)
-
-    class Made:
-        def __init__(self, port):
-            self.conn = object() if module.connected else None
-
-        def setup_video(self, number):
-            module.commands.append("video")
-
-        def get_camera_serial(self):
-            return 4711
-
-        def get_ffc_mode(self):
-            return module.mode
-
-        def set_ffc_manual(self):
-            module.commands.append("manual")
-
-        def set_ffc_auto(self):
-            module.commands.append("auto")
-
-        def grab(self):
-            return RAMP[0]
-
-        def close(self):
-            module.commands.append("close")
-
-    module.Boson = Made
+    """A Boson as flirpy gives it, `flirpy.camera`; its commands are in `flirpy.commands`."""
+    commands = []
+    camera = SimpleNamespace(
+        conn=object(),
+        mode=1,
+        setup_video=lambda number: commands.append("video"),
+        get_camera_serial=lambda: 4711,
+        get_ffc_mode=lambda: camera.mode,
+        set_ffc_manual=lambda: commands.append("manual"),
+        set_ffc_auto=lambda: commands.append("auto"),
+        grab=lambda: RAMP[0],
+        close=lambda: commands.append("close"),
+    )
+    module = SimpleNamespace(
+        Boson=lambda port: camera, FLR_BOSON_AUTO_FFC=1, camera=camera, commands=commands
+    )
     monkeypatch.setitem(sys.modules, "flirpy.camera.boson", module)
     return module
 
 
-def test_the_bosons_shutter_is_held_and_let_go(flirpy):
+@pytest.mark.parametrize(("mode", "restored"), [(1, ["auto", "close"]), (0, ["close"])])
+def test_the_bosons_shutter_is_held_and_then_as_it_was(flirpy, mode, restored):
+    flirpy.camera.mode = mode
     with Boson() as camera:
         np.testing.assert_array_equal(camera.read(), RAMP[0])
         assert flirpy.commands == ["video", "manual"]
-    assert flirpy.commands[2:] == ["auto", "close"]
-
-
-def test_a_shutter_that_was_held_stays_held(flirpy):
-    flirpy.mode = 0
-    with Boson():
-        pass
-    assert flirpy.commands[2:] == ["close"]
+    assert flirpy.commands[2:] == restored
 
 
 def test_no_boson(flirpy):
-    flirpy.connected = False
+    flirpy.camera.conn = None
     with pytest.raises(DataError, match="camera 'boson': cannot be opened: it does not answer"):
         Boson()

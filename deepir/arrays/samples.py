@@ -34,6 +34,7 @@ def autocorrelation(pattern: Array, second: Array, good: Array) -> Array:
 
 
 def as_float32(frame: Array) -> Array:
-    """Samples (..., h, w) as a float32 copy; masked ones are NaN."""
-    samples: Array = np.ma.filled(frame.astype(np.float32), np.nan)
+    """Samples (..., h, w) as a float32 copy: exact up to 24 bits, infinite beyond its range, NaN where masked."""
+    with np.errstate(over="ignore"):
+        samples: Array = np.ma.filled(frame.astype(np.float32, order="C"), np.nan)
     return samples

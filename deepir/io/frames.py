@@ -11,17 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.config import schema
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io import raw as headerless
 from deepir.io import readers
-from deepir.io.guards import judging_colours_in, warn_once
+from deepir.io.guards import judging_colours_in, masked, warn_once
 from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.checks import crop
 from deepir.io.inspection.samples import SAMPLED_FRAMES, have_wrapped, in_order, lost_samples, swapped
 from deepir.io.radiometry import Radiometry, as_of_frame_0
-from deepir.io.readers.pictures import folder
+from deepir.io.raw import Headerless
+from deepir.io.readers.folder import burst_files
 from deepir.paths import expanded
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -36,12 +37,6 @@ JUDGED_BYTES = 2**26  # of the frames from which the axes of a recording that is
 _RAW_ORDER = ", and data.raw.endian=big reads big-endian ones"
 
 
-def to_float32(array: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Copy in float32: exact up to 24 bits, infinite beyond its range, NaN where the array is masked."""
-    with np.errstate(over="ignore"):
-        return np.ma.filled(array.astype(np.float32, order="C"), np.nan)
-
-
 def selected_in_float32(frames: Array, select: Select, source: str) -> np.ndarray[Any, np.dtype[np.float32]]:
     """The selected frames, see `read_frames`, in float32.
 
@@ -49,7 +44,7 @@ def selected_in_float32(frames: Array, select: Select, source: str) -> np.ndarra
         DataError: `select` does not fit the frames, or they span too little of their level for single precision.
     """
     chosen = select_frames(frames, select, source)
-    found = to_float32(chosen)
+    found = as_float32(chosen)
     if chosen.dtype.kind not in "uif" or np.can_cast(chosen.dtype, np.float32) or not len(chosen):
         return found
     spans, errors, step = [], [], max(1, chosen[0].size // MAX_JUDGED)
@@ -119,7 +114,7 @@ def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[
     some = starts[
         np.unique(np.linspace(0, len(starts) - 1, min(len(starts), MAX_UNSELECTED_PAIRS)).round().astype(int))
     ]
-    return to_float32(frames[np.stack((some, some + gap), 1).ravel()])
+    return as_float32(frames[np.stack((some, some + gap), 1).ravel()])
 
 
 def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
@@ -191,19 +186,18 @@ def read_frames(
         DataError: It cannot be read, or holds no burst of numbers.
     """
     file = expanded(path)
+    reader = _reader(file, raw)
     with judging_colours_in(grey_within):
-        stored = readers.read(file, key) if raw is None else headerless.read(file, raw)
+        stored = readers.read(file, key, reader)
     source = f"{file}[{key}]" if key else str(file)
     if bands and is_banded(stored):
-        return Frames(
-            to_float32(select_frames(stored, select, source)), source, stored.dtype.name, digest(file)
-        )
+        selected = as_float32(select_frames(stored, select, source))
+        return Frames(selected, source, stored.dtype.name, digest(file))
     stored = to_stack(stored, str(file))
     dtype = stored.dtype
-    any_axes = raw is None and getattr(readers.find_reader(file), "ANY_AXES", False)
-    stored = oriented(stored, axes or (None if any_axes else USUAL), source)
+    stored = oriented(stored, axes or (None if reader.any_axes else USUAL), source)
     (stored,) = _unwrapped([in_order(stored, swap_bytes, source, advice=_RAW_ORDER if raw else "")], source)
-    laws = readers.radiometries(file, key) if raw is None else [None]
+    laws = readers.radiometries(file, key, reader)
     if len(laws) > 1:
         stored = np.ma.stack([*as_of_frame_0(stored, laws, radiometry, source)])
     frames = selected_in_float32(stored, select, source)
@@ -247,22 +241,21 @@ def stream_frames(
     """
     file = expanded(path)
     source = f"{file}[{key}]" if key else str(file)
-    any_axes = raw is None and getattr(readers.find_reader(file), "ANY_AXES", False)
-    first = _first_frames(file, key, raw, BLOCK_SIDE if any_axes else SAMPLED_FRAMES)
-    if axes not in (None, USUAL) or (axes is None and any_axes and turned_axes(first) is not None):
-        stack = to_stack(readers.read(file, key) if raw is None else headerless.read(file, raw), str(file))
-        first = oriented(stack, axes, source)
+    reader = _reader(file, raw)
+    first = _first_frames(_stream(file, key, reader), BLOCK_SIDE if reader.any_axes else SAMPLED_FRAMES)
+    if axes not in (None, USUAL) or (axes is None and reader.any_axes and turned_axes(first) is not None):
+        first = oriented(to_stack(readers.read(file, key, reader), str(file)), axes, source)
         frames = iter(first)
     else:
-        frames = _stream(file, key, raw)
+        frames = _stream(file, key, reader)
     in_order(first, swap_bytes, source, advice=_RAW_ORDER if raw else "")
     frames = _unwrapped(map(swapped, frames) if swap_bytes else frames, source)
-    laws = readers.radiometries(file, key) if raw is None else [None]
+    laws = readers.radiometries(file, key, reader)
     if len(laws) > 1:
         frames = as_of_frame_0(frames, laws, radiometry, source)
     for frame in frames:
         lost = lost_samples(np.ma.getdata(frame)[None], frame.dtype)
-        yield frame if lost is None else np.ma.masked_array(frame, np.ma.getmaskarray(frame) | lost[0])
+        yield frame if lost is None else masked(frame, lost[0])
 
 
 def read_data(data: schema.Data, *, bands: bool = False) -> Frames:
@@ -287,17 +280,22 @@ def _layout(data: schema.Data) -> dict[str, Any]:
     return {name: getattr(data, name) for name in ("key", "raw", "axes", "swap_bytes", "radiometry")}
 
 
-def _stream(file: Path, key: str | None, raw: Raw | None) -> Iterator[Array]:
+def _reader(file: Path, raw: Raw | None) -> readers.Reader:
+    """The reader of a file with or without a header."""
+    return readers.known_reader(file) if raw is None else Headerless(raw)
+
+
+def _stream(file: Path, key: str | None, reader: readers.Reader) -> Iterator[Array]:
     """Frame after frame (h, w) as stored."""
-    for piece in readers.stream(file, key) if raw is None else headerless.stream(file, raw):
+    for piece in readers.stream(file, key, reader):
         yield from to_stack(piece, str(file))
 
 
-def _first_frames(file: Path, key: str | None, raw: Raw | None, count: int) -> Array:
+def _first_frames(frames: Iterable[Array], count: int) -> Array:
     """Up to `count` first frames, of up to `JUDGED_BYTES`; those before a break."""
     taken: list[Array] = []
     try:
-        for frame in _stream(file, key, raw):
+        for frame in frames:
             if len(taken) == count or sum(each.nbytes for each in taken) > JUDGED_BYTES:
                 break
             if taken and frame.shape != taken[0].shape:
@@ -368,8 +366,8 @@ def to_stack(array: Array, source: str) -> Array:
 
 
 def _sha256(path: Path) -> str:
-    if folder.sniff(b"", path):
-        digests = "".join(_sha256(file) for file in folder.burst_files(path))
+    if path.is_dir() or readers.is_glob(path):
+        digests = "".join(_sha256(file) for file in burst_files(path))
         return hashlib.sha256(digests.encode()).hexdigest()
     with readers.samples_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

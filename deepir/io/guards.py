@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -85,25 +85,6 @@ def check_size(
         )
 
 
-def stack_frames(frames: Iterable[np.ndarray[Any, Any]], path: Path) -> np.ndarray[Any, Any]:
-    """Frames (N, h, w) of single frames (h, w) of a file.
-
-    Raises:
-        DataError: There are none, they differ in size, or exceed what the file can hold.
-    """
-    found: list[np.ndarray[Any, Any]] = []
-    stored, total = path.stat().st_size, 0
-    for frame in frames:
-        total += frame.nbytes
-        check_size(path, total, stored, compressed=True)
-        found.append(frame)
-        if frame.shape != found[0].shape:
-            raise DataError(f"{path}: frames differ in size: {found[0].shape} and {frame.shape}")
-    if not found:
-        raise DataError(f"{path}: a recording without frames")
-    return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
-
-
 @functools.cache
 def warn_once(message: str) -> None:
     """Log a warning, however often the file is read."""
@@ -119,6 +100,11 @@ def judging_colours_in(box: Sequence[int] | None) -> Iterator[None]:
         yield
     finally:
         _judged.reset(token)
+
+
+def masked(frames: np.ndarray[Any, Any], lost: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Frames that are masked where samples are lost besides, if any are."""
+    return np.ma.masked_array(frames, np.ma.getmaskarray(frames) | lost) if lost.any() else frames
 
 
 def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0) -> np.ndarray[Any, Any]:
@@ -148,4 +134,4 @@ def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0)
             "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture. If only a "
             "bar or a legend at its edge is in colour, take it off with data.crop"
         )
-    return np.ma.masked_array(first, coloured) if coloured.any() else first
+    return masked(first, coloured)

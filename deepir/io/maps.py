@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.frames import to_float32, to_stack
+from deepir.io.frames import to_stack
 from deepir.io.inspection.checks import Mask
-from deepir.io.readers.arrays import npz
+from deepir.io.readers.numpy_arrays import Npz
 from deepir.paths import expanded
 
 Shape = tuple[int, int]
@@ -58,8 +58,11 @@ def read_truth(
         DataError: There is no scene, or it does not fit `shape`.
     """
     file = expanded(path)
-    arrays = {"scene": readers.read(file)} if readers.find_reader(file) is not npz else _arrays(file)
-    return fit_truth(arrays, shape, str(file))
+    reader = readers.known_reader(file)
+    if isinstance(reader, Npz):
+        with readers.decoding(file):
+            return fit_truth(reader.read_all(file), shape, str(file))
+    return fit_truth({"scene": readers.read(file, reader=reader)}, shape, str(file))
 
 
 def fit_truth(
@@ -79,12 +82,7 @@ def fit_truth(
             f"{source}: the scene is {_size(scene.shape)}, expected {_size(shape)}, or both sides a multiple of it"
         )
     arrays = arrays | {"scene": scene[0] if len(scene) == 1 else scene}
-    return {name: to_float32(array) for name, array in arrays.items() if array.dtype.kind in "uif"}
-
-
-def _arrays(file: Path) -> dict[str, readers.Array]:
-    with readers.decoding(file):
-        return npz.read_all(file)
+    return {name: as_float32(array) for name, array in arrays.items() if array.dtype.kind in "uif"}
 
 
 def _size(shape: tuple[int, ...]) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,32 +11,31 @@ import numpy as np
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io.containers.file_bytes import stream_planes
-from deepir.io.guards import check_size
-from deepir.io.readers import Array, decoding
+from deepir.io.file_bytes import read_samples, stream_planes
+from deepir.io.readers import Array, Reader
 
 
-def read(path: Path, layout: Raw) -> Array:
-    """All frames (N, h, w), uint8 or uint16 unless the layout names another type; bits above the layout's are cleared.
+@dataclass(frozen=True)
+class Headerless(Reader):
+    """Frames of uint8 or uint16 unless the layout names another type; bits above the layout's are cleared."""
 
-    Raises:
-        DataError: The file is missing, or does not hold a whole number of such frames.
-    """
-    with decoding(path):
-        dtype, shape = stored_array(path, layout)
-        size = math.prod(shape) * dtype.itemsize
-        check_size(path, size, size)
-        return clear_unused_bits(
-            np.fromfile(path, dtype, math.prod(shape), offset=layout.offset).reshape(shape), layout
-        )
+    layout: Raw
 
+    def read(self, path: Path, key: str | None) -> Array:
+        """All frames (N, h, w).
 
-def stream(path: Path, layout: Raw) -> Iterator[Array]:
-    """Frame after frame (h, w), as `read` gives them."""
-    with decoding(path):
-        dtype, shape = stored_array(path, layout)
-    for frame in stream_planes(path, dtype, layout.offset, shape):
-        yield clear_unused_bits(frame, layout)
+        Raises:
+            DataError: The file does not hold a whole number of such frames.
+        """
+        dtype, shape = stored_array(path, self.layout)
+        samples = read_samples(path, dtype, self.layout.offset, shape)
+        return clear_unused_bits(samples, self.layout)
+
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """Frame after frame (h, w)."""
+        dtype, shape = stored_array(path, self.layout)
+        for frame in stream_planes(path, dtype, self.layout.offset, shape):
+            yield clear_unused_bits(frame, self.layout)
 
 
 def stored_array(path: Path, layout: Raw) -> tuple[np.dtype[Any], tuple[int, int, int]]:

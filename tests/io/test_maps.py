@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import recordings
 import tifffile
 from PIL import Image
 
@@ -16,25 +17,41 @@ def mask():
     return mask
 
 
-def save_npz(path, mask):
-    np.savez(path, mask=mask)
-
-
-def save_png(path, mask):
-    Image.fromarray(mask).save(path)
-
-
-def save_tiff(path, mask):
-    tifffile.imwrite(path, mask.astype(np.uint8) * 255)
-
-
-@pytest.mark.parametrize("save", [save_npz, np.save, save_png, save_tiff])
-def test_masks_are_read_from_arrays_and_pictures(tmp_path, mask, save):
-    suffix = {np.save: ".npy", save_npz: ".npz", save_png: ".png", save_tiff: ".tif"}[save]
-    save(tmp_path / f"mask{suffix}", mask)
-    read = read_mask(tmp_path / f"mask{suffix}", SHAPE)
+@pytest.mark.parametrize(
+    ("name", "save"),
+    [
+        ("mask.npz", lambda path, mask: np.savez(path, mask=mask)),
+        ("mask.npy", np.save),
+        ("mask.png", lambda path, mask: Image.fromarray(mask).save(path)),
+        ("mask.tif", lambda path, mask: tifffile.imwrite(path, mask.astype(np.uint8) * 255)),
+    ],
+)
+def test_masks_are_read_from_arrays_and_pictures(tmp_path, mask, name, save):
+    save(tmp_path / name, mask)
+    read = read_mask(tmp_path / name, SHAPE)
     assert read.dtype == bool
     np.testing.assert_array_equal(read, mask)
+
+
+@pytest.mark.parametrize(
+    ("read", "arrays", "shape", "message"),
+    [
+        (read_mask, {"mask": np.zeros(SHAPE)}, (24, 20), "the mask is 20 x 24 px, the frames are 24 x 20 px"),
+        (read_mask, {"mask": np.ones(SHAPE)}, SHAPE, "ignores every pixel"),
+        (read_truth, {"gain": np.ones(SHAPE)}, SHAPE, "needs an array `scene`; this has gain"),
+        (read_truth, {"scene": np.ones(SHAPE)}, (40, 48), "the scene is 20 x 24 px, expected 40 x 48 px"),
+    ],
+)
+def test_what_does_not_go_with_the_frames_is_refused(tmp_path, read, arrays, shape, message):
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(DataError, match=message):
+        read(tmp_path / "a.npz", shape)
+
+
+def test_a_truncated_truth_is_refused(tmp_path, burst):
+    recordings.cut(lambda path, frames: np.savez(path, scene=frames[0]), 40)(tmp_path / "t.npz", burst)
+    with pytest.raises(DataError, match="damaged or truncated"):
+        read_truth(tmp_path / "t.npz", SHAPE)
 
 
 def test_anything_but_zero_is_ignored(tmp_path):
@@ -42,18 +59,6 @@ def test_anything_but_zero_is_ignored(tmp_path):
     values[0, :3] = [-1, 0.1, np.nan]
     np.save(tmp_path / "mask.npy", values)
     assert read_mask(tmp_path / "mask.npy", SHAPE).sum() == 3
-
-
-def test_a_mask_of_another_shape_is_reported_with_both(tmp_path, mask):
-    np.save(tmp_path / "mask.npy", mask)
-    with pytest.raises(DataError, match="the mask is 20 x 24 px, the frames are 24 x 20 px"):
-        read_mask(tmp_path / "mask.npy", (24, 20))
-
-
-def test_a_mask_that_leaves_nothing_is_refused(tmp_path):
-    np.save(tmp_path / "mask.npy", np.ones(SHAPE))
-    with pytest.raises(DataError, match="ignores every pixel"):
-        read_mask(tmp_path / "mask.npy", SHAPE)
 
 
 def test_a_truth_has_a_scene_and_whatever_else_is_known(tmp_path):
@@ -75,22 +80,3 @@ def test_a_picture_is_a_truth_of_the_scene(tmp_path, burst):
     truth = read_truth(tmp_path / "t.png", SHAPE)
     assert list(truth) == ["scene"]
     np.testing.assert_array_equal(truth["scene"], burst[0])
-
-
-def test_a_truth_without_a_scene_says_what_it_has(tmp_path):
-    np.savez(tmp_path / "t.npz", gain=np.ones(SHAPE))
-    with pytest.raises(DataError, match="needs an array `scene`; this has gain"):
-        read_truth(tmp_path / "t.npz", SHAPE)
-
-
-def test_a_truth_of_another_shape_is_reported_with_both(tmp_path, burst):
-    np.savez(tmp_path / "t.npz", scene=burst[0])
-    with pytest.raises(DataError, match="the scene is 20 x 24 px, expected 40 x 48 px"):
-        read_truth(tmp_path / "t.npz", (40, 48))
-
-
-def test_a_truncated_truth_is_refused(tmp_path, burst):
-    np.savez(tmp_path / "t.npz", scene=burst[0])
-    (tmp_path / "t.npz").write_bytes((tmp_path / "t.npz").read_bytes()[:-40])
-    with pytest.raises(DataError, match="damaged or truncated"):
-        read_truth(tmp_path / "t.npz", SHAPE)

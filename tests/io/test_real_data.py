@@ -1,9 +1,13 @@
 """Every file of real cameras that is at hand opens, and is described."""
 
+import hashlib
+
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from deepir.cli import app
+from deepir.io import read_frames
 
 FILES = {
     "a65/a65_frames_000-009.npz": ((10, 512, 640), "uint16"),
@@ -51,3 +55,21 @@ def test_real_files_are_read_and_described(data, name):
     assert checked.exit_code == 0
     assert f"{count} frame(s) of {height} x {width} px (height x width), stored as {dtype}" in checked.output
     assert "values " in checked.output
+
+
+def test_a_recording_in_cptv_is_what_the_projects_own_reader_finds(data):
+    """SHA-256 of the frames as cptv 1.5.5 reads them."""
+    frames = read_frames(data / "lepton" / "v2.cptv").frames.astype("<u2")
+    assert hashlib.sha256(frames.tobytes()).hexdigest() == (
+        "61a3d885b645142be914512877d5814d920fec91edfc843c3cbe37bdfda7f4d1"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "mean"),
+    [("aqua_tower", 12614.372716049384), ("example", 13107.4361328125), ("moving_car", 15031.2069140625)],
+)
+def test_pictures_of_flir_hold_the_counts_that_flyr_finds(data, name, mean):
+    """Means of the raw planes as flyr 5.1.0 reads them."""
+    read = read_frames(data / "radiometric_jpg" / f"flir_{name}_cc0.jpg")
+    assert read.frames.mean(dtype=np.float64) == pytest.approx(mean, rel=1e-9)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
 from deepir.io.inspection.checks import MIN_FRAME_SIDE
 
@@ -69,42 +70,30 @@ def turned_axes(frames: Array) -> str | None:
     first axis but not along another.
     """
     shape = frames.shape
+    block = as_float32(np.ma.getdata(frames)[:BLOCK_SIDE, :BLOCK_SIDE, :BLOCK_SIDE])
+    is_large = min(block.shape) > LAGS[-1] + 1
+    correlations = [_correlations(block, axis) if is_large else [0.0, 0.0] for axis in range(3)]
+    first = correlations[0]
     for axes in TURNED:
         height, width, count = (shape[axes.index(each)] for each in "hwn")
         if count == 1 or min(height, width) < MIN_FRAME_SIDE:
             continue
+        along = correlations[axes.index("n")]
+        side = correlations[3 - axes.index("n")]  # the other axis of a frame beside the first
         aspect = max(shape[1:]) / min(shape[1:])
         narrow = aspect > MAX_ASPECT and max(height, width) <= USUAL_ASPECT * min(height, width)
         known = (height, width) in DETECTORS and (shape[1], shape[2]) not in DETECTORS
-        unlikely = (narrow or known) and not _first_counts_frames(frames, axes.index("n"))
-        if count < MIN_FRAME_SIDE or unlikely or _counts_frames(frames, axes.index("n")):
+        goes_on = first[1] > MIN_PERSISTENCE and along[1] < MAX_OTHER_PERSISTENCE * first[1]
+        pattern = (
+            along[1] > max(MIN_PERSISTENCE, MIN_PERSISTENCE_RATIO * along[0])
+            and first[1] < MAX_OTHER_PERSISTENCE * along[1]
+            and abs(first[0] - side[0]) < MAX_DIFFERENCE
+        )
+        texture = all(each[0] > max(MIN_TEXTURE, each[1] / MIN_PERSISTENCE_RATIO) for each in (first, side))
+        moves = texture and abs(along[0]) < MAX_MOVING_TEXTURE
+        if count < MIN_FRAME_SIDE or ((narrow or known) and not goes_on) or pattern or moves:
             return axes
     return None
-
-
-def _first_counts_frames(frames: Array, other: int) -> bool:
-    """Whether a fixed pattern goes on along the first axis, and not along another."""
-    block = np.ma.getdata(frames)[:BLOCK_SIDE, :BLOCK_SIDE, :BLOCK_SIDE].astype(np.float32)
-    if min(block.shape) <= LAGS[-1] + 1:
-        return False
-    first, along = (_correlations(block, axis)[1] for axis in (0, other))
-    return first > MIN_PERSISTENCE and along < MAX_OTHER_PERSISTENCE * first
-
-
-def _counts_frames(frames: Array, axis: int) -> bool:
-    """Whether another axis than the first looks as that of the frames."""
-    block = np.ma.getdata(frames)[:BLOCK_SIDE, :BLOCK_SIDE, :BLOCK_SIDE].astype(np.float32)
-    if min(block.shape) <= LAGS[-1] + 1:
-        return False
-    along, first = _correlations(block, axis), _correlations(block, 0)
-    side = _correlations(block, 3 - axis)  # the other axis of a frame beside the first
-    pattern = (
-        along[1] > max(MIN_PERSISTENCE, MIN_PERSISTENCE_RATIO * along[0])
-        and first[1] < MAX_OTHER_PERSISTENCE * along[1]
-        and abs(first[0] - side[0]) < MAX_DIFFERENCE
-    )
-    texture = all(each[0] > max(MIN_TEXTURE, each[1] / MIN_PERSISTENCE_RATIO) for each in (first, side))
-    return pattern or (texture and abs(along[0]) < MAX_MOVING_TEXTURE)
 
 
 def _correlations(block: Array, axis: int) -> list[float]:

@@ -8,13 +8,12 @@ import numpy as np
 
 from deepir.io.frames import Frames
 from deepir.io.inspection.checks import has_neighbours, unrecorded_samples, unusable_frames
-from deepir.io.inspection.samples import drawn_message, drawn_pixels
+from deepir.io.inspection.samples import FULL_SCALE_COUNTS, drawn_message, drawn_pixels
 from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows, torn_frames, torn_message
 from deepir.io.radiometry import ZERO_CELSIUS
 
 Array = np.ndarray[Any, np.dtype[np.float32]]
 
-FULL_SCALE_COUNTS = [2**bits - 1 for bits in (8, 10, 12, 14, 16)]  # largest counts of common converters
 TLINEAR_COUNTS = (23315, 42315)  # counts of TLinear (K x 100) from -40 to 150 °C
 BLOCK_SIDE = 8  # px; side of the blocks whose means show motion
 MIN_VISIBLE_MOTION = 0.1  # px between frames below which a camera counts as still

@@ -24,6 +24,9 @@ FILL_VALUES = (
 UNSIGNED_FILL = 65535.0  # of 16-bit counts
 MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
 SAMPLES = 100_000  # that the range of the others is measured of
+FULL_SCALE_COUNTS = tuple(
+    2**bits - 1 for bits in (8, 10, 12, 14, 15, 16)
+)  # largest ones of common converters
 CHANCE_COUNT = 20  # samples that may share an end of the range by chance
 PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
 NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
@@ -134,9 +137,6 @@ def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dt
     return found
 
 
-ADC_LIMITS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # largest integers of common converters
-
-
 def saturated_samples(frames: Array) -> Array | None:
     """Samples that are cut off at an end of the range.
 
@@ -153,7 +153,9 @@ def saturated_samples(frames: Array) -> Array | None:
     for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
         there = frames == end
         passing = int((there & ~(there | np.isnan(frames)).all(0)).sum())
-        limit = end in ADC_LIMITS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
+        limit = (
+            end in FULL_SCALE_COUNTS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
+        )
         if (passing and limit) or (passing >= CHANCE_COUNT and _piled_up(sign * frames, passing)):
             found[there] = sign
     return found if found.any() else None
@@ -240,5 +242,6 @@ def _roughness(frames: Array) -> float:
     """Mean step from sample to sample over the mean deviation from the median, of (N, h, w)."""
     values = frames.astype(np.float32)
     spread = float(np.abs(values - np.median(values)).mean())
-    steps = min(float(np.abs(np.diff(values, axis=axis)).mean()) for axis in (-1, -2))
+    axes = [axis for axis in (-1, -2) if values.shape[axis] > 1]
+    steps = min((float(np.abs(np.diff(values, axis=axis)).mean()) for axis in axes), default=0.0)
     return steps / spread if spread else 0.0

@@ -161,7 +161,7 @@ def _equal_blocks(part: Array, other: Array) -> float:
 def _seams(frames: Array) -> dict[int, int]:
     """Frames in which one step from row to row stands out, and the row below it."""
     some = frames[:, :, :: max(2, frames.shape[2] // COLUMNS)]
-    steps = np.nan_to_num(np.diff(np.where(np.isfinite(some), some, np.nan).astype(np.float32), axis=1))
+    steps = np.nan_to_num(np.diff(_known(some), axis=1))
     steps = np.median(np.abs(steps - np.median(steps, axis=0)), axis=-1)  # (N, h - 1)
     rows, largest = steps.argmax(1), steps.max(1)
     usual = float(np.median(largest))

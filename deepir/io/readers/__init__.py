@@ -1,24 +1,4 @@
-"""The file formats, one module each.
-
-A reader is a module in one of the sub-folders `arrays`, `pictures` and `thermal`, or in this folder, with
-
-    SUFFIXES: tuple[str, ...]                       usual suffixes of its files
-    def sniff(head: bytes, path: Path) -> bool      recognises a file by its first 64 bytes, not its name
-    def read(path: Path, key: str | None) -> Array  the stored array, of any shape and type
-
-It needs no registration. It may also have
-
-    def stream(path: Path, key: str | None) -> Iterator[Array]  the same frame by frame, or in larger pieces
-    def radiometry(path: Path, key: str | None) -> Radiometry | None  conversion of counts to kelvin
-    def radiometries(path: Path, key: str | None) -> list[Radiometry | None]  of each frame, where they may differ
-    def samples_file(path: Path) -> Path  the file of the samples, where a header may be named instead
-
-    ANY_AXES = True                                     arrays whose axes their users choose
-
-for recordings larger than the memory, and for radiometric ones. A reader of a general format sets `GENERIC = True`
-and is tried last, so that a radiometric JPEG is recognised before a plain one. A reader may raise any exception on a
-damaged file: `decoding` turns it into a `DataError`.
-"""
+"""The file formats. A reader is a subclass of `Reader` in a module of this folder, and needs no registration."""
 
 from __future__ import annotations
 
@@ -27,44 +7,95 @@ import functools
 import importlib
 import pkgutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, ClassVar
 
 import numpy as np
 
-from deepir.errors import DataError, DeepIRError
+from deepir.errors import DataError, DeepIRError, nearest
+from deepir.io.guards import check_size
 from deepir.io.radiometry import Radiometry
 
 Array = np.ndarray[Any, np.dtype[Any]]
+PREFERRED_NAMES = ("frames", "raw")  # names of the array that holds the frames, in order of preference
+MAX_LISTED = 20  # arrays that a message lists
 
 
-class Reader(Protocol):
-    """The interface of a reader."""
+class Reader:
+    """A file format. A subclass defines `read` or `stream`, or both.
 
-    __name__: str
-    SUFFIXES: tuple[str, ...]
+    It may raise any exception on a damaged file: `decoding` turns it into a `DataError`.
+
+    Attributes:
+        name: Of the format.
+        suffixes: Usual ones of its files.
+        signatures: First bytes of its files.
+        generic: True for a general format, which is tried last: a radiometric JPEG before a plain one.
+        holds_raw_plane: True for pictures with the raw counts of a thermal camera.
+        any_axes: True for arrays whose axes their users choose.
+    """
+
+    name: ClassVar[str]
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    signatures: ClassVar[tuple[bytes, ...]] = ()
+    generic: ClassVar[bool] = False
+    holds_raw_plane: ClassVar[bool] = False
+    any_axes: ClassVar[bool] = False
 
     def sniff(self, head: bytes, path: Path) -> bool:
-        """True if this reader reads `path`, whose first bytes are `head` (empty for a folder or a glob)."""
+        """True if this reader reads `path`, whose first 64 bytes are `head` (empty for a folder or a glob)."""
+        return head.startswith(self.signatures)
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The stored array; masked for a format with masks."""
+        """The stored array, of any shape and type; masked for a format with masks.
+
+        Here the frames of `stream`: `DataError` if they differ in size, or exceed what the file can hold.
+        """
+        found: list[Array] = []
+        stored, total = path.stat().st_size, 0
+        for frame in self.stream(path, key):
+            total += frame.nbytes
+            check_size(path, total, stored, compressed=True)
+            found.append(frame)
+            if frame.shape != found[0].shape:
+                raise DataError(f"{path}: frames differ in size: {found[0].shape} and {frame.shape}")
+        if not found:
+            raise DataError(f"{path}: a recording without frames")
+        return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
+
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """The same frame by frame, or in larger pieces."""
+        yield self.read(path, key)
+
+    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+        """Conversion of counts to kelvin, of the first frame."""
+        return None
+
+    def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
+        """That of each frame, where they may differ."""
+        return [self.radiometry(path, key)]
+
+    def samples_file(self, path: Path) -> Path:
+        """The file of the samples, where a header may be named instead."""
+        return path
 
 
 @functools.cache
 def all_readers() -> tuple[Reader, ...]:
-    """Every reader in this folder and its sub-folders, in the order of the formats' names, general ones last."""
-    found = pkgutil.walk_packages(__path__, f"{__name__}.")
-    names = sorted((each.name for each in found if not each.ispkg), key=lambda name: name.rpartition(".")[2])
-    readers = [importlib.import_module(name) for name in names]
-    return tuple(cast(list[Reader], sorted(readers, key=lambda reader: getattr(reader, "GENERIC", False))))
+    """Every reader in this folder, in the order of the formats' names, general ones last."""
+    found: list[Reader] = []
+    for each in pkgutil.iter_modules(__path__, f"{__name__}."):
+        module = importlib.import_module(each.name)
+        classes = [kind for kind in vars(module).values() if isinstance(kind, type)]
+        found += [kind() for kind in classes if issubclass(kind, Reader) and kind.__module__ == each.name]
+    return tuple(sorted(found, key=lambda reader: (reader.generic, reader.name)))
 
 
 def suffixes() -> list[str]:
     """Usual suffixes of all formats."""
-    return sorted({suffix for reader in all_readers() for suffix in reader.SUFFIXES})
+    return sorted({suffix for reader in all_readers() for suffix in reader.suffixes})
 
 
 def find_reader(path: Path) -> Reader | None:
@@ -78,45 +109,48 @@ def find_reader(path: Path) -> Reader | None:
         return next((reader for reader in all_readers() if reader.sniff(head, path)), None)
 
 
-def samples_file(path: Path) -> Path:
-    """The file that holds the samples of one: another one where a header was named."""
-    own = getattr(find_reader(path), "samples_file", None)
-    return own(path) if own else path
-
-
-def read(path: Path, key: str | None = None) -> Array:
-    """The stored array of a file, a folder or a glob.
-
-    Args:
-        path: The file, folder or glob.
-        key: Name of the array in a file that holds several.
-
-    Raises:
-        DataError: The file cannot be read.
-    """
-    reader = find_reader(path)
-    if reader is None:
+def known_reader(path: Path) -> Reader:
+    """The same; `DataError` if there is none."""
+    if (reader := find_reader(path)) is None:
         raise DataError(
             f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
             "Save it as .npz with an array `frames` (frames, height, width); a file of bare samples needs "
             "data.raw.width=... data.raw.height=..."
         )
-    with decoding(path):
-        return reader.read(path, key)
+    return reader
 
 
-def stream(path: Path, key: str | None = None) -> Iterator[Array]:
-    """The stored array in pieces: frames (h, w), or several at a time.
+def samples_file(path: Path) -> Path:
+    """The file that holds the samples of one: another one where a header was named."""
+    reader = find_reader(path)
+    return path if reader is None else reader.samples_file(path)
+
+
+def read(path: Path, key: str | None = None, reader: Reader | None = None) -> Array:
+    """The stored array of a file, a folder or a glob.
 
     Args:
         path: The file, folder or glob.
         key: Name of the array in a file that holds several.
+        reader: None: the one that recognises the contents.
+
+    Raises:
+        DataError: The file cannot be read.
+    """
+    reader = reader or known_reader(path)
+    with decoding(path):
+        return reader.read(path, key)
+
+
+def stream(path: Path, key: str | None = None, reader: Reader | None = None) -> Iterator[Array]:
+    """The stored array in pieces: frames (h, w), or several at a time.
+
+    Args: as those of `read`.
 
     Raises:
         DataError: As `read`, when the damaged piece is reached.
     """
-    own = getattr(find_reader(path), "stream", None)
-    pieces = own(path, key) if own else iter([read(path, key)])
+    pieces = (reader or known_reader(path)).stream(path, key)
     empty = True
     while True:
         with decoding(path):  # not around the loop: errors of the caller pass
@@ -135,21 +169,56 @@ def radiometry(path: Path, key: str | None = None) -> Radiometry | None:
     Raises:
         DataError: As `read`.
     """
-    own = getattr(find_reader(path), "radiometry", None)
+    reader = find_reader(path)
     with decoding(path):
-        return own(path, key) if own else None
+        return None if reader is None else reader.radiometry(path, key)
 
 
-def radiometries(path: Path, key: str | None = None) -> list[Radiometry | None]:
+def radiometries(path: Path, key: str | None = None, reader: Reader | None = None) -> list[Radiometry | None]:
     """Radiometry of each frame of a file; a single entry if it is that of all frames.
 
     Raises:
         DataError: As `read`.
     """
-    own = getattr(find_reader(path), "radiometries", None)
+    reader = reader or known_reader(path)
     with decoding(path):
-        found = own(path, key) if own else [radiometry(path, key)]
+        found = reader.radiometries(path, key)
     return found if len(set(found)) > 1 else found[:1]
+
+
+def can_be_frames(shape: tuple[int, ...]) -> bool:
+    """Whether an array may be a frame or a stack; MATLAB's numbers and vectors are matrices too, of one row."""
+    return 2 <= len(shape) <= 4 and 2 <= sum(side > 1 for side in shape) <= 3
+
+
+def choose_array(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | None) -> str:
+    """Name of the frames' array: `key`, else `frames`, else `raw`, else the only array with two or three dimensions.
+
+    Args:
+        shapes: Shapes of the arrays by name.
+        path: The file, for messages.
+        key: The user's choice.
+
+    Raises:
+        DataError: There is none, or several; the message lists the arrays.
+    """
+    if key is not None and key not in shapes:
+        raise DataError(f"{path}: no array '{key}'; {nearest(key, shapes)}")
+    for name in (key, *PREFERRED_NAMES):
+        if name in shapes:
+            return str(name)
+    pictures = [name for name, shape in shapes.items() if can_be_frames(shape)]
+    if len(pictures) != 1:
+        listing = ", ".join(f"{name} {shape}" for name, shape in sorted(shapes.items())[:MAX_LISTED])
+        if len(shapes) > MAX_LISTED:
+            listing += f" and {len(shapes) - MAX_LISTED} more"
+        single = [shapes[name] for name in pictures if len(shapes[name]) == 2]
+        each = len(single) > 2 and len(single) == len(pictures) and len(set(single)) == 1
+        advice = "They look like a frame each: join them, as numpy.stack does, and save one. " if each else ""
+        raise DataError(
+            f"{path}: which array is meant? Give its key (data.key). {advice}Arrays: {listing or 'none'}"
+        )
+    return pictures[0]
 
 
 @contextmanager

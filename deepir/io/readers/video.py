@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.guards import LOSSY_TOLERANCE, check_size, import_optional, stack_frames, to_grey, warn_once
-from deepir.io.readers import Array
+from deepir.io.guards import LOSSY_TOLERANCE, check_size, import_optional, masked, to_grey, warn_once
+from deepir.io.readers import Array, Reader
 
-GENERIC = True
 #: Formats of grey films of 9 to 16 bits that keep their counts; in others they are stretched to 16.
 DEEP_GREY = tuple(f"gray{bits}le" for bits in (9, 10, 12, 14, 16))
 #: What uncompressed AVI and MOV of 16 bits are taken for, whatever they hold.
@@ -29,67 +28,65 @@ MAX_DIFFERENCE = 3.174  # of two channels, of colour planes that differ by one f
 FULL_RANGE = 2  # FFmpeg's AVCOL_RANGE_JPEG: luma from 0 to 255
 MAX_OVERSHOOT = 0.002  # share of the samples beyond it in a film of that range
 MIN_SHARE_OF_ANNOUNCED = 0.95  # of the frames, as recorders count those that they drop
-SUFFIXES = (".avi", ".mp4", ".mkv", ".mov")
 
 
-def sniff(head: bytes, path: Path) -> bool:
-    """The signatures of AVI, MP4 and MOV, and Matroska."""
-    return (
-        head[4:8] == b"ftyp" or (head[:4], head[8:12]) == (b"RIFF", b"AVI ") or head[:4] == b"\x1aE\xdf\xa3"
-    )
+class Video(Reader):
+    """Films that FFmpeg decodes."""
 
+    name = "video"
+    suffixes = (".avi", ".mp4", ".mkv", ".mov")
+    generic = True
 
-def read(path: Path, key: str | None) -> Array:
-    """All frames (N, h, w), uint8 or uint16.
+    def sniff(self, head: bytes, path: Path) -> bool:
+        """The signatures of AVI, MP4 and MOV, and Matroska."""
+        return (
+            head[4:8] == b"ftyp"
+            or (head[:4], head[8:12]) == (b"RIFF", b"AVI ")
+            or head[:4] == b"\x1aE\xdf\xa3"
+        )
 
-    Raises:
-        DataError: The film is in colour.
-    """
-    return stack_frames(stream(path, key), path)
-
-
-def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame (h, w)."""
-    with _opened(path) as container:
-        if not container.streams.video:
-            raise DataError(f"{path}: a film without pictures")
-        context = container.streams.video[0].codec_context
-        if context is None and (size := _y16_size(path)) is not None:
-            check_size(path, 2 * math.prod(size), path.stat().st_size)
-            for packet in container.demux(video=0):
-                if packet.size:
-                    yield np.frombuffer(packet, "<u2").reshape(size)
-            return
-        if context is None or not context.width:
-            raise DataError(
-                f"{path}: a film of a codec that FFmpeg does not know; record it as FFV1 or raw gray16le "
-                "in Matroska, or read the samples with data.raw"
-            )
-        check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
-        as_stored: bool | None = None  # whether luma are the counts, and not 16 to 235 for 0 to 255
-        for frame in _counted(container, path):
-            deep = any(component.bits > 8 for component in frame.format.components)
-            grey = "gray16le" if deep else "gray"
-            name = frame.format.name
-            if len(frame.format.components) == 1 and not frame.format.has_palette:
-                exact = name.removesuffix("be").removesuffix("le") + "le"
-                yield frame.to_ndarray(format=exact if exact in DEEP_GREY else grey)
-                continue
-            if name in PACKED_SIXTEEN:
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """Frame after frame (h, w)."""
+        with _opened(path) as container:
+            if not container.streams.video:
+                raise DataError(f"{path}: a film without pictures")
+            context = container.streams.video[0].codec_context
+            if context is None and (size := _y16_size(path)) is not None:
+                check_size(path, 2 * math.prod(size), path.stat().st_size)
+                for packet in container.demux(video=0):
+                    if packet.size:
+                        yield np.frombuffer(packet, "<u2").reshape(size)
+                return
+            if context is None or not context.width:
                 raise DataError(
-                    f"{path}: 16 bits a sample without a name, which FFmpeg takes for colours ({name}). "
-                    "If they are grey counts, write them as FFV1 or TIFF, or read them with data.raw"
+                    f"{path}: a film of a codec that FFmpeg does not know; record it as FFV1 or raw gray16le "
+                    "in Matroska, or read the samples with data.raw"
                 )
-            is_yuv = name.startswith(("yuv4", "yuvj4"))
-            if is_yuv and as_stored is None:
-                as_stored = deep or _exceeds_limited_range(frame)
-            counts = _luma(frame) if is_yuv and as_stored else _stretched(frame, grey)
-            if is_yuv and not deep and _colour(frame) <= LOSSY_TOLERANCE:
-                yield counts
-                continue
-            pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-            coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
-            yield np.ma.masked_array(counts, coloured) if coloured.any() else counts
+            check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
+            as_stored: bool | None = None  # whether luma are the counts, and not 16 to 235 for 0 to 255
+            for frame in _counted(container, path):
+                deep = any(component.bits > 8 for component in frame.format.components)
+                grey = "gray16le" if deep else "gray"
+                name = frame.format.name
+                if len(frame.format.components) == 1 and not frame.format.has_palette:
+                    exact = name.removesuffix("be").removesuffix("le") + "le"
+                    yield frame.to_ndarray(format=exact if exact in DEEP_GREY else grey)
+                    continue
+                if name in PACKED_SIXTEEN:
+                    raise DataError(
+                        f"{path}: 16 bits a sample without a name, which FFmpeg takes for colours ({name}). "
+                        "If they are grey counts, write them as FFV1 or TIFF, or read them with data.raw"
+                    )
+                is_yuv = name.startswith(("yuv4", "yuvj4"))
+                if is_yuv and as_stored is None:
+                    as_stored = deep or _exceeds_limited_range(frame)
+                counts = _luma(frame) if is_yuv and as_stored else _stretched(frame, grey)
+                if is_yuv and not deep and _colour(frame) <= LOSSY_TOLERANCE:
+                    yield counts
+                    continue
+                pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
+                coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
+                yield masked(counts, coloured)
 
 
 def _counted(container: Any, path: Path) -> Iterator[Any]:

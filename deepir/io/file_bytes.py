@@ -11,6 +11,7 @@ from typing import IO, Any, Self
 import numpy as np
 
 from deepir.errors import DataError
+from deepir.io.guards import check_size
 
 SEARCH_BYTES = 2**20  # read at once while bytes are sought
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -56,6 +57,13 @@ class FileBytes:
                 return start + at
             start += SEARCH_BYTES - len(what) + 1
         return -1
+
+
+def read_samples(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int]) -> Array:
+    """An array in C order; arguments as those of `stream_planes`. The file holds them, as its caller has checked."""
+    size = math.prod(shape) * dtype.itemsize
+    check_size(path, size, size)
+    return np.fromfile(path, dtype, math.prod(shape), offset=offset).reshape(shape)
 
 
 def stream_planes(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int]) -> Iterator[Array]:

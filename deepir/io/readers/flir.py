@@ -1,4 +1,4 @@
-"""FLIR's FFF: a directory of records, in radiometric JPEGs and in SEQ and CSQ recordings.
+"""FLIR's radiometric JPEG, and its recordings SEQ and CSQ: records of an FFF, one for each frame.
 
 Layout and names after the public description by P. Harvey, https://exiftool.org/TagNames/FLIR.html.
 """
@@ -8,20 +8,23 @@ from __future__ import annotations
 import io
 import math
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 
 import imagecodecs
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.containers import jpeg
-from deepir.io.containers.file_bytes import FileBytes
-from deepir.io.guards import check_size
-from deepir.io.radiometry import Planck, air_transmission
-from deepir.io.readers import Array
-from deepir.io.readers.pictures import png
+from deepir.io.file_bytes import FileBytes
+from deepir.io.guards import check_size, warn_once
+from deepir.io.radiometry import Planck, Radiometry, air_transmission
+from deepir.io.readers import Array, Reader, jpeg
+from deepir.io.readers.pictures import decode_png
 
-FFF_MAGIC = b"FFF\0"  # first bytes of a file
+APP1 = 0xE1  # marker of the segments of a JPEG with FLIR's records
+FLIR_MARK = b"FLIR\0"  # first bytes of such a segment
+FFF_MAGIC = b"FFF\0"  # first bytes of an FFF
+AFF_MAGIC = b"AFF\0"  # first bytes of an older kind of SEQ, with other records
 RAW_RECORD = 1  # kind of the record with the raw plane
 CAMERA_RECORD = 32  # kind of the record with calibration and settings
 HEADER_BYTES = 64  # length of the file header
@@ -40,6 +43,91 @@ SETTING_OFFSETS = {
 }
 
 Records = dict[int, bytes]
+
+
+class FlirJpeg(Reader):
+    """FLIR's radiometric JPEG: the raw counts beside the coloured picture."""
+
+    name = "flir_jpeg"
+    suffixes = (".jpg", ".jpeg")
+    holds_raw_plane = True
+
+    def sniff(self, head: bytes, path: Path) -> bool:
+        """A JPEG with a segment of FLIR's."""
+        return head.startswith(jpeg.JPEG_SIGNATURE) and bool(_parts(path))
+
+    def read(self, path: Path, key: str | None) -> Array:
+        """The raw plane (h, w), uint16 counts."""
+        return read_raw_plane(_joined_records(path), path)
+
+    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+        """Planck's law with the camera's constants and the user's settings: emissivity, distance ..."""
+        return read_radiometry(_joined_records(path))
+
+
+class FlirSequence(Reader):
+    """FLIR's recordings: one FFF for each frame, raw in SEQ and packed as JPEG-LS in CSQ."""
+
+    name = "flir_sequence"
+    suffixes = (".seq", ".csq", ".fff")
+    signatures = (FFF_MAGIC, AFF_MAGIC)  # the latter is refused by name
+    holds_raw_plane = True
+
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """Frame after frame (h, w); of a recording whose last frame is cut off, the whole ones, with a warning."""
+        with FileBytes(path) as data:
+            if data[:4] == AFF_MAGIC:
+                raise DataError(
+                    f"{path}: FLIR's older SEQ (AFF), which is not read; export it as CSQ, TIFF or radiometric JPEG "
+                    "with FLIR's software"
+                )
+            start, count = 0, 0
+            while start != -1:
+                try:
+                    found, end = read_records(data, path, start)
+                    plane = read_raw_plane(found, path)
+                except Exception:
+                    if not count or data.find(FFF_MAGIC, start + len(FFF_MAGIC)) != -1:
+                        raise
+                    warn_once(f"{path}: its last frame is cut off; the {count} whole ones are read")
+                    return
+                yield plane
+                count += 1
+                start = data.find(FFF_MAGIC, end)
+
+    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+        """Radiometry of the first frame."""
+        with FileBytes(path) as data:
+            return read_radiometry(read_records(data, path)[0])
+
+    def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
+        """Radiometry of each frame: emissivity, distance or the camera's range may change while it records."""
+        laws: list[Radiometry | None] = []
+        with FileBytes(path) as data:
+            start = 0
+            while start != -1:
+                try:
+                    found, end = read_records(data, path, start, (CAMERA_RECORD,))
+                except Exception:  # where `stream` ends, or says what is wrong
+                    break
+                laws.append(read_radiometry(found))
+                start = data.find(FFF_MAGIC, end)
+        return laws or [None]
+
+
+def _joined_records(path: Path) -> Records:
+    """FLIR's records, joined from the numbered segments of a JPEG."""
+    parts = _parts(path)
+    numbers = [part[6] for part in parts]
+    if numbers != list(range(parts[0][7] + 1)):
+        raise DataError(
+            f"{path}: damaged or truncated: of FLIR's {parts[0][7] + 1} segments it has {len(parts)}"
+        )
+    return read_records(b"".join(part[8:] for part in parts), path)[0]
+
+
+def _parts(path: Path) -> list[bytes]:
+    return [part for part in jpeg.contents(path, APP1) if part.startswith(FLIR_MARK) and len(part) >= 8]
 
 
 def read_records(
@@ -95,7 +183,7 @@ def read_raw_plane(found: Records, path: Path) -> Array:
     width, height = struct.unpack_from(f"{order}HH", record, 2)
     packed = record[PIXELS_OFFSET:]
     if packed.startswith(b"\x89PNG"):
-        plane = _in_order(png.decode(packed, path))
+        plane = _in_order(decode_png(packed, path))
     elif packed.startswith(jpeg.JPEG_SIGNATURE):
         plane = _jpeg_ls(packed, path)
     else:

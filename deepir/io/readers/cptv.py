@@ -13,47 +13,47 @@ from pathlib import Path
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.guards import check_size, stack_frames
-from deepir.io.readers import Array
+from deepir.io.guards import check_size
+from deepir.io.readers import Array, Reader
 
-SUFFIXES = (".cptv",)
 CPTV_MAGIC = b"CPTV"  # first bytes of the unpacked stream
 MAX_DIFFERENCE_BITS = 24  # bits of a difference
 
 Fields = dict[bytes, bytes]
 
 
-def sniff(head: bytes, path: Path) -> bool:
-    """A gzip of a CPTV stream."""
-    if not head.startswith(b"\x1f\x8b"):
-        return False
-    try:
+class Cptv(Reader):
+    """CPTV of version 1 or 2."""
+
+    name = "cptv"
+    suffixes = (".cptv",)
+    holds_raw_plane = True
+
+    def sniff(self, head: bytes, path: Path) -> bool:
+        """A gzip of a CPTV stream."""
+        if not head.startswith(b"\x1f\x8b"):
+            return False
+        try:
+            with gzip.open(path) as file:
+                return file.read(4) == CPTV_MAGIC
+        except (OSError, EOFError):
+            return False
+
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """Frame after frame (h, w), without the camera's background picture."""
         with gzip.open(path) as file:
-            return file.read(4) == CPTV_MAGIC
-    except (OSError, EOFError):
-        return False
-
-
-def read(path: Path, key: str | None) -> Array:
-    """All frames (N, h, w), uint16 counts."""
-    return stack_frames(stream(path, key), path)
-
-
-def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame (h, w), without the camera's background picture."""
-    with gzip.open(path) as file:
-        if file.read(4) != CPTV_MAGIC or file.read(1) not in (b"\1", b"\2"):
-            raise DataError(f"{path}: not a CPTV of version 1 or 2")
-        header = _fields(file, b"H", path)
-        width, height = _number(header[b"X"]), _number(header[b"Y"])
-        check_size(path, 4 * width * height, path.stat().st_size, compressed=True)
-        last = np.zeros(height * width, np.int64)
-        while file.peek(1):
-            about = _fields(file, b"F", path)
-            packed = _exactly(file, _number(about[b"f"]), path)
-            last += np.cumsum(_differences(packed, _number(about[b"w"]), last.size, path))
-            if not _number(about.get(b"g", b"\0")):
-                yield _unfolded(last.reshape(height, width)).astype(np.uint16)
+            if file.read(4) != CPTV_MAGIC or file.read(1) not in (b"\1", b"\2"):
+                raise DataError(f"{path}: not a CPTV of version 1 or 2")
+            header = _fields(file, b"H", path)
+            width, height = _number(header[b"X"]), _number(header[b"Y"])
+            check_size(path, 4 * width * height, path.stat().st_size, compressed=True)
+            last = np.zeros(height * width, np.int64)
+            while file.peek(1):
+                about = _fields(file, b"F", path)
+                packed = _exactly(file, _number(about[b"f"]), path)
+                last += np.cumsum(_differences(packed, _number(about[b"w"]), last.size, path))
+                if not _number(about.get(b"g", b"\0")):
+                    yield _unfolded(last.reshape(height, width)).astype(np.uint16)
 
 
 def _fields(file: gzip.GzipFile, kind: bytes, path: Path) -> Fields:

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.containers.file_bytes import stream_planes
-from deepir.io.guards import check_size
-from deepir.io.readers import Array
+from deepir.io.file_bytes import read_samples, stream_planes
+from deepir.io.guards import masked
+from deepir.io.readers import Array, Reader
 
 HEADER_MARK = b"ENVI"  # first bytes of a header
-SUFFIXES = (".hdr",)
 SAMPLES_SUFFIXES = (".img", ".dat", ".bsq", ".bil", ".bip", ".raw", ".bin", "")
 #: NumPy's types by ENVI's number of theirs.
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
@@ -28,38 +27,39 @@ INTERLEAVES = {"bsq": "nhw", "bil": "hnw", "bip": "hwn"}
 MAX_HEADER_BYTES = 2**20  # a header lists the wavelength of each band
 
 
-def sniff(head: bytes, path: Path) -> bool:
-    """A header, or samples with one beside them."""
-    return _header_of(path) is not None
+class Envi(Reader):
+    """Samples with a header beside them."""
 
+    name = "envi"
+    suffixes = (".hdr",)
 
-def read(path: Path, key: str | None) -> Array:
-    """The frames (N, h, w); masked where the header names the value of lost samples.
+    def sniff(self, head: bytes, path: Path) -> bool:
+        """A header, or samples with one beside them."""
+        return _header_of(path) is not None
 
-    Raises:
-        DataError: The header is not whole, or does not go with the samples.
-    """
-    samples, dtype, offset, shape, fields = _layout(path)
-    size = math.prod(shape) * dtype.itemsize
-    check_size(path, size, size)
-    stored = np.fromfile(samples, dtype, math.prod(shape), offset=offset).reshape(shape)
-    axes = INTERLEAVES[fields["interleave"]]
-    return _known(stored.transpose([axes.index(each) for each in "nhw"]), fields)
+    def read(self, path: Path, key: str | None) -> Array:
+        """The frames (N, h, w); masked where the header names the value of lost samples.
 
+        Raises:
+            DataError: The header is not whole, or does not go with the samples.
+        """
+        samples, dtype, offset, shape, fields = _layout(path)
+        stored = read_samples(samples, dtype, offset, shape)
+        axes = INTERLEAVES[fields["interleave"]]
+        return _known(stored.transpose([axes.index(each) for each in "nhw"]), fields)
 
-def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame (h, w) where they follow each other, else all at once."""
-    samples, dtype, offset, shape, fields = _layout(path)
-    if fields["interleave"] != "bsq":
-        yield read(path, key)
-        return
-    for frame in stream_planes(samples, dtype, offset, shape):
-        yield _known(frame, fields)
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """Frame after frame (h, w) where they follow each other, else all at once."""
+        samples, dtype, offset, shape, fields = _layout(path)
+        if fields["interleave"] != "bsq":
+            yield self.read(path, key)
+            return
+        for frame in stream_planes(samples, dtype, offset, shape):
+            yield _known(frame, fields)
 
-
-def samples_file(path: Path) -> Path:
-    """The file of samples, also where its header was named."""
-    return _layout(path)[0]
+    def samples_file(self, path: Path) -> Path:
+        """The file of samples, also where its header was named."""
+        return _layout(path)[0]
 
 
 def _layout(path: Path) -> tuple[Path, np.dtype[Any], int, tuple[int, ...], dict[str, str]]:
@@ -98,7 +98,7 @@ def _header_of(path: Path) -> Path | None:
     if not path.is_file():
         return None
     names = {".hdr": (path,)}.get(path.suffix.lower(), (path.with_suffix(".hdr"), Path(f"{path}.hdr")))
-    for name in names if path.suffix.lower() in (*SUFFIXES, *SAMPLES_SUFFIXES) else ():
+    for name in names if path.suffix.lower() in (".hdr", *SAMPLES_SUFFIXES) else ():
         if name.is_file():
             with name.open("rb") as file:
                 if file.read(len(HEADER_MARK)) == HEADER_MARK:
@@ -122,5 +122,4 @@ def _samples_of(path: Path, header: Path) -> Path:
 def _known(frames: Array, fields: dict[str, str]) -> Array:
     """Masked where samples hold the value that the header names for lost ones."""
     value = fields.get("data ignore value")
-    lost = frames == float(value) if value else np.zeros(1, bool)
-    return np.ma.masked_array(frames, lost) if lost.any() else frames
+    return masked(frames, frames == float(value)) if value else frames

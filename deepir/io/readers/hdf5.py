@@ -11,13 +11,10 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.containers.named_arrays import choose_array
-from deepir.io.guards import check_size, import_optional
+from deepir.io.guards import check_size, import_optional, masked
 from deepir.io.radiometry import ZERO_CELSIUS, Linear, Radiometry
-from deepir.io.readers import Array
+from deepir.io.readers import Array, Reader, choose_array
 
-ANY_AXES = True
-SUFFIXES = (".h5", ".hdf5", ".mat")
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"  # first bytes of an HDF5 file
 MATLAB_SIGNATURE = b"MATLAB 7.3 MAT-file"  # first bytes of MATLAB's user block before it
 #: Kelvin at zero of the units of temperature, in small letters, with `deg` for all words of degrees.
@@ -29,54 +26,51 @@ MAX_GROUP_DEPTH = 8  # levels of groups that are searched
 MAX_ARRAYS = 10_000  # arrays and groups that are listed
 
 
-def sniff(head: bytes, path: Path) -> bool:
-    """HDF5's signature, or MATLAB's text before it."""
-    return head.startswith((HDF5_SIGNATURE, MATLAB_SIGNATURE))
+class Hdf5(Reader):
+    """Named arrays; MATLAB's (h, w, N) become (N, h, w)."""
 
+    name = "hdf5"
+    suffixes = (".h5", ".hdf5", ".mat")
+    signatures = (HDF5_SIGNATURE, MATLAB_SIGNATURE)
+    any_axes = True
 
-def read(path: Path, key: str | None) -> Array:
-    """The stored array; MATLAB's (h, w, N) becomes (N, h, w).
+    def read(self, path: Path, key: str | None) -> Array:
+        """The stored array, the `key` of which is its path in the file; MATLAB's (h, w, N) becomes (N, h, w).
 
-    Args:
-        path: The file.
-        key: Path of the array in the file.
+        Raises:
+            DataError: Several arrays are possible, or the data are in other files.
+        """
+        with _dataset(path, key) as (data, turned):
+            check_size(path, data.nbytes, path.stat().st_size, compressed=True)
+            return _turned(_known(data[()], data.attrs), turned)
 
-    Raises:
-        DataError: Several arrays are possible, or the data are in other files.
-    """
-    with _dataset(path, key) as (data, turned):
-        check_size(path, data.nbytes, path.stat().st_size, compressed=True)
-        return _turned(_known(data[()], data.attrs), turned)
+    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+        """Kelvin by the scale and offset of the conventions for climate and forecast (CF)."""
+        try:
+            with _dataset(path, key) as (data, _):
+                unit = _text(data.attrs, "units")
+                scale, zero = (
+                    _number(data.attrs, *each) for each in (("scale_factor", 1.0), ("add_offset", 0.0))
+                )
+        except DataError:  # several arrays, or none
+            return None
+        known = DEGREES.sub(lambda found: "" if found[0] in " _" else "deg", unit.lower())
+        if known not in UNITS or not scale > 0:
+            return None
+        return Linear(scale, zero + UNITS[known])
 
-
-def radiometry(path: Path, key: str | None) -> Radiometry | None:
-    """Kelvin by the scale and offset of the conventions for climate and forecast (CF)."""
-    try:
-        with _dataset(path, key) as (data, _):
-            unit = _text(data.attrs, "units")
-            scale, zero = (
-                _number(data.attrs, *each) for each in (("scale_factor", 1.0), ("add_offset", 0.0))
-            )
-    except DataError:  # several arrays, or none
-        return None
-    known = DEGREES.sub(lambda found: "" if found[0] in " _" else "deg", unit.lower())
-    if known not in UNITS or not scale > 0:
-        return None
-    return Linear(scale, zero + UNITS[known])
-
-
-def stream(path: Path, key: str | None) -> Iterator[Array]:
-    """Frame after frame (h, w) of the same array."""
-    with _dataset(path, key) as (data, turned):
-        if data.ndim != 3:
-            yield _turned(_known(data[()], data.attrs), turned)
-            return
-        stored = path.stat().st_size
-        for number in range(len(data)):
-            frame = data[number]
-            if path.stat().st_size < stored:  # the library would give zeros
-                raise DataError(f"{path}: truncated while it was read, at frame {number} of {len(data)}")
-            yield _turned(_known(frame, data.attrs), turned)
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """Frame after frame (h, w) of the same array."""
+        with _dataset(path, key) as (data, turned):
+            if data.ndim != 3:
+                yield _turned(_known(data[()], data.attrs), turned)
+                return
+            stored = path.stat().st_size
+            for number in range(len(data)):
+                frame = data[number]
+                if path.stat().st_size < stored:  # the library would give zeros
+                    raise DataError(f"{path}: truncated while it was read, at frame {number} of {len(data)}")
+                yield _turned(_known(frame, data.attrs), turned)
 
 
 @contextmanager
@@ -108,7 +102,7 @@ def _known(array: Array, attributes: Any) -> Array:
     lost = lost | (array < low) | (array > high)
     if str(_text(attributes, "_Unsigned")).lower() == "true" and array.dtype.kind == "i":
         array = array.view(f"{array.dtype.byteorder}u{array.dtype.itemsize}")
-    return np.ma.masked_array(array, lost) if lost.any() else array
+    return masked(array, lost)
 
 
 def _text(attributes: Any, name: str) -> str:

@@ -1,1 +1,0 @@
-"""Containers that several formats share: FFF records, JPEG segments, named arrays."""

@@ -1,1 +1,0 @@
-"""Formats of arrays: NumPy, MATLAB, HDF5."""

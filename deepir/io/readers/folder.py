@@ -1,0 +1,140 @@
+"""A folder, or a glob such as `flight/*.tiff`: one burst from many files, in natural order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepir.errors import DataError
+from deepir.io import readers
+from deepir.io.guards import GIB, MAX_ARRAY_BYTES, ColourError, warn_once
+from deepir.io.radiometry import Radiometry
+from deepir.io.readers import Array, Reader
+
+HEADER_SUFFIX = ".hdr"  # of the headers of ENVI, which stand beside their samples
+
+
+class Folder(Reader):
+    """One burst from many files."""
+
+    name = "folder"
+
+    def sniff(self, head: bytes, path: Path) -> bool:
+        """A folder, or a name with wildcards that is not itself a file."""
+        return path.is_dir() or readers.is_glob(path)
+
+    def read(self, path: Path, key: str | None) -> Array:
+        """Frames (N, h, w) of all pictures; a file of several pages gives several frames.
+
+        Raises:
+            DataError: There are none, or they differ in size or type.
+        """
+        stacks: list[Array] = []
+        files, total = burst_files(path), 0
+        for file in files:
+            with _of(path):
+                frames = readers.read(file, key)
+            stacks.append(frames if frames.ndim == 3 else frames[None])
+            _check_alike(files[0], stacks[0], file, stacks[-1])
+            total += frames.nbytes
+            if total > MAX_ARRAY_BYTES:
+                raise DataError(
+                    f"{path}: more than {MAX_ARRAY_BYTES // GIB} GiB of pictures; name fewer with a glob"
+                )
+        return np.ma.concatenate(stacks) if any(map(np.ma.isMaskedArray, stacks)) else np.concatenate(stacks)
+
+    def stream(self, path: Path, key: str | None) -> Iterator[Array]:
+        """Frame after frame, file after file."""
+        for file in burst_files(path):
+            with _of(path):
+                yield from readers.stream(file, key)
+
+    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+        """Radiometry of the first picture."""
+        return readers.radiometry(burst_files(path)[0], key)
+
+    def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
+        """Radiometry of each frame of each picture."""
+        of_files = {file: readers.radiometries(file, key) for file in burst_files(path)}
+        if len({law for laws in of_files.values() for law in laws}) == 1:
+            return next(iter(of_files.values()))
+        laws: list[Radiometry | None] = []
+        for file, own in of_files.items():
+            laws += own if len(own) > 1 else own * sum(1 for _ in readers.stream(file, key))
+        return laws
+
+
+def burst_files(path: Path) -> list[Path]:
+    """Files of a folder or a glob, in natural order (frame2 before frame10), without hidden files.
+
+    A folder's files are those recognised by their contents, or with a known suffix, so that a damaged file is an error
+    and not a missing frame. A glob stands for all its files.
+
+    Of a folder in which pictures with a raw plane and others lie side by side, only the former are taken.
+
+    Raises:
+        DataError: There are none, or of several formats.
+    """
+    if path.is_dir():
+        entries = _pictures(path)
+    else:
+        matches = Path(path.anchor or ".").glob(str(path.relative_to(path.anchor)))
+        entries = [file for file in matches if file.is_file() and not file.name.startswith(".")]
+    if not entries:
+        what = "no pictures in this folder" if path.is_dir() else "no file matches"
+        raise DataError(f"{path}: {what} ({', '.join(readers.suffixes())} are read)")
+    return sorted(entries, key=natural_key)
+
+
+def natural_key(path: Path) -> list[Any]:
+    """A sorting key that compares digits as numbers."""
+    parts = re.split("([0-9]+)", str(path))
+    return [int(part) if i % 2 else part.casefold() for i, part in enumerate(parts)]
+
+
+def _pictures(path: Path) -> list[Path]:
+    """The pictures of a folder, those with a raw plane if there are any; damaged ones stay, so that they are named."""
+    files = [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
+    files = [file for file in files if file.suffix.lower() != HEADER_SUFFIX]
+    found = {file: reader for file in files if file.stat().st_size and (reader := readers.find_reader(file))}
+    files = [file for file in files if file in found or file.suffix.lower() in readers.suffixes()]
+    plain = {file: reader.name for file, reader in found.items() if not reader.holds_raw_plane}
+    if 0 < len(plain) < len(found):
+        warn_once(
+            f"{path}: {len(found) - len(plain)} pictures hold raw counts; {len(plain)} others are left out"
+        )
+        return [file for file in files if file not in plain]
+    if len(set(plain.values())) > 1:
+        kinds = sorted({file.suffix for file in plain})
+        raise DataError(
+            f"{path}: files of several formats lie side by side ({', '.join(kinds)}); name one kind with a glob, "
+            f"such as '{path}/*{kinds[-1]}'"
+        )
+    return files
+
+
+@contextmanager
+def _of(folder: Path) -> Iterator[None]:
+    """A context in which a colour picture is one of a folder's."""
+    try:
+        yield
+    except ColourError as error:
+        raise DataError(
+            f"{error}. If it is the visible picture beside a thermal one, name the thermal ones with a glob, such as "
+            f"'{folder if folder.is_dir() else folder.parent}/*_T.jpg'"
+        ) from error
+
+
+def _check_alike(first: Path, a: Array, other: Path, b: Array) -> None:
+    sizes = [" x ".join(map(str, each.shape[1:])) for each in (a, b)]
+    for what, one, two in (("size", *sizes), ("type", a.dtype, b.dtype)):
+        if one != two:
+            raise DataError(
+                f"{first.parent}: pictures differ in {what}: {first.name} is {one}, {other.name} is {two}; "
+                "name one kind with a glob"
+            )

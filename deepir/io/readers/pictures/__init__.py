@@ -1,1 +1,0 @@
-"""Formats of pictures: TIFF, PNG, JPEG, videos, and folders of pictures."""

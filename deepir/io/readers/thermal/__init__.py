@@ -1,1 +1,0 @@
-"""Formats of thermal cameras: FLIR, DJI, CPTV."""
