@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepir.baselines.single_frame import destripe_cnn
+from deepir.baselines.stripes import destriping_network
 from deepir.registry import register
 from deepir.training.training import BATCH_SIZE, BENCHMARK_PHOTOGRAPHS, Pictures, Training
 
@@ -31,7 +31,7 @@ class DestripeCNN(Training):
 
     def network(self) -> nn.Module:
         """A small U-net."""
-        return destripe_cnn.network()
+        return destriping_network()
 
     def loss(self, network: nn.Module) -> Tensor:
         """Mean absolute error in units of the stripes; noise is part of the target."""

@@ -7,8 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.baselines.single_frame.bicubic import enlarge
-from deepir.baselines.single_frame.vdsr import VDSR
+from deepir.baselines.super_resolution import VDSR, enlarge
 from deepir.registry import register
 from deepir.training.training import BATCH_SIZE, BENCHMARK_PHOTOGRAPHS, Pictures, Training
 

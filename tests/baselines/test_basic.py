@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 import deepir
-from deepir.baselines.temporal.basic import flat_and_dark_field
+from deepir.baselines.pixel_statistics import basic
 
 SHAPE, COUNT = (40, 48), 40
 
@@ -28,7 +28,7 @@ def error(found, flat):
 
 def test_sparse_scenes_stay_out_of_the_flat_field(microscope):
     frames, flat = microscope
-    found, dark = flat_and_dark_field(frames)
+    found, dark = basic(frames)
     assert error(found, flat) < 0.8 * error(frames.mean(0), flat)
     assert error(found, flat) < 0.2
     assert found.mean() == pytest.approx(1)
@@ -37,7 +37,7 @@ def test_sparse_scenes_stay_out_of_the_flat_field(microscope):
 
 def test_another_unit_scales_the_dark_field_alone(microscope):
     frames, _ = microscope
-    found, again = flat_and_dark_field(frames), flat_and_dark_field(8 * frames)
+    found, again = basic(frames), basic(8 * frames)
     np.testing.assert_allclose(again[0], found[0], rtol=1e-6)
     np.testing.assert_allclose(again[1], 8 * found[1], atol=1e-6)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 import deepir
-from deepir.baselines.registered.hardie2000 import fit_lines, trajectory_means
+from deepir.baselines.pixel_statistics import fit_lines, trajectory_means
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 

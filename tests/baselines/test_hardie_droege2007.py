@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.baselines.registered.hardie_droege2007 import Model, high_pass, high_pass_normal
+from deepir.baselines.hardie_droege2007 import Model, high_pass, high_pass_normal
 from deepir.errors import ConfigError
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
@@ -46,8 +46,8 @@ def cost(model, z, gain, bias):
 
 
 def test_the_gradient_of_the_papers_cost_is_zero_at_the_result(monkeypatch):
-    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.GAUSS_NEWTON_STEPS", 50)
-    monkeypatch.setattr("deepir.baselines.registered.hardie_droege2007.CG_TOLERANCE", 1e-12)
+    monkeypatch.setattr("deepir.baselines.hardie_droege2007.GAUSS_NEWTON_STEPS", 50)
+    monkeypatch.setattr("deepir.baselines.hardie_droege2007.CG_TOLERANCE", 1e-12)
     small, start = model()
     z, _ = small.solve(start)
     unknowns = [each.requires_grad_() for each in (z, *small.sensor(small.forward(z)))]

@@ -2,8 +2,13 @@
 
 import numpy as np
 
-from deepir.baselines.online import frame_sequence, gain_and_offset, normalise
-from deepir.baselines.registered.irlms import learn_correction, warp_bilinear
+from deepir.baselines.least_mean_squares import (
+    frame_sequence,
+    gain_and_offset,
+    learn_correction,
+    warp_bilinear,
+)
+from deepir.baselines.rival import normalise
 from deepir.simulate import render
 from deepir.simulate.scenes.procedural import load_picture
 

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 from skimage.transform import resize
 
 import deepir
-from deepir.baselines.single_frame.bicubic import enlarge
-from deepir.baselines.single_frame.destripe_cnn import destripe
-from deepir.baselines.single_frame.vdsr import sharpen
+from deepir.baselines.stripes import destripe_cnn
+from deepir.baselines.super_resolution import enlarge, sharpen
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture, procedural
@@ -33,26 +32,26 @@ def striped(clean, gain=0.15, offset=0.02):
 def test_columns_are_taken_out_of_a_fresh_picture_by_five_decibels_at_least(name):
     clean = procedural(1, (96, 128)) if name == "drawing" else scene(name)
     before, after = (
-        scores(each, clean)["psnr_aligned"] for each in (striped(clean), destripe(striped(clean)))
+        scores(each, clean)["psnr_aligned"] for each in (striped(clean), destripe_cnn(striped(clean)))
     )
     assert after > before + 5
 
 
 def test_stripes_on_a_flat_field_are_found_within_a_fifth():
     stripes = striped(np.zeros((96, 128)))
-    assert (destripe(stripes) - stripes.mean())[:, 4:-4].std() < 0.2 * stripes.std()
+    assert (destripe_cnn(stripes) - stripes.mean())[:, 4:-4].std() < 0.2 * stripes.std()
 
 
 def test_rows_are_the_scenes():
     # The same stripes turned: nothing says that they are the sensor's.
     rows = striped(scene().T).T - scene()
-    left = destripe(scene() + rows) - destripe(scene())
+    left = destripe_cnn(scene() + rows) - destripe_cnn(scene())
     assert np.corrcoef(left.ravel(), rows.ravel())[0, 1] > 0.95
 
 
 def test_the_level_stays():
     frame = 8000 + 1500 * striped(scene())
-    assert destripe(frame).mean() == pytest.approx(frame.mean(), rel=1e-6)
+    assert destripe_cnn(frame).mean() == pytest.approx(frame.mean(), rel=1e-6)
 
 
 def gained(name, factor):
@@ -81,7 +80,7 @@ def test_sharpened_frames_are_better_averaged_than_as_they_are_and_than_one():
     assert psnr["vdsr"] > psnr["bicubic"] + 1
 
 
-@pytest.mark.parametrize("network", [destripe, sharpen])
+@pytest.mark.parametrize("network", [destripe_cnn, sharpen])
 @settings(max_examples=5, deadline=None)
 @given(
     gain=st.floats(1e-2, 1e4), level=st.floats(-10, 10), height=st.integers(9, 40), width=st.integers(9, 40)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.baselines.single_frame.low_order_bias import block_means, estimate_bias, legendre_products
+from deepir.baselines.gradients import estimate_bias, legendre_products
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture
 
@@ -69,10 +69,6 @@ def test_terms_have_no_constant_and_as_many_as_the_degree_allows():
     terms = legendre_products((20, 30), 3)
     assert terms.shape == (9, 20, 30)
     assert np.allclose(terms.mean((1, 2)), 0)
-
-
-def test_blocks_leave_out_what_fills_none():
-    assert np.array_equal(block_means(np.arange(20.0).reshape(1, 4, 5), 2), [[[3, 5], [13, 15]]])
 
 
 def test_small_frames_are_no_error():

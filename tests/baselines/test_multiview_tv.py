@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.baselines.temporal.multiview_tv import median_offset, recursive_offset
+from deepir.baselines.gradients import multiview_tv, multiview_tv_recursive
 from deepir.simulate import Settings, simulate
 
 OFFSETS = Settings(
@@ -31,7 +31,7 @@ def likeness(first, second):
 def test_of_flat_frames_the_offset_is_exact():
     offset = np.random.default_rng(0).normal(size=(17, 22))
     frames = offset + np.arange(5.0)[:, None, None]
-    np.testing.assert_allclose(median_offset(frames), offset - offset.mean(), atol=1e-10)
+    np.testing.assert_allclose(multiview_tv(frames), offset - offset.mean(), atol=1e-10)
 
 
 def test_where_most_frames_are_flat_the_others_do_not_matter():
@@ -39,11 +39,11 @@ def test_where_most_frames_are_flat_the_others_do_not_matter():
     offset = rng.normal(size=(17, 22))
     frames = np.repeat(offset[None], 5, 0)
     frames[1], frames[4] = rng.normal(size=(2, 17, 22))
-    np.testing.assert_allclose(median_offset(frames), offset - offset.mean(), atol=1e-10)
+    np.testing.assert_allclose(multiview_tv(frames), offset - offset.mean(), atol=1e-10)
 
 
 def test_a_frame_at_a_time_comes_closer_with_each(sim):
-    found = [likeness(recursive_offset(sim.frames[:n]), sim.truth.offset) for n in (1, 10, 40)]
+    found = [likeness(multiview_tv_recursive(sim.frames[:n]), sim.truth.offset) for n in (1, 10, 40)]
     assert found[0] < found[1] < found[2]
     assert found[2] > 0.9
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 import deepir
-from deepir.baselines.registered.shift_and_add import accumulate
+from deepir.baselines.super_resolution import shift_and_add
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 
@@ -19,13 +19,15 @@ def shifted(picture, factor, shifts):
 def test_samples_on_the_fine_grid_give_the_picture_back():
     picture = np.random.default_rng(0).random((16, 20))
     frames, motion = shifted(picture, 2, [(0, 0), (0, 1), (1, 0), (1, 1)])
-    assert np.allclose(accumulate(frames, np.ones(frames.shape, bool), motion, (16, 20)), picture, atol=1e-6)
+    assert np.allclose(
+        shift_and_add(frames, np.ones(frames.shape, bool), motion, (16, 20)), picture, atol=1e-6
+    )
 
 
 def test_holes_take_what_is_about_them():
     y, x = np.mgrid[:16, :20]
     frames, motion = shifted(0.1 * x + 0.2 * y, 2, [(0, 0), (1, 1)])
-    found = accumulate(frames, np.ones(frames.shape, bool), motion, (16, 20))
+    found = shift_and_add(frames, np.ones(frames.shape, bool), motion, (16, 20))
     assert np.abs(found - (0.1 * x + 0.2 * y))[2:-2, 2:-2].max() < 0.1
 
 
@@ -34,7 +36,7 @@ def test_samples_that_are_not_valid_do_not_count():
     frames, motion = shifted(picture, 2, [(0, 0), (0, 1), (1, 0), (1, 1)])
     frames[:, 3, 4] = 1e6
     valid = frames < 2
-    assert np.allclose(accumulate(frames, valid, motion, (16, 20)), 1)
+    assert np.allclose(shift_and_add(frames, valid, motion, (16, 20)), 1)
 
 
 def test_it_is_finer_than_one_frame_enlarged():

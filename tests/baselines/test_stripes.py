@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from deepir.baselines.single_frame import mire
-from deepir.baselines.single_frame.admire import denoise, equalise_locally, local_variation
-from deepir.baselines.single_frame.guided_1d import estimate_stripes, guided_filter
-from deepir.baselines.single_frame.mire import equalise, midway_equalise
+from deepir.baselines.stripes import (
+    denoise,
+    equalise_locally,
+    estimate_stripes,
+    guided_filter,
+    local_variation,
+    midway_equalise,
+    mire,
+)
 from deepir.metrics import scores
 
 
@@ -26,7 +31,7 @@ def test_any_increasing_response_of_columns_is_undone_if_all_see_the_same_values
     # Not only gain and offset: the method is blind to what the response is.
     rng = np.random.default_rng(1)
     response = np.exp(0.2 * rng.standard_normal(80)) * flat ** np.exp(0.2 * rng.standard_normal(80))
-    before, after = (scores(each, flat)["psnr_aligned"] for each in (response, equalise(response)))
+    before, after = (scores(each, flat)["psnr_aligned"] for each in (response, mire(response)))
     assert after > before + 10
 
 
@@ -60,14 +65,14 @@ def test_offsets_of_columns_go_away():
 
 def test_a_plain_and_a_textured_part_choose_different_widths():
     striped = scene() + columns(0.2)
-    local, everywhere = (each - scene() for each in (equalise_locally(striped, 16.0), mire.equalise(striped)))
+    local, everywhere = (each - scene() for each in (equalise_locally(striped, 16.0), mire(striped)))
     assert not np.array_equal(local, everywhere)
     assert local.std() < everywhere.std()
 
 
 def test_a_wide_mean_chooses_one_width_as_mire_does():
     striped = scene() + columns(0.1)
-    assert np.allclose(equalise_locally(striped, 500.0), mire.equalise(striped))
+    assert np.allclose(equalise_locally(striped, 500.0), mire(striped))
 
 
 def test_columns_with_one_histogram_stay_over_local_widths():

@@ -16,6 +16,7 @@ from deepir.arrays.statistics import sample_noise
 from deepir.assembly.problem import build
 from deepir.baselines.average import register_burst
 from deepir.burst import Burst
+from deepir.closed_form.normal_equations import conjugate_gradient
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.operators import Chain, Sensor
@@ -148,10 +149,10 @@ class Model:
         """Find the most probable scene by Gauss-Newton steps in which gain and bias are eliminated.
 
         Returns:
-            The scene and the number of iterations of conjugate gradients.
+            The scene and the number of products with the second derivatives.
         """
         noise, smooth, _, _ = self.precisions
-        count = 0
+        products = 0
         for _ in range(GAUSS_NEWTON_STEPS):
             flux = self.forward(z)
             gain, bias = self.sensor(flux)
@@ -159,15 +160,25 @@ class Model:
             slope = noise * self.adjoint(gain * residual) - smooth * high_pass_normal(z)
             weight = noise * self.adjoint(gain**2 * self.usable) + 1.25 * smooth
 
-            def curvature(step: Tensor, gain: Tensor = gain, flux: Tensor = flux) -> Tensor:
+            def curvature(vector: Tensor, z: Tensor = z, gain: Tensor = gain, flux: Tensor = flux) -> Tensor:
+                nonlocal products
+                products += 1
+                step = vector.view(z.shape)
                 moved = self.usable * gain * self.forward(step)
                 more, higher = self._ridge(flux, moved)
                 moved = self.usable * (moved - more * flux - higher)
-                return noise * self.adjoint(gain * moved) + smooth * high_pass_normal(step)
+                return (noise * self.adjoint(gain * moved) + smooth * high_pass_normal(step)).flatten()
 
-            step, iterations = conjugate_gradient(curvature, slope, weight)
-            z, count = z + step, count + iterations
-        return z, count
+            step = conjugate_gradient(
+                curvature,
+                slope.flatten(),
+                torch.zeros(slope.numel(), dtype=slope.dtype),
+                precondition=lambda vector, weight=weight: vector / weight.flatten(),  # type: ignore[misc]
+                tolerance=CG_TOLERANCE,
+                max_iterations=MAX_CG_ITERATIONS,
+            )
+            z = z + step.view(z.shape)
+        return z, products
 
     def sensor(self, flux: Tensor) -> tuple[Tensor, Tensor]:
         """The most probable gain and bias (1, 1, h, w), given the flux (N, 1, h, w) on the detector."""
@@ -193,26 +204,3 @@ def high_pass(z: Tensor) -> Tensor:
 def high_pass_normal(z: Tensor) -> Tensor:
     """D' D z."""
     return F.conv_transpose2d(high_pass(z), HIGH_PASS_KERNEL)
-
-
-def conjugate_gradient(
-    curvature: Callable[[Tensor], Tensor], slope: Tensor, weight: Tensor
-) -> tuple[Tensor, int]:
-    """Solve `curvature(step) = slope`, preconditioned by the diagonal `weight`.
-
-    Returns:
-        The step and the number of iterations.
-    """
-    step, residual = torch.zeros_like(slope), slope
-    along = towards = residual / weight
-    size = start = float((residual * towards).sum())
-    for iteration in range(MAX_CG_ITERATIONS):
-        if size <= CG_TOLERANCE**2 * start:
-            return step, iteration
-        curved = curvature(along)
-        length = size / float((along * curved).sum())
-        step, residual = step + length * along, residual - length * curved
-        towards = residual / weight
-        before, size = size, float((residual * towards).sum())
-        along = towards + size / before * along
-    return step, MAX_CG_ITERATIONS
