@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.optics.blur import PSF_SAMPLES_PER_PIXEL, airy, psf
+from deepir.simulate.optics import PSF_SAMPLES_PER_PIXEL, airy, psf
 
 SHARP = dict.fromkeys(
     ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"],

@@ -7,7 +7,7 @@ import pytest
 
 from deepir.errors import ConfigError
 from deepir.simulate import Settings, render, simulate
-from deepir.simulate.detector import apply_lag, smooth_path
+from deepir.simulate.detector import smooth_path
 
 IDEAL = Settings(
     n_frames=6, shape=(24, 32), scale=2.0, motion="shift", max_shift=4.0, gain_pixel=0.0, gain_column=0.0,
@@ -31,14 +31,6 @@ def test_the_path_is_smooth_starts_at_rest_and_reaches_what_the_settings_allow()
     np.testing.assert_allclose(np.abs(way).max(0), 1)
     jerk = np.abs(np.diff(way, n=2, axis=0)).max() / np.abs(np.diff(way, axis=0)).max()
     assert jerk < 0.1  # an instant's change of speed, in its speed
-
-
-def test_the_step_response_of_a_pixel_is_that_of_the_paper():
-    flux = np.zeros((5 * IDEAL.substeps + 1, 24, 32))
-    flux[1:] = 1
-    time = np.arange(6) * 1000 / IDEAL.fps
-    found = apply_lag(flux, np.full((24, 32), 10.0), ideal(substeps=16))[:, 3, 4]
-    np.testing.assert_allclose(found, 1 - np.exp(-time / 10), atol=0.02)
 
 
 def test_each_frame_is_what_the_camera_sees_drawn_along_its_path():

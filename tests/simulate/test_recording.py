@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from deepir.errors import ConfigError, DataError
-from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
-from deepir.simulate.recording.camera import drifting_offsets, lagged_frames
-from deepir.simulate.recording.paths import camera_path, rotations
-from deepir.simulate.recording.surfaces import Surface, World, render_view, texture
+from deepir.simulate.detector import lagged
+from deepir.simulate.paths import camera_path, rotations
+from deepir.simulate.planes import Surface, World, render_view, texture
+from deepir.simulate.recording import (
+    RecordingSettings,
+    drifting_offsets,
+    residual_pattern,
+    simulate_recording,
+)
 
 SMALL = RecordingSettings(kind="tripod", n_frames=12, shape=(48, 64), objects=0)
 X, Y, Z = np.eye(3)
@@ -161,9 +166,8 @@ def test_the_drift_is_a_random_walk_or_an_ornstein_uhlenbeck_process(time):
 
 @pytest.mark.parametrize("substeps", [1, 4])
 def test_the_step_response_of_a_pixel_is_exponential(substeps):
-    settings = small(tau_ms=20.0, substeps=substeps, n_frames=8)
     flux = [np.float64(k > 0) for k in range(7 * substeps + 1)]
-    found = list(lagged_frames(flux, settings))
+    found = list(lagged(flux, 1000 / 30 / substeps / 20.0))[::substeps]
     rise = 1000 / 30 / substeps  # ms of the flux, from zero to one
     shown, steps = 0.0, 2000
     expected = [0.0]
