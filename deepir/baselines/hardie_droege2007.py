@@ -14,7 +14,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import sample_noise
 from deepir.assembly.problem import build
-from deepir.baselines.average import register_burst
+from deepir.baselines.average import register_burst, result_of
 from deepir.burst import Burst
 from deepir.closed_form.normal_equations import conjugate_gradient
 from deepir.config import Config
@@ -22,7 +22,7 @@ from deepir.errors import ConfigError
 from deepir.operators import Chain, Sensor
 from deepir.problems.initial_estimate import start_scene
 from deepir.registry import register
-from deepir.result import Result, neutral, to_gauge
+from deepir.result import Result, to_gauge
 
 GAUSS_NEWTON_STEPS = 3  # steps of the scene, gain and bias eliminated
 MAX_CG_ITERATIONS = 60  # iterations of conjugate gradients in each Gauss-Newton step
@@ -91,14 +91,10 @@ def hardie_droege2007(
         found, bias = model.sensor(model.forward(z))
         y0, y1, x0, x1 = geometry.window
         image = problem.operator.to_pixels(z)[0, 0, y0:y1, x0:x1]
-    result = neutral(image.numpy(), len(used), burst.size, burst.bad_pixels)
+    poses = None if motion is None else values["motion"].numpy()
+    result = result_of(burst, image.numpy(), used, poses, iterations=iterations, messages=messages)
     result.gain, result.offset = found[0, 0].numpy(), bias[0, 0].numpy()
-    if motion is not None:
-        result.motion[used] = values["motion"].numpy()
-        result.motion[~used] = float("nan")
-    result.frames_used, result.messages = used, messages
     to_gauge(result)
-    result.metrics = {"iterations": iterations, "evaluations": iterations, "stop_reason": "converged"}
     return result
 
 

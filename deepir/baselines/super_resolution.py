@@ -15,13 +15,20 @@ from torch import Tensor, nn
 from deepir import weights
 from deepir.arrays.windows import fill_nearest
 from deepir.assembly.problem import build
-from deepir.baselines.average import Array, fill_invalid, registered_mean, sampling_points, to_indices
+from deepir.baselines.average import (
+    Array,
+    fill_invalid,
+    registered_mean,
+    result_of,
+    sampling_points,
+    to_indices,
+)
 from deepir.baselines.rival import estimate_scene, rival
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.operators.motion_models import rescale_motion
 from deepir.registry import register
-from deepir.result import Result, neutral
+from deepir.result import Result
 
 
 @register("method", "bicubic")
@@ -31,11 +38,8 @@ def bicubic(burst: Burst, config: Config) -> Result:
     _, geometry = build(config, first)
     frame, good = (torch.from_numpy(each)[None] for each in (first.frames, first.valid & ~burst.bad_pixels))
     filled_frame = fill_nearest(frame, good)[0, 0].numpy()
-    result = neutral(enlarge(filled_frame, geometry.ratio), len(burst.frames), burst.size, burst.bad_pixels)
-    result.frames_used[1:] = False
-    result.motion[1:] = float("nan")
-    result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
-    return result
+    scene, used = enlarge(filled_frame, geometry.ratio), np.arange(len(burst.frames)) == 0
+    return result_of(burst, scene, used, np.eye(3)[None])
 
 
 def enlarge(frame: Array, ratio: float) -> Array:

@@ -126,8 +126,8 @@ def simulate(
         flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
         if settings.tau:
             shown = np.stack(list(lagged(flux, 1000 / (settings.fps * settings.substeps) / tau)))
-            flux, frames = rolling_readout(shown, settings), slice(None, None, settings.substeps)
-            motion, moving = motion[frames], moving[frames]
+            flux, read = rolling_readout(shown, settings), slice(None, None, settings.substeps)
+            motion, moving = motion[read], moving[read]
         if settings.factor > 1 or settings.sharp:
             static = render_reference(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0

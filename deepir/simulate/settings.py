@@ -277,7 +277,7 @@ def settings_from_mapping(given: Mapping[str, Any], of: type[S], extra: tuple[st
     Raises:
         ConfigError: A key is unknown, or a value is wrong.
     """
-    known = settings_schema(of, extra)
+    known = settings_schema(of, extra)  # type: ignore[arg-type]  # a class is hashable
     try:
         found = known.model_validate({key: value for key, value in given.items() if value is not None})
     except ValidationError as error:
