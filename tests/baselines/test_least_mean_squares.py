@@ -1,18 +1,54 @@
-"""Least mean squares between registered frames."""
+"""Least mean squares: gated towards a smoothed frame, and between registered frames."""
 
 import numpy as np
 
 from deepir.baselines.least_mean_squares import (
+    corrections_over_time,
     frame_sequence,
     gain_and_offset,
     learn_correction,
     warp_bilinear,
 )
-from deepir.baselines.rival import normalise
+from deepir.baselines.rival import last_of, normalise
 from deepir.simulate import render
 from deepir.simulate.scenes.procedural import load_picture
 
 FULL = 16383  # of 14 bits
+
+# ---- towards a smoothed frame ----
+
+
+def learnt(frames, gate=0.01, passes=1):
+    """Weight and bias by gated least mean squares."""
+    return last_of(corrections_over_time(frames, frame_sequence(len(frames), passes), 0.2, 3.0, gate))
+
+
+def test_offsets_of_pixels_go_while_a_smooth_scene_moves():
+    rng = np.random.default_rng(0)
+    offset = 0.05 * rng.standard_normal((32, 40))
+    y, x = np.mgrid[:32, :40] / 12
+    shifts = np.cumsum(rng.standard_normal((60, 2)), 0)
+    scene = np.stack([0.5 + 0.2 * np.sin(x + a) + 0.2 * np.cos(y + b) for a, b in shifts])
+    weight, bias = learnt(scene + offset)
+    assert (weight * (scene[-1] + offset) + bias - scene[-1]).std() < 0.5 * offset.std()
+
+
+def test_a_scene_that_stands_still_is_learnt_once_and_not_burnt_in():
+    # Hardie et al. 2009: without the gate, a still scene turns into a ghost.
+    frames = np.repeat([np.kron(np.eye(4), np.ones((8, 10)))], 50, axis=0)
+    ungated, gated = (learnt(frames, gate)[1] for gate in (0.0, 0.01))
+    once = learnt(frames[:1], passes=0)[1]
+    assert np.allclose(gated, once, atol=0.02)
+    assert np.abs(ungated).max() > 5 * np.abs(gated).max()
+
+
+def test_edges_are_learnt_less_from():
+    frame = np.kron([[0.0, 1.0]], np.ones((20, 20)))[None]
+    _, bias = learnt(frame, 0.0, passes=0)
+    assert np.abs(bias).max() < 0.02  # a plain LMS would take a tenth: the rate times half the edge
+
+
+# ---- between registered frames ----
 
 
 def video(n=50, shape=(96, 128), contrast=12_000):
