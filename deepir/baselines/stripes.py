@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Annotated
 
 import numpy as np
@@ -178,15 +177,10 @@ def destripe_cnn(frame: Array) -> Array:
     level = frame.mean(dtype=np.float64)
     picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]
     with torch.no_grad():
-        found = _trained().of_any_size(picture, 0.0)[0, 0].numpy()
+        found = weights.shipped(destriping_network, "destripe_cnn").of_any_size(picture, 0.0)[0, 0].numpy()
     return np.asarray(found - found.mean() + level)
 
 
 def destriping_network() -> UNet:
     """A U-net without a noise level as input."""
     return UNet((24, 48, 96))
-
-
-@functools.cache
-def _trained() -> UNet:
-    return weights.load(destriping_network(), weights.SHIPPED / "destripe_cnn.safetensors")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from itertools import pairwise
 
 import numpy as np
@@ -100,7 +99,7 @@ def sharpen(frame: Array) -> Array:
     level = frame.mean(dtype=np.float64)
     picture = torch.from_numpy((frame - level).astype(np.float32))[None, None]
     with torch.no_grad():
-        return np.asarray(_trained()(picture)[0, 0].numpy() + level)
+        return np.asarray(weights.shipped(VDSR, "vdsr")(picture)[0, 0].numpy() + level)
 
 
 class VDSR(nn.Module):
@@ -127,8 +126,3 @@ class VDSR(nn.Module):
             x = F.relu(layer(x))
         out: Tensor = picture + last(x)
         return out
-
-
-@functools.cache
-def _trained() -> VDSR:
-    return weights.load(VDSR(), weights.SHIPPED / "vdsr.safetensors")

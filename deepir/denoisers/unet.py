@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -93,15 +92,10 @@ class UNet(nn.Module):
 @register("denoiser", "cnn")
 def cnn(picture: Tensor, noise: float) -> Tensor:
     """A small U-net, trained by `deepir train denoiser`."""
-    network = _trained().to(picture)
+    network = weights.shipped(UNet, "denoiser").to(picture)
     flat = picture.reshape(-1, 1, *picture.shape[-2:])
     with torch.no_grad():
         found = flat + (network.of_any_size(flat, noise) - flat).clamp(
             -MAX_CHANGE_SIGMAS * noise, MAX_CHANGE_SIGMAS * noise
         )
     return found.reshape(picture.shape)
-
-
-@functools.cache
-def _trained() -> UNet:
-    return weights.load(UNet(), weights.SHIPPED / "denoiser.safetensors")

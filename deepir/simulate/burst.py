@@ -40,6 +40,7 @@ from deepir.simulate.optics import (
     stray_flux,
     visible_reach,
 )
+from deepir.simulate.scenes.objects import distance_from_line
 from deepir.simulate.scenes.procedural import Scene, load_picture, procedural
 from deepir.simulate.settings import DEFAULT_SETTINGS, Settings, settings_from_mapping
 
@@ -269,12 +270,8 @@ def person_distance(x: np.ndarray, y: np.ndarray, stride: float) -> np.ndarray:
         ((0.0, 0.48), (stride, 0.05), 0.05),
         ((0.0, 0.48), (-stride, 0.05), 0.05),
     )
-    found = np.full(np.broadcast_shapes(x.shape, y.shape), np.inf)
-    for (px, py), (qx, qy), radius in parts:
-        dx, dy = qx - px, qy - py
-        along = np.clip(((x - px) * dx + (y - py) * dy) / (dx * dx + dy * dy), 0, 1)
-        np.minimum(found, np.hypot(x - px - along * dx, y - py - along * dy) - radius, out=found)
-    return found
+    distances = [distance_from_line(x, y, p, q)[0] - radius for p, q, radius in parts]
+    return np.asarray(functools.reduce(np.minimum, distances))
 
 
 def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:

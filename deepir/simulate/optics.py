@@ -49,7 +49,6 @@ def render(
     blurred = ndimage.gaussian_filter(picture, psf_sigma * scale, mode="mirror")
     spline = ndimage.spline_filter(blurred, order=3, mode="mirror")
     nodes, weights = np.polynomial.legendre.leggauss(max(3, int(np.ceil(scale))))
-    y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
     centre_y, centre_x = (np.array(picture.shape) - 1) / 2
     frames = np.zeros((len(motion), *shape))
     for k, T in enumerate(motion):
@@ -57,9 +56,9 @@ def render(
         along_y, along_x = (np.gradient(more, axis=axis) for axis in (1, 2))
         for v, weight_v in zip(nodes / 2, weights / 2, strict=True):
             for u, weight_u in zip(nodes / 2, weights / 2, strict=True):
-                at_x, at_y, w = (row[0] * (x + u) + row[1] * (y + v)[:, None] + row[2] for row in T)
+                at_x, at_y = sampling_points(T, shape, u, v)
                 add_x, add_y = more + u * along_x + v * along_y
-                points = [centre_y + scale * (at_y / w + add_y), centre_x + scale * (at_x / w + add_x)]
+                points = [centre_y + scale * (at_y + add_y), centre_x + scale * (at_x + add_x)]
                 sample = ndimage.map_coordinates(spline, points, order=3, mode="mirror", prefilter=False)
                 frames[k] += weight_u * weight_v * sample
     return frames
@@ -290,10 +289,12 @@ def parallax(motion: np.ndarray, hills: np.ndarray, settings: Settings) -> np.nd
     return found
 
 
-def sampling_points(T: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Points where the pixels of a frame look by the homography alone, x and y from its centre, px."""
+def sampling_points(
+    T: np.ndarray, shape: tuple[int, int], u: float = 0.0, v: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points x and y, px from the frame's centre, where those at (u, v) from the pixels' centres look by T alone."""
     y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
-    at_x, at_y, w = (row[0] * x + row[1] * y[:, None] + row[2] for row in T)
+    at_x, at_y, w = (row[0] * (x + u) + row[1] * (y + v)[:, None] + row[2] for row in T)
     return at_x / w, at_y / w
 
 

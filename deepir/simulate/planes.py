@@ -214,6 +214,18 @@ def _mirrored(at: int, side: int) -> int:
     return 2 * side - 1 - at if at >= side else at
 
 
+@njit(inline="always")
+def _weighted(
+    plane: np.ndarray, at: tuple[int, int, int, int], weights: tuple[float, float, float, float]
+) -> float:
+    return (
+        weights[0] * plane[at[0]]
+        + weights[1] * plane[at[1]]
+        + weights[2] * plane[at[2]]
+        + weights[3] * plane[at[3]]
+    )
+
+
 @njit
 def _level(
     values: np.ndarray, cover: np.ndarray, levels: np.ndarray, level: int, x: float, y: float
@@ -230,19 +242,9 @@ def _level(
     if top < 0 or below >= height:
         top, below = _mirrored(top, height), _mirrored(below, height)
     top, below = start + top * width, start + below * width
-    a, b, c, d = (1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u
-    value = (
-        a * values[top + left]
-        + b * values[top + right]
-        + c * values[below + left]
-        + d * values[below + right]
-    )
-    if len(cover) == 0:
-        return value, 1.0
-    hides = (
-        a * cover[top + left] + b * cover[top + right] + c * cover[below + left] + d * cover[below + right]
-    )
-    return value, hides
+    corners = (top + left, top + right, below + left, below + right)
+    weights = ((1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u)
+    return _weighted(values, corners, weights), _weighted(cover, corners, weights) if len(cover) else 1.0
 
 
 @njit

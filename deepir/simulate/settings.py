@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, create_model
 
-from deepir.config.components import explain
+from deepir.config.components import validate
 from deepir.errors import ConfigError, nearest
 
 #: Allowed values of the settings that are names.
@@ -277,9 +277,6 @@ def settings_from_mapping(given: Mapping[str, Any], of: type[S], extra: tuple[st
     Raises:
         ConfigError: A key is unknown, or a value is wrong.
     """
-    known = settings_schema(of, extra)  # type: ignore[arg-type]  # a class is hashable
-    try:
-        found = known.model_validate({key: value for key, value in given.items() if value is not None})
-    except ValidationError as error:
-        raise ConfigError(f"{of.section}: {explain(error, known)[1]}") from None
-    return of(**{each.name: getattr(found, each.name) for each in fields(of)})
+    schema = settings_schema(of, extra)  # type: ignore[arg-type]  # a class is hashable
+    values = validate(schema, {key: value for key, value in given.items() if value is not None}, of.section)
+    return of(**{each.name: values[each.name] for each in fields(of)})
