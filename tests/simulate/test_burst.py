@@ -66,13 +66,6 @@ def test_an_effect_touches_nothing_but_its_own(effect):
     assert not np.array_equal(before.frames, after.frames)
 
 
-def test_the_seed_decides_everything():
-    one, same, other = (simulate(settings=Settings(**SMALL), seed=seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.frames, same.frames)
-    assert not np.array_equal(one.truth.motion, other.truth.motion)
-    assert not np.array_equal(one.truth.gain, other.truth.gain)
-
-
 # ---- what happens before the camera ----
 
 
