@@ -10,11 +10,10 @@ import numpy as np
 from rivals import OVER_TIME
 
 import deepir
-from deepir.baselines.online import last_of
-from deepir.baselines.temporal.basic import flat_and_dark_field
-from deepir.baselines.temporal.multiview_tv import interquartile_mean, median_offset
+from deepir.baselines.gradients import gradient_consensus, multiview_tv
+from deepir.baselines.pixel_statistics import basic
+from deepir.baselines.rival import last_of
 from deepir.calibration import CorrectionMaps
-from deepir.multiview.pattern import poisson
 
 Array = np.ndarray
 
@@ -89,14 +88,6 @@ def _over_time(name: str, frames: Array, apart: int) -> Correction:
     return _of_maps(*last_of(OVER_TIME[name](frames.astype(np.float32))))
 
 
-def basic(frames: Array, apart: int) -> Correction:
-    return _of_maps(*flat_and_dark_field(frames))
-
-
-def shared_gradients(frames: Array) -> Array:
-    return poisson([interquartile_mean(np.diff(frames, axis=axis)) for axis in (-1, -2)])
-
-
 def temporal_mean(frames: Array) -> Array:
     mean = frames.mean(0, dtype=np.float64)
     return mean - mean.mean()
@@ -110,9 +101,9 @@ OURS: dict[str, Method] = {
     "multiview_nuc": functools.partial(spread_burst, "multiview_nuc"),
 }
 RIVALS: dict[str, Method] = {
-    "multiview_tv": functools.partial(_offset, median_offset),
-    "gradient_consensus": functools.partial(_offset, shared_gradients),
-    "basic": basic,
+    "multiview_tv": functools.partial(_offset, multiview_tv),
+    "gradient_consensus": functools.partial(_offset, gradient_consensus),
+    "basic": lambda frames, apart: _of_maps(*basic(frames)),
     "temporal_mean": functools.partial(_offset, temporal_mean),
     **{name: functools.partial(_over_time, name) for name in OVER_TIME},
 }

@@ -11,8 +11,13 @@ from recordings_cases import APART, Case
 from recordings_methods import Correction
 from recordings_scores import Figures, bad_pixels, covered, left_over, likeness
 
-from deepir.simulate.recording import Recording, RecordingSettings, residual_map, simulate_recording
-from deepir.simulate.recording.recording import RecordingTruth
+from deepir.simulate.recording import (
+    Recording,
+    RecordingSettings,
+    RecordingTruth,
+    residual_map,
+    simulate_recording,
+)
 
 FAMILIES = ("simulated",)
 CODE = ("recordings_simulated.py", "../deepir/simulate/**/*.py")
@@ -77,4 +82,4 @@ def _recording(settings: RecordingSettings, seed: int) -> tuple[np.ndarray, Reco
     stored["noise"] = float(stored["noise"])
     unused = dict.fromkeys(("offset", "moving", "position", "rotation"), np.empty(0))
     truth = RecordingTruth(**stored, **unused, focal=settings.focal)
-    return frames, Recording(frames[::STRIDE], np.empty(0), truth, settings, seed)
+    return frames, Recording(frames[::STRIDE], truth, settings, seed, np.empty(0))

@@ -261,7 +261,7 @@ def _array(frames: Any, source: str = "frames") -> Array:
 
 def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:
     """Frames that are selected of a simulated burst, their source, digest and truth."""
-    from deepir.simulate.recorded import simulate_from_config, truth_arrays
+    from deepir.simulate.burst import simulate_from_config, truth_arrays
 
     simulation = simulate_from_config(data.simulate or {}, seed)
     if data.fps not in (None, simulation.settings.fps):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepir.simulate import Settings, simulate
-from deepir.simulate.optics.rendering import picture_scale, random_motion, visible_reach
+from deepir.simulate.optics import picture_scale, random_motion, visible_reach
 
 SMALL = Settings(shape=(48, 56), n_frames=5, max_shift=4.0, shading=0.0, dead_pixels=0.0)
 

@@ -1,5 +1,5 @@
 """Classical and learned methods to compare with.
 
-They are grouped by what they need: `single_frame`, `temporal` (frames compared pixel by pixel), `registered`. Each
-file holds one method; the registry finds a new file by itself.
+A rival is a function that estimates or corrects; `@rival(NAME, HOW)` of `deepir.baselines.rival` makes it a method. The
+registry finds it in any file of this folder.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -144,12 +145,34 @@ def average_frames(
         with torch.no_grad():
             mean, weight = problem.backproject(problem.values())
             scene = geometry.crop(fill_nearest(mean, weight > 0.3 * weight.max()))
-    result = neutral(scene.numpy(), len(used), burst.size, burst.bad_pixels)
+    poses = None if motion is None else homographies(problem.values()["motion"]).detach().numpy()
+    return result_of(burst, scene.numpy(), used, poses, messages=messages)
+
+
+def result_of(
+    burst: Burst,
+    scene: Array,
+    used: Array,
+    motion: Array | None,
+    *,
+    iterations: int = 0,
+    messages: Sequence[str] = (),
+) -> Result:
+    """The result of a rival with gain one and offset zero; frames that are not used have no motion.
+
+    Args:
+        burst: The burst.
+        scene: (H, W).
+        used: (N,) bool, frames in the scene.
+        motion: (K, 3, 3) of the K frames that are used; None: none.
+        iterations: Number of iterations.
+        messages: Of the registration.
+    """
+    result = neutral(scene, len(used), burst.size, burst.bad_pixels)
     if motion is not None:
-        result.motion[used] = homographies(problem.values()["motion"]).detach().numpy()
-        result.motion[~used] = float("nan")
-    result.frames_used, result.messages = used, messages
-    result.metrics = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
+        result.motion[used], result.motion[~used] = motion, float("nan")
+    result.frames_used, result.messages = used, list(messages)
+    result.metrics = {"iterations": iterations, "evaluations": iterations, "stop_reason": "converged"}
     return result
 
 

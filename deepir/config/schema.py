@@ -48,7 +48,7 @@ class Data(_Strict):
     """Source of the frames."""
 
     path: str | None = None  # file, folder or glob
-    simulate: dict[str, Any] | None = None  # in place of a path; `deepir.simulate.files` checks it
+    simulate: dict[str, Any] | None = None  # in place of a path; `deepir.simulate.burst` checks it
     truth: str | None = None  # .npz with `scene`, or a picture: scores are added to metrics.json
     mask: str | None = None  # picture or array of a frame's size; nonzero = ignore
     crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask

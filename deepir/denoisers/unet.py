@@ -1,4 +1,4 @@
-"""A small bias-free U-net for denoising."""
+"""A small bias-free U-net for denoising, and the denoiser `cnn`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from deepir import weights
+from deepir.registry import register
+
 #: Side of the pixel blocks that become channels, px.
 FOLD = 2
 #: Padding beyond the border, px: its influence does not reach further.
 PADDING = 16
+#: Largest change of a pixel, noise standard deviations: noise does not reach further.
+MAX_CHANGE_SIGMAS = 4.0
 
 
 class Residual(nn.Module):
@@ -82,3 +87,15 @@ class UNet(nn.Module):
         """Filters of the first layer, made independent of the level of the image."""
         of_picture, of_strength = self.head.weight.split((FOLD**2, 1), dim=1)
         return torch.cat((of_picture - of_picture.mean((1, 2, 3), keepdim=True), of_strength), 1)
+
+
+@register("denoiser", "cnn")
+def cnn(picture: Tensor, noise: float) -> Tensor:
+    """A small U-net, trained by `deepir train denoiser`."""
+    network = weights.shipped(UNet, "denoiser").to(picture)
+    flat = picture.reshape(-1, 1, *picture.shape[-2:])
+    with torch.no_grad():
+        found = flat + (network.of_any_size(flat, noise) - flat).clamp(
+            -MAX_CHANGE_SIGMAS * noise, MAX_CHANGE_SIGMAS * noise
+        )
+    return found.reshape(picture.shape)

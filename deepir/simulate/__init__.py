@@ -5,7 +5,7 @@ Symbols as in docs/reference/conventions.md.
 
 from deepir.simulate.burst import Simulation, Truth, simulate
 from deepir.simulate.detector import ADC_MAX
-from deepir.simulate.optics.rendering import render
+from deepir.simulate.optics import render
 from deepir.simulate.settings import Settings
 
 __all__ = ["ADC_MAX", "Settings", "Simulation", "Truth", "render", "simulate"]

@@ -2,38 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from deepir.errors import ConfigError, DataError
 from deepir.simulate.detector import (
     add_defects,
-    apply_lag,
     bolometer_pixels,
     expose,
     fixed_pattern,
     housing_flux,
+    lagged,
     line_noise,
+    rolling_readout,
     smooth_path,
     time_constants,
 )
-from deepir.simulate.files import save_with_truth
-from deepir.simulate.optics.blur import psf
-from deepir.simulate.optics.parallax import dense_flow, parallax, relief, stray_flux
-from deepir.simulate.optics.rendering import (
+from deepir.simulate.files import Simulated
+from deepir.simulate.optics import (
+    blur_picture,
+    dense_flow,
     draw_scene,
     homographies,
+    parallax,
     picture_scale,
+    psf,
     random_motion,
+    relief,
+    render,
     render_reference,
+    stray_flux,
     visible_reach,
 )
-from deepir.simulate.scenes.procedural import Scene, procedural
-from deepir.simulate.settings import DEFAULT_SETTINGS, Settings
-from deepir.simulate.views import observe, render_own_scenes
+from deepir.simulate.scenes.objects import distance_from_line
+from deepir.simulate.scenes.procedural import Scene, load_picture, procedural
+from deepir.simulate.settings import DEFAULT_SETTINGS, Settings, settings_from_mapping
+
+MIN_FLUX_CHANGE = 1e-4  # change of flux, in ranges, from which a sample counts as moving
 
 
 @dataclass(frozen=True)
@@ -63,25 +74,11 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Simulated):
     """A burst (N, H, W), float32 or uint16, and its truth."""
 
-    frames: np.ndarray
     truth: Truth
     settings: Settings
-    seed: int
-
-    def save(self, path: str | Path) -> tuple[Path, Path]:
-        """Write `path` (frames; settings as JSON) and, beside it, STEM_truth.npz (the fields of `Truth`).
-
-        Returns:
-            Both paths.
-
-        Raises:
-            DataError: The name does not end in .npz.
-        """
-        settings = {"seed": self.seed, **asdict(self.settings)}
-        return save_with_truth(Path(path), self.truth, settings, frames=self.frames)
 
 
 def simulate(
@@ -129,11 +126,9 @@ def simulate(
             beside = parallax(motion, relief(settings, rare_rng), settings)
         flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
         if settings.tau:
-            flux, motion, moving = (
-                apply_lag(flux, tau, settings),
-                motion[:: settings.substeps],
-                moving[:: settings.substeps],
-            )
+            shown = np.stack(list(lagged(flux, 1000 / (settings.fps * settings.substeps) / tau)))
+            flux, read = rolling_readout(shown, settings), slice(None, None, settings.substeps)
+            motion, moving = motion[read], moving[read]
         if settings.factor > 1 or settings.sharp:
             static = render_reference(picture, scale, settings)
     dark = settings.pedestal if settings.counts else 0.0
@@ -171,3 +166,148 @@ def simulate(
     jumps = rows[:, :, None] + columns[:, None]
     frames = expose(flux, gain, offset + jumps, level, bad, settings, noise_rng, defects_rng)
     return Simulation(frames, truth, settings, seed)
+
+
+def render_own_scenes(
+    scenes: Scene | Sequence[Scene] | None, settings: Settings, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Render one frame of each scene.
+
+    Args:
+        scenes: One for each frame; None: drawn with seeds of `rng`.
+        settings: The camera.
+        rng: Random stream of the scenes.
+
+    Returns:
+        Flux of each frame in ranges, (N, H, W); the same on the truth's grid; picture px per detector px of frame 0.
+
+    Raises:
+        DataError: There are fewer scenes than frames, or one is invalid or too small.
+    """
+    if scenes is None:
+        seeds = rng.integers(2**31, size=settings.n_frames)
+        scenes = [partial(procedural, int(seed)) for seed in seeds]
+    scenes = list(scenes) if isinstance(scenes, Sequence) else [scenes]
+    if len(scenes) < settings.n_frames:
+        raise DataError(
+            f"scene: {len(scenes)} picture(s) for {settings.n_frames} frames, each of a scene of its own"
+        )
+    still = np.eye(3)[None]
+    reach = visible_reach(still, settings)
+    frames, fine, scales = [], [], []
+    for scene in scenes[: settings.n_frames]:
+        picture = draw_scene(scene, reach, settings)
+        scales.append(picture_scale(picture.shape, reach, settings))
+        behind = blur_picture(picture, scales[-1], settings)
+        frames.append(render(behind, still, settings.shape, scales[-1], settings.psf_sigma)[0])
+        fine.append(render_reference(picture, scales[-1], settings) if settings.factor > 1 else frames[-1])
+    return np.array(frames), np.array(fine), scales[0]
+
+
+def observe(
+    picture: np.ndarray,
+    motion: np.ndarray,
+    scale: float,
+    settings: Settings,
+    beside: np.ndarray | None,
+    walk_rng: np.random.Generator,
+    place_rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Render all frames with their events.
+
+    Args:
+        picture: (height, width), the scene.
+        motion: (N, 3, 3), pull homographies, px.
+        scale: Picture px per detector px.
+        settings: The camera.
+        beside: (N, 2, H, W), parallax, px; None: none.
+        walk_rng: Random stream of the walker.
+        place_rng: Random stream of the other place.
+
+    Returns:
+        Flux (N, H, W) in ranges; samples that the walker changes, (N, H, W) bool; flux of frame 0 without the walker.
+    """
+
+    def seen(scene: np.ndarray, frames: slice) -> np.ndarray:
+        more = None if beside is None else beside[frames]
+        behind = blur_picture(scene, scale, settings)
+        return render(behind, motion[frames], settings.shape, scale, settings.psf_sigma, more)
+
+    static = seen(picture, np.s_[:])
+    flux, failed = static.copy(), settings.failed_frame
+    if settings.walker:
+        flux_of_walker = static[0].mean() + settings.walker_contrast
+        for k, cover in enumerate(walker_cover(picture.shape, scale, settings, walk_rng)):
+            flux[k] = seen(picture + cover * (flux_of_walker - picture), np.s_[k : k + 1])[0]
+    if failed:
+        another = procedural(int(place_rng.integers(2**31)), (picture.shape[0], picture.shape[1]))
+        static[failed] = flux[failed] = seen(another, np.s_[failed : failed + 1])[0]
+    return flux, np.abs(flux - static) > MIN_FLUX_CHANGE, static[0]
+
+
+def walker_cover(
+    shape: tuple[int, ...], scale: float, settings: Settings, rng: np.random.Generator
+) -> list[np.ndarray]:
+    """Cover of each picture px by the walker, in [0, 1], for each frame; the path is central at half time."""
+    height, width = settings.shape
+    tall, way = settings.walker * height, rng.choice([-1, 1])
+    middle, feet = width * rng.uniform(-0.25, 0.25), height * rng.uniform(0.2, 0.45)
+    y, x = ((np.arange(n) - (n - 1) / 2) / scale for n in shape)  # px of frame 0 from its centre
+    covers = []
+    for k in range(settings.n_frames):
+        along = middle + way * settings.walker_speed * (k - (settings.n_frames - 1) / 2)
+        gait = np.cos(np.pi * settings.walker_speed * k / (0.4 * tall))  # two steps are 0.8 of one's height
+        distance = person_distance((x[None, :] - along) / tall, (feet - y[:, None]) / tall, 0.18 * gait)
+        covers.append(np.clip(0.5 - distance * tall * scale, 0, 1))
+    return covers
+
+
+def person_distance(x: np.ndarray, y: np.ndarray, stride: float) -> np.ndarray:
+    """Signed distance from a person of height one who stands at (0, 0); x to the right, y up."""
+    parts = (
+        ((0.0, 0.93), (0.0, 0.91), 0.07),  # head
+        ((0.0, 0.75), (0.0, 0.52), 0.1),
+        ((0.0, 0.48), (stride, 0.05), 0.05),
+        ((0.0, 0.48), (-stride, 0.05), 0.05),
+    )
+    distances = [distance_from_line(x, y, p, q)[0] - radius for p, q, radius in parts]
+    return np.asarray(functools.reduce(np.minimum, distances))
+
+
+def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:
+    """Simulate the burst of a configuration.
+
+    Args:
+        given: `Settings` by name, `scene` and `seed`; missing or None: the default. The default scene is drawn.
+        seed: Seed of the run, unless `given` has its own.
+
+    Raises:
+        ConfigError: An unknown setting, or a wrong value.
+        DataError: The scene does not exist, or is too small for the frames and their motion.
+    """
+    settings = dict(given)
+    scene, own = settings.pop("scene", None), settings.pop("seed", None)
+    if own is not None and (isinstance(own, bool) or not isinstance(own, int) or own < 0):
+        raise ConfigError(f"data.simulate.seed = {own!r}: a whole number, zero or more, is needed")
+    name = None if scene is None else str(scene)
+    changed = Path(name).stat().st_mtime_ns if name and Path(name).is_file() else 0
+    return _recorded(
+        settings_from_mapping(settings, Settings, extra=("scene", "seed")),
+        name,
+        seed if own is None else own,
+        changed,
+    )
+
+
+@functools.lru_cache(maxsize=2)  # a check of many configurations asks for the same burst again and again
+def _recorded(settings: Settings, scene: str | None, seed: int, changed: int) -> Simulation:
+    return simulate(None if scene is None else load_picture(scene), settings, seed=seed)
+
+
+def truth_arrays(simulation: Simulation) -> dict[str, np.ndarray[Any, Any]]:
+    """Arrays to compare a result with, float32; the scene is NaN where a walker covers frame 0."""
+    found = simulation.truth
+    scene = np.where(found.moving[0], np.nan, found.scene) if found.moving[0].any() else found.scene
+    arrays = {"scene": scene, "gain": found.gain, "offset": found.offset, "motion": found.motion}
+    arrays |= {"stray": found.stray} if simulation.settings.stray else {}
+    return {name: array.astype(np.float32) for name, array in arrays.items()}

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Iterable, Iterator
 from enum import IntEnum
-from typing import TypeVar
 
 import numpy as np
 
-from deepir.simulate.settings import Settings
+from deepir.simulate.settings import RecordingSettings, Settings
 
 #: Relative standard deviations of the constants from pixel to pixel; of the bias current, from column to column.
 CONSTANT_SIGMAS = {
@@ -25,6 +24,8 @@ CORNER_ANGLE = 20.0  # degrees from the axis to the frame's corner
 TREMOR_WAVES = 4  # sinusoids in the path of each motion parameter
 ADC_MAX = 16383  # largest count of the 14-bit converter
 NOISY_PIXEL_EXCESS = 99.0  # additional variance of a noisy pixel, in variances of its noise
+
+Camera = Settings | RecordingSettings
 
 
 def bolometer_pixels(
@@ -77,9 +78,6 @@ def line_noise(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray
     return rows, columns
 
 
-Values = TypeVar("Values", float, np.ndarray)
-
-
 def smooth_path(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     """A smooth random path of the nine motion parameters, at `substeps` instants for each frame after the first.
 
@@ -100,35 +98,28 @@ def time_constants(settings: Settings, rng: np.random.Generator) -> np.ndarray:
     return settings.tau * factors.clip(min=0.2)
 
 
-def apply_lag(flux: np.ndarray, tau: np.ndarray, settings: Settings) -> np.ndarray:
-    """Frames of lagging pixels: `tau dy/dt = x - y`, exact for a flux that is linear between two instants.
+def lagged(flux: Iterable[np.ndarray], step: np.ndarray | float) -> Iterator[np.ndarray]:
+    """What pixels that lag show at each instant: `tau dy/dt = x - y`, exact for a flux that is linear between two.
 
     Before the first instant the pixels have settled.
 
     Args:
-        flux: (I, H, W), at successive instants.
-        tau: (H, W), time constants, ms.
-        settings: The camera.
-
-    Returns:
-        (N, H, W), as read out.
+        flux: (H, W) at each of the instants.
+        step: Time between two instants, in time constants: of all pixels, or of each, (H, W).
     """
-    kept, old, new = lag_coefficients(1000 / (settings.fps * settings.substeps) / tau)
-    shown = [flux[0]]
-    for before, now in itertools.pairwise(flux):
-        shown.append(kept * shown[-1] + old * before + new * now)
-    return rolling_readout(np.stack(shown), settings)
-
-
-def lag_coefficients(step: Values) -> tuple[Values, Values, Values]:
-    """Weights of the previous output, the previous flux and the current flux after a `step` in time constants."""
     kept = np.exp(-step)
     new = 1 - (1 - kept) / step
-    return kept, 1 - kept - new, new
+    old = 1 - kept - new
+    instants = iter(flux)
+    shown = before = next(instants)
+    yield shown
+    for now in instants:
+        shown, before = kept * shown + old * before + new * now, now
+        yield shown
 
 
 def rolling_readout(shown: np.ndarray, settings: Settings) -> np.ndarray:
-    """Frames whose rows are read one after the other, the last one at the end of its frame."""
+    """Frames (N, H, W) whose rows are read from the instants (I, H, W), the last row at the end of its frame."""
     height = settings.shape[0]
     early = settings.substeps * settings.readout * (1 - np.arange(1, height + 1) / height)
     at = np.arange(settings.n_frames)[:, None] * settings.substeps - early
@@ -150,7 +141,7 @@ class Defect(IntEnum):
 
 
 def fixed_pattern(
-    settings: Settings, rng: np.random.Generator, shading_rng: np.random.Generator
+    settings: Camera, rng: np.random.Generator, shading_rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain, offset (data units) and the defects of `dead_pixels`, (H, W) each.
 
@@ -201,7 +192,7 @@ def expose(
     offset: np.ndarray,
     level: np.ndarray,
     bad: np.ndarray,
-    settings: Settings,
+    settings: Camera,
     rng: np.random.Generator,
     defects_rng: np.random.Generator,
 ) -> np.ndarray:

@@ -1,10 +1,9 @@
-"""Files of simulated data and their truth."""
+"""Simulated data with their truth, and their files."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +13,32 @@ from deepir.errors import DataError
 from deepir.io import atomic_files
 
 
-def save_with_truth(path: Path, truth: Any, settings: Mapping[str, Any], **arrays: Any) -> tuple[Path, Path]:
-    """Write arrays, with the settings as JSON, and beside them STEM_truth.npz.
+@dataclass(frozen=True)
+class Simulated:
+    """Frames (N, H, W), their truth, and what made them."""
 
-    Args:
-        path: Of the arrays, .npz.
-        truth: A dataclass; each of its fields becomes an array.
-        settings: What made the data.
-        arrays: By name.
+    frames: np.ndarray
+    truth: Any
+    settings: Any
+    seed: int
 
-    Returns:
-        Both paths.
+    def save(self, path: str | Path) -> tuple[Path, Path]:
+        """Write `path` (arrays; settings as JSON) and, beside it, STEM_truth.npz (the fields of the truth).
 
-    Raises:
-        DataError: The name does not end in .npz, or they cannot be written.
-    """
-    if path.suffix != ".npz":
-        raise DataError(f"{path}: simulated data are saved as .npz")
-    beside = path.with_name(f"{path.stem}_truth.npz")
-    known = {field.name: getattr(truth, field.name) for field in fields(truth)}
-    with atomic_files(path, beside) as (part, part_beside):
-        np.savez(part, settings=np.array(json.dumps(settings)), **arrays)
-        np.savez(part_beside, **known)
-    return path, beside
+        Returns:
+            Both paths.
+
+        Raises:
+            DataError: The name does not end in .npz, or the files cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise DataError(f"{path}: simulated data are saved as .npz")
+        beside = path.with_name(f"{path.stem}_truth.npz")
+        arrays = {each.name: getattr(self, each.name) for each in fields(self)}
+        truth, seed, settings = (arrays.pop(name) for name in ("truth", "seed", "settings"))
+        made = np.array(json.dumps({"seed": seed, **asdict(settings)}))
+        with atomic_files(path, beside) as (part, part_beside):
+            np.savez(part, settings=made, **arrays)
+            np.savez(part_beside, **{each.name: getattr(truth, each.name) for each in fields(truth)})
+        return path, beside

@@ -18,7 +18,7 @@ from deepir.estimation.prior_weight import smoothness_exponent, weight_from_grad
 from deepir.operators.bspline import to_pixels
 from deepir.priors.penalties.foe import Experts, foe_energy
 from deepir.registry import register
-from deepir.simulate.scenes.procedural import procedural, sky
+from deepir.simulate.scenes.procedural import load_picture, procedural, sky
 from deepir.training.training import FIRST_SCENE_SEED, Training
 
 #: Pictures of scikit-to_pixels on which constants are tuned; none of them is in a benchmark.
@@ -67,12 +67,13 @@ class FieldsOfExperts(Training):
     def __init__(self, rng: np.random.Generator) -> None:
         super().__init__(rng)
         self.noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
+        photographs = [load_picture(name) for name in FOE_PHOTOGRAPHS]
         drawn = [
             draw(FIRST_SCENE_SEED + i, SCENE_SHAPE)
             for draw, count in DRAWN_COUNTS.items()
             for i in range(count)
         ]
-        self.pictures = [torch.from_numpy(each).float() for each in 4 * _photographs() + drawn]
+        self.scenes = [torch.from_numpy(each).float() for each in 4 * photographs + drawn]
 
     def network(self) -> nn.Module:
         """Filters and their weights."""
@@ -120,7 +121,7 @@ class FieldsOfExperts(Training):
 
     def _picture(self) -> tuple[Tensor, int]:
         """A piece of a picture as the optics show it, and its px in one of a frame."""
-        whole = self.pictures[self.rng.integers(len(self.pictures))]
+        whole = self.scenes[self.rng.integers(len(self.scenes))]
         times = int(self.rng.integers(*PICTURE_SCALES))
         side = times * (FRAME_SIDE + 2 * SCENE_MARGIN)
         y, x = (int(self.rng.integers(length - side + 1)) for length in whole.shape)
@@ -191,15 +192,3 @@ def _spline(shifts: Tensor) -> Tensor:
     places = torch.arange(FRAME_SIDE)[:, None] + SCENE_MARGIN + shifts[..., None, None]
     away = places - torch.arange(FRAME_SIDE + 2 * SCENE_MARGIN)
     return torch.from_numpy(np.nan_to_num(CUBIC_BSPLINE(away.numpy()))).float()
-
-
-def _photographs() -> list[np.ndarray]:
-    import skimage.data
-    from skimage.color import rgb2gray
-
-    found = []
-    for name in FOE_PHOTOGRAPHS:
-        picture = getattr(skimage.data, name)()
-        picture = rgb2gray(picture) if picture.ndim == 3 else picture.astype(float)
-        found.append((picture - picture.min()) / (picture.max() - picture.min()))
-    return found

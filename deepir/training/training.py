@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -87,9 +88,24 @@ class Training:
 
     iterations: ClassVar[int] = 10_000
     rate: ClassVar[float] = 1e-3
+    without: ClassVar[Sequence[str]] = ()  # photographs that it does not learn from
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng  # for all that is drawn at random
+
+    @functools.cached_property
+    def pictures(self) -> Pictures:
+        """The pictures to learn from."""
+        return Pictures(self.rng, self.without)
+
+    def log_uniform(self, limits: tuple[float, float]) -> Tensor:
+        """A random number for each crop of an iteration, (B, 1, 1, 1)."""
+        low, high = (math.log(each) for each in limits)
+        return torch.from_numpy(np.exp(self.rng.uniform(low, high, (BATCH_SIZE, 1, 1, 1))).astype(np.float32))
+
+    def normal(self, height: int, width: int) -> Tensor:
+        """White noise of variance one for each crop of an iteration, (B, 1, height, width)."""
+        return torch.from_numpy(self.rng.standard_normal((BATCH_SIZE, 1, height, width), dtype=np.float32))
 
     def network(self) -> nn.Module:
         """A new network; torch draws its weights."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,6 +33,12 @@ def save(network: nn.Module, path: Path, about: dict[str, Any]) -> None:
             save_file(tensors, part, metadata={"about": json.dumps(about)})
     except SafetensorError as error:
         raise DataError(f"{path}: the weights cannot be written: {error}") from error
+
+
+@functools.cache
+def shipped(make: Callable[[], nn.Module], name: str) -> Any:
+    """The network that `make` returns with the weights of a training that come with the package."""
+    return load(make(), SHIPPED / f"{name}.safetensors")
 
 
 def load(network: N, path: Path) -> N:

@@ -1,13 +1,24 @@
-"""Columns and rows of single frames: midway equalisation, whole and over local widths, and guided filters."""
+"""Columns and rows of single frames: midway equalisation, guided filters, and a trained network."""
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skimage.transform import resize
 
-from deepir.baselines.single_frame import mire
-from deepir.baselines.single_frame.admire import denoise, equalise_locally, local_variation
-from deepir.baselines.single_frame.guided_1d import estimate_stripes, guided_filter
-from deepir.baselines.single_frame.mire import equalise, midway_equalise
+from deepir.baselines.stripes import (
+    denoise,
+    destripe_cnn,
+    equalise_locally,
+    estimate_stripes,
+    guided_filter,
+    local_variation,
+    midway_equalise,
+    mire,
+)
+from deepir.baselines.super_resolution import sharpen
 from deepir.metrics import scores
+from deepir.simulate.scenes.procedural import load_picture, procedural
 
 
 @pytest.fixture
@@ -26,7 +37,7 @@ def test_any_increasing_response_of_columns_is_undone_if_all_see_the_same_values
     # Not only gain and offset: the method is blind to what the response is.
     rng = np.random.default_rng(1)
     response = np.exp(0.2 * rng.standard_normal(80)) * flat ** np.exp(0.2 * rng.standard_normal(80))
-    before, after = (scores(each, flat)["psnr_aligned"] for each in (response, equalise(response)))
+    before, after = (scores(each, flat)["psnr_aligned"] for each in (response, mire(response)))
     assert after > before + 10
 
 
@@ -60,14 +71,14 @@ def test_offsets_of_columns_go_away():
 
 def test_a_plain_and_a_textured_part_choose_different_widths():
     striped = scene() + columns(0.2)
-    local, everywhere = (each - scene() for each in (equalise_locally(striped, 16.0), mire.equalise(striped)))
+    local, everywhere = (each - scene() for each in (equalise_locally(striped, 16.0), mire(striped)))
     assert not np.array_equal(local, everywhere)
     assert local.std() < everywhere.std()
 
 
 def test_a_wide_mean_chooses_one_width_as_mire_does():
     striped = scene() + columns(0.1)
-    assert np.allclose(equalise_locally(striped, 500.0), mire.equalise(striped))
+    assert np.allclose(equalise_locally(striped, 500.0), mire(striped))
 
 
 def test_columns_with_one_histogram_stay_over_local_widths():
@@ -117,3 +128,51 @@ def test_an_edge_far_above_the_ridge_is_not_blurred():
     step = np.repeat([[0.0] * 20 + [1.0] * 20], 10, axis=0)
     assert np.abs(guided_filter(step, step, 7, 1e-4, axis=1) - step).max() < 1e-3
     assert np.abs(guided_filter(step, step, 7, 1e4, axis=1) - step).max() > 0.3
+
+
+# ---- a trained network, on pictures that it did not learn from ----
+
+
+def picture(name="camera"):
+    return resize(load_picture(name), (96, 128), anti_aliasing=True)
+
+
+def striped(clean, gain=0.15, offset=0.02):
+    gains, offsets = np.random.default_rng(0).standard_normal((2, clean.shape[1]))
+    return clean * (1 + gain * gains) + offset * offsets
+
+
+@pytest.mark.parametrize("name", ["camera", "moon", "astronaut", "drawing"])
+def test_columns_are_taken_out_of_a_fresh_picture_by_five_decibels_at_least(name):
+    clean = procedural(1, (96, 128)) if name == "drawing" else picture(name)
+    before, after = (
+        scores(each, clean)["psnr_aligned"] for each in (striped(clean), destripe_cnn(striped(clean)))
+    )
+    assert after > before + 5
+
+
+def test_stripes_on_a_flat_field_are_found_within_a_fifth():
+    stripes = striped(np.zeros((96, 128)))
+    assert (destripe_cnn(stripes) - stripes.mean())[:, 4:-4].std() < 0.2 * stripes.std()
+
+
+def test_rows_are_the_scenes():
+    # The same stripes turned: nothing says that they are the sensor's.
+    rows = striped(picture().T).T - picture()
+    left = destripe_cnn(picture() + rows) - destripe_cnn(picture())
+    assert np.corrcoef(left.ravel(), rows.ravel())[0, 1] > 0.95
+
+
+def test_the_level_stays():
+    frame = 8000 + 1500 * striped(picture())
+    assert destripe_cnn(frame).mean() == pytest.approx(frame.mean(), rel=1e-6)
+
+
+@pytest.mark.parametrize("network", [destripe_cnn, sharpen])
+@settings(max_examples=5, deadline=None)
+@given(
+    gain=st.floats(1e-2, 1e4), level=st.floats(-10, 10), height=st.integers(9, 40), width=st.integers(9, 40)
+)
+def test_units_and_size_are_free(network, gain, level, height, width):
+    frame = np.random.default_rng(height).random((height, width))
+    assert np.allclose(network(gain * (frame + level)) / gain - level, network(frame), atol=1e-4)

@@ -6,8 +6,7 @@ import torch
 from registered import COUNTS, SHAPE, camera_of_tones, errors, simulated
 
 from deepir.registration import motion_search, register
-from deepir.simulate import Settings, simulate
-from deepir.simulate.optics import rendering as optics
+from deepir.simulate import Settings, optics, simulate
 from deepir.simulate.scenes.procedural import procedural, sky
 
 

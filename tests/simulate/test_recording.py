@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from deepir.errors import ConfigError, DataError
-from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
-from deepir.simulate.recording.camera import drifting_offsets, lagged_frames
-from deepir.simulate.recording.paths import camera_path, rotations
-from deepir.simulate.recording.surfaces import Surface, World, render_view, texture
+from deepir.simulate.detector import lagged
+from deepir.simulate.paths import camera_path, rotations
+from deepir.simulate.planes import Surface, World, render_view, texture
+from deepir.simulate.recording import (
+    RecordingSettings,
+    drifting_offsets,
+    residual_pattern,
+    simulate_recording,
+)
 
 SMALL = RecordingSettings(kind="tripod", n_frames=12, shape=(48, 64), objects=0)
 X, Y, Z = np.eye(3)
@@ -116,14 +121,6 @@ def test_only_what_is_marked_as_moving_changes_before_a_still_camera(crowd):
 # ---- the sensor ----
 
 
-def test_frames_of_a_still_camera_differ_by_noise_only():
-    recording = simulate_recording(small(n_frames=40), seed=1)
-    assert np.ptp(recording.truth.scene, axis=0).max() == 0
-    good = ~recording.truth.bad_pixels
-    deviation = recording.frames.astype(float).std(axis=0, ddof=1)[good]
-    assert np.sqrt(np.mean(deviation**2)) == pytest.approx(recording.truth.noise, rel=0.02)
-
-
 def test_frames_are_the_truth_under_its_pattern_and_noise():
     recording = simulate_recording(small(drift=0.05, tau_ms=10.0, kind="pan", substeps=2), seed=5)
     truth = recording.truth
@@ -161,9 +158,8 @@ def test_the_drift_is_a_random_walk_or_an_ornstein_uhlenbeck_process(time):
 
 @pytest.mark.parametrize("substeps", [1, 4])
 def test_the_step_response_of_a_pixel_is_exponential(substeps):
-    settings = small(tau_ms=20.0, substeps=substeps, n_frames=8)
     flux = [np.float64(k > 0) for k in range(7 * substeps + 1)]
-    found = list(lagged_frames(flux, settings))
+    found = list(lagged(flux, 1000 / 30 / substeps / 20.0))[::substeps]
     rise = 1000 / 30 / substeps  # ms of the flux, from zero to one
     shown, steps = 0.0, 2000
     expected = [0.0]
@@ -212,11 +208,6 @@ def test_without_pyav_a_message_says_what_to_install(monkeypatch):
         simulate_recording(small(n_frames=1, agc=True, compression="h264"))
 
 
-def test_counts_are_of_16_bits_and_times_of_the_frame_rate(crowd):
-    assert crowd.frames.dtype == np.uint16
-    np.testing.assert_allclose(np.diff(crowd.times), 1 / 30)
-
-
 def test_the_same_seed_gives_the_same_recording_and_noise_does_not_change_the_path():
     settings = small(kind="pan", n_frames=3)
     first, second = (simulate_recording(settings, seed=7) for _ in range(2))
@@ -226,14 +217,13 @@ def test_the_same_seed_gives_the_same_recording_and_noise_does_not_change_the_pa
     assert (simulate_recording(settings, seed=8).truth.rotation != first.truth.rotation).any()
 
 
-def test_it_is_saved_with_its_truth_beside_it(tmp_path, crowd):
+def test_counts_are_of_16_bits_and_saved_with_their_times(tmp_path, crowd):
     path, beside = crowd.save(tmp_path / "crowd.npz")
     with np.load(path) as saved, np.load(beside) as truth:
-        np.testing.assert_array_equal(saved["frames"], crowd.frames)
+        assert saved["frames"].dtype == np.uint16
+        np.testing.assert_allclose(np.diff(saved["times"]), 1 / 30)
         assert json.loads(str(saved["settings"]))["kind"] == "tripod"
         np.testing.assert_array_equal(truth["moving"], crowd.truth.moving)
-    with pytest.raises(DataError, match=r"\.npz"):
-        crowd.save(tmp_path / "crowd.tiff")
 
 
 # ---- its judge ----

@@ -106,7 +106,8 @@ def _burst(settings: list[str], scene: str | None, seed: int) -> Callable[[], Si
     from deepir.simulate.scenes.procedural import load_picture
     from deepir.simulate.settings import settings_from_mapping, settings_schema
 
-    burst = settings_from_mapping(dict(parse_settings(settings, settings_schema())))
+    pairs = dict(parse_settings(settings, settings_schema(camera.Settings)))
+    burst = settings_from_mapping(pairs, camera.Settings)
     return lambda: camera.simulate(None if scene is None else load_picture(scene), burst, seed=seed)
 
 
@@ -114,8 +115,8 @@ def _recording(settings: list[str], seed: int) -> Callable[[], Recording]:
     """Check the settings of a whole recording; a function that simulates it."""
     from deepir.config.overrides import parse_settings
     from deepir.simulate.recording import RecordingSettings, simulate_recording
-    from deepir.simulate.settings import checked_values, settings_schema
+    from deepir.simulate.settings import settings_from_mapping, settings_schema
 
-    pairs = dict(parse_settings(settings, settings_schema(of=RecordingSettings)))
-    recording = RecordingSettings(**checked_values(pairs, RecordingSettings, "recording"))
+    pairs = dict(parse_settings(settings, settings_schema(RecordingSettings)))
+    recording = settings_from_mapping(pairs, RecordingSettings)
     return lambda: simulate_recording(recording, seed=seed)

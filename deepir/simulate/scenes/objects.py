@@ -31,6 +31,13 @@ def fractal_noise(
     return (noise - noise.mean()) / noise.std()
 
 
+def distance_from_line(x: np.ndarray, y: np.ndarray, p: Point, q: Point) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of points from a line that ends at p and q, and where along it is nearest, from 0 to 1."""
+    dx, dy = q[0] - p[0], q[1] - p[1]
+    along = np.clip(((x - p[0]) * dx + (y - p[1]) * dy) / max(dx * dx + dy * dy, 1e-12), 0, 1)
+    return np.hypot(x - p[0] - along * dx, y - p[1] - along * dy), along
+
+
 class Canvas:
     """A picture that is painted; lengths are in picture heights: x in [0, aspect] right, y in [0, 1] down."""
 
@@ -85,9 +92,8 @@ class Canvas:
     ) -> None:
         """A line with round ends, `taper` times as thick at q; `limb` colder at its rim, like a pipe."""
         at, x, y = self._window([p, q], r * max(1.0, taper))
-        dx, dy = q[0] - p[0], q[1] - p[1]
-        along = np.clip(((x - p[0]) * dx + (y - p[1]) * dy) / max(dx * dx + dy * dy, 1e-12), 0, 1)
-        off, radius = np.hypot(x - p[0] - along * dx, y - p[1] - along * dy), r * (1 + (taper - 1) * along)
+        off, along = distance_from_line(x, y, p, q)
+        radius = r * (1 + (taper - 1) * along)
         self._cover(at, off - radius, value - limb * np.minimum(off / radius, 1) ** 2, 0.005)
 
     def disc(self, x: float, y: float, r: float, value: float, *, limb: float = 0.0) -> None:

@@ -64,10 +64,9 @@ def _shipped(name: str) -> np.ndarray[Any, Any]:
 
 
 def _stretched_picture(whole: np.ndarray[Any, Any], name: str) -> np.ndarray[Any, Any]:
-    low, high = whole.min(), whole.max()
-    if not (np.isfinite(whole).all() and high > low):
+    if not (np.isfinite(whole).all() and np.ptp(whole) > 0):
         raise DataError(f"{name}: a scene is a picture that is finite and not constant")
-    return (whole - low) / (high - low)
+    return _stretched(whole)
 
 
 def procedural(seed: int = 0, shape: tuple[int, int] = (512, 640)) -> np.ndarray:

@@ -1,1 +1,0 @@
-"""Methods that estimate scene or sensor from registered frames."""

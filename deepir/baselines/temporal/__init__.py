@@ -1,1 +1,0 @@
-"""Methods that compare the frames pixel by pixel over time, without registration."""

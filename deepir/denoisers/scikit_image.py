@@ -1,0 +1,80 @@
+"""Denoisers of scikit-image: non-local means, and thresholding of wavelets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepir.errors import ConfigError
+from deepir.registry import register
+
+PATCH_SIDE = 5  # side of a patch, px
+SEARCH_RADIUS = 6  # largest distance of patches that are compared, px
+FILTER_STRENGTH = 0.8  # filter parameter h, noise standard deviations
+WAVELET = "db2"  # Daubechies wavelet with two vanishing moments
+MIRRORED_MARGIN = 16  # mirrored margin, px: the shifts are cyclic
+#: Factor on the universal threshold, which is meant for a single image, not for an average over shifts.
+THRESHOLD_FACTOR = 0.75
+MAX_SHIFT = 3  # largest shift along each axis, px
+
+
+@register("denoiser", "nl_means")
+def nl_means(picture: Tensor, noise: float) -> Tensor:
+    """Non-local means (Buades, Coll, Morel 2005), by scikit-image."""
+    from skimage.restoration import denoise_nl_means  # not above: it is slow to import
+
+    low = picture.min()
+    span = float((picture.max() - low).clamp(min=1e-30))  # it works with values of about one
+    options = {
+        "patch_size": PATCH_SIDE,
+        "patch_distance": SEARCH_RADIUS,
+        "h": FILTER_STRENGTH * noise / span,
+        "sigma": noise / span,
+    }
+    found = _of_planes(
+        (picture - low) / span, lambda plane: denoise_nl_means(plane, fast_mode=True, **options)
+    )
+    return found * span + low
+
+
+@register("denoiser", "wavelets")
+def wavelets(picture: Tensor, noise: float) -> Tensor:
+    """Hard thresholding of wavelets, averaged over shifts of the picture (Coifman and Donoho 1995).
+
+    As scikit-image has it; `pip install PyWavelets` is needed.
+
+    Raises:
+        ConfigError: PyWavelets is not installed.
+    """
+    from skimage.restoration import cycle_spin, denoise_wavelet  # not above: it is slow to import
+
+    options = {
+        "sigma": THRESHOLD_FACTOR * noise,
+        "wavelet": WAVELET,
+        "method": "VisuShrink",
+        "mode": "hard",
+        "rescale_sigma": False,
+    }
+
+    def denoise(plane: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        padded = np.pad(plane, MIRRORED_MARGIN, "symmetric")
+        found = cycle_spin(padded, denoise_wavelet, MAX_SHIFT, workers=1, func_kw=options)
+        return np.asarray(found[MIRRORED_MARGIN:-MIRRORED_MARGIN, MIRRORED_MARGIN:-MIRRORED_MARGIN])
+
+    try:
+        return _of_planes(picture, denoise)
+    except ImportError:
+        raise ConfigError(
+            "denoiser 'wavelets': it needs PyWavelets: pip install 'deepir[wavelets]'"
+        ) from None
+
+
+def _of_planes(picture: Tensor, denoise: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]) -> Tensor:
+    """A picture (..., H, W) whose planes are denoised one by one, in float64."""
+    planes = picture.reshape(-1, *picture.shape[-2:]).double().cpu().numpy()
+    found = np.stack([denoise(plane) for plane in planes])
+    return torch.from_numpy(found).to(picture).reshape(picture.shape)

@@ -1,1 +1,0 @@
-"""From the scene to the flux on the detector: motion, blur, parallax, stray flux."""
