@@ -9,8 +9,7 @@ from torch import Tensor
 
 from deepir.effects.effect import Effect, Rounds
 from deepir.effects.frame_gain import contrast_slopes
-from deepir.estimation.gain_offset_evidence import GainOffsetEvidence
-from deepir.estimation.low_order_evidence import frame_level_offsets
+from deepir.estimation.low_order_evidence import GainOffsetEvidence, frame_level_offsets
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.fields.drift import Drift
 from deepir.problem import Problem

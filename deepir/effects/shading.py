@@ -30,7 +30,7 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
     shadings, stray, drifts = low_order_unknowns(problem)
     if not (shadings or stray or drifts):
         return
-    evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
+    evidence = LowOrderEvidence(problem, stray)
     # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
     sure = not (start and stray)
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
@@ -65,7 +65,7 @@ def estimate_shared_shading(data_sets: Sequence[Problem]) -> None:
         for each in data_sets:
             estimate_low_order(each)
         return
-    evidence = {each: LowOrderEvidence(each, each.closed_form()) for each in unknowns}
+    evidence = {each: LowOrderEvidence(each) for each in unknowns}
     strength = max(each.contrast for each in evidence.values()) * torch.logspace(
         -4.5, 0.5, 41, dtype=torch.float64
     )
@@ -98,7 +98,7 @@ def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpan
 
 def low_order_doubt(problem: Problem) -> Tensor:
     """Variances by which the low-order parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
-    return LowOrderEvidence(problem, problem.closed_form(), stray_flux_fields(problem)).doubt
+    return LowOrderEvidence(problem, stray_flux_fields(problem)).doubt
 
 
 def added_flux(problem: Problem) -> list[str]:
@@ -137,7 +137,7 @@ class LowOrderParts(Effect):
         shadings, stray, drifts = low_order_unknowns(problem)
         if not complete or not (shadings or stray) or len(problem.data) >= MIN_FRAMES:
             return []
-        evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
+        evidence = LowOrderEvidence(problem, stray)
         smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
         if not smooth:
             return []

@@ -8,7 +8,7 @@ import torch
 
 from deepir.effects.effect import Effect, Rounds
 from deepir.effects.shading import low_order_doubt, low_order_unknowns
-from deepir.estimation.gain_offset_evidence import GainOffsetEvidence, gain_and_offset
+from deepir.estimation.low_order_evidence import GainOffsetEvidence, gain_and_offset
 from deepir.estimation.residuals import has_line_noise
 from deepir.fields.shading import Shading
 from deepir.problem import Problem

@@ -17,15 +17,11 @@ from deepir.fields.base import Pixels
 from deepir.fields.motion import Motion
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import displacement_at
-from deepir.optim.low_order_model import Variances, pattern_variances
+from deepir.optim.low_order_model import MIN_CURVATURE_RATIO, Variances, additive_variances
 from deepir.problem import Problem
 
-#: Largest prior standard deviation of the gain of lines that is treated as an additive pattern.
-MAX_ADDITIVE_LINE_GAIN = 0.15
 #: Positions along each axis of the frame at which the motion is evaluated.
 N_MOTION_POSITIONS = 5
-#: Smallest curvature, relative to the mean.
-MIN_CURVATURE_RATIO = 1e-8
 #: Weight of the scene's squared gradient under the weak prior, relative to the precision of a frame.
 GRADIENT_WEIGHT = 0.001
 #: Frequencies along each axis of the spectrum.
@@ -84,11 +80,6 @@ def variance_spectrum(
 def spline_response(problem: Problem) -> Tensor:
     """Squared frequency response of the spline at pixel centres to its coefficients, (H, W / 2 + 1)."""
     return _squared_spline_response(*frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
-
-
-def additive_variances(problem: Problem, eliminated: Collection[str]) -> Variances:
-    """Variances of the pattern, without line gains above `MAX_ADDITIVE_LINE_GAIN`."""
-    return pattern_variances(problem, eliminated, MAX_ADDITIVE_LINE_GAIN)
 
 
 def fourier_curvature(

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.diagnostics.repeating_scene import are_interlaced
+from deepir.diagnostics.frames import are_interlaced
 from deepir.registration import register
 from deepir.simulate import Settings, simulate
 

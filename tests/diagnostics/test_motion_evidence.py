@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.diagnostics.repeating_scene import scene_period
+from deepir.diagnostics.motion_evidence import scene_period
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import sky

@@ -2,7 +2,7 @@
 
 import torch
 
-from deepir.effects.foreground import foreground
+from deepir.effects.moving_objects import foreground
 
 SHAPE = (60, 80)
 
