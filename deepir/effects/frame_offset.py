@@ -53,36 +53,6 @@ def start_frame_levels(problem: Problem) -> bool:
     return True
 
 
-def drift_message(problem: Problem) -> list[str]:
-    """Say so if the frames' levels drift, whether the problem knows it or not."""
-    least = REPORTED_DRIFT * median_sigma(problem.precision)
-    name = problem.sensor_unknowns().get("level", "")
-    if not name:
-        return []
-    if name in problem.free():
-        found = problem.fields[name]().detach().mean((1, 2, 3))
-        chance = sum(each.frame_mean_variance for each in problem.modules() if isinstance(each, LineNoise))
-        if float((found - found.mean()).abs().max()) <= least + CHANCE_DRIFT * chance**0.5:
-            return []
-        return [
-            Message(
-                "level-drift",
-                f"the level of whole frames drifts, by {found.std():.3g}: "
-                "a slope across the scene is separated from that only in part",
-            )
-        ]
-    level = level_residuals(problem)
-    drift = float((level - level.mean()).abs().max())
-    if drift < least:
-        return []
-    return [
-        Message(
-            "level-drift-ignored",
-            f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with physics.sensor.level=drift",
-        )
-    ]
-
-
 @register("effect", "frame_offset")
 @dataclass(frozen=True)
 class FrameOffset(Effect):
@@ -92,4 +62,33 @@ class FrameOffset(Effect):
         return start_frame_levels(problem)
 
     def messages(self, problem: Problem, *, complete: bool) -> list[str]:
-        return drift_message(problem) if complete else []
+        """Say so if the frames' levels drift, whether the problem knows it or not."""
+        least = REPORTED_DRIFT * median_sigma(problem.precision)
+        name = problem.sensor_unknowns().get("level", "")
+        if not (complete and name):
+            return []
+        if name in problem.free():
+            found = problem.fields[name]().detach().mean((1, 2, 3))
+            chance = sum(
+                each.frame_mean_variance for each in problem.modules() if isinstance(each, LineNoise)
+            )
+            if float((found - found.mean()).abs().max()) <= least + CHANCE_DRIFT * chance**0.5:
+                return []
+            return [
+                Message(
+                    "level-drift",
+                    f"the level of whole frames drifts, by {found.std():.3g}: "
+                    "a slope across the scene is separated from that only in part",
+                )
+            ]
+        level = level_residuals(problem)
+        drift = float((level - level.mean()).abs().max())
+        if drift < least:
+            return []
+        return [
+            Message(
+                "level-drift-ignored",
+                f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with "
+                "physics.sensor.level=drift",
+            )
+        ]

@@ -35,37 +35,6 @@ LEVEL_PRECISION = 0.05
 LEVEL_TOLERANCE, EXCEPTIONS_SHARE = 1e-3, 0.01
 
 
-@torch.no_grad()
-def take_reference_level(problem: Problem) -> bool:
-    """Measure the data from the likeliest reference level, as the fit of a first round has it.
-
-    Whether it is another one: scene, gain and offset are to be started anew.
-    """
-    level = _likeliest(problem, EVIDENCE_MARGIN)
-    if level is None or abs(level) < MIN_DEVIATIONS * float(problem.data[problem.precision > 0].std()):
-        return False
-    problem.measure_from(level)
-    return True
-
-
-@torch.no_grad()
-def refine_reference_level(problem: Problem) -> None:
-    """Improve a reference level other than zero by the fit of a later round, which goes on from where it is.
-
-    Data sets of one sensor have one level, and go on from where they are when it is first taken, too.
-    """
-    level = None
-    if problem.reference or problem.same_sensor:
-        level = _likeliest(problem, REFINEMENT_MARGIN if problem.reference else EVIDENCE_MARGIN)
-    if level is not None:
-        change = level - float(problem.reference)
-        for scene in dict.fromkeys(each.fields["scene"] for each in (problem, *problem.same_sensor)):
-            scene.init_from(scene() - change)
-        for each in (problem, *problem.same_sensor):
-            each.measure_from(level)
-        update_parts(problem)
-
-
 def _likeliest(problem: Problem, margin: float) -> float | None:
     """The likeliest level, in the data's units from their zero; None where that is not likelier by so many nats."""
     last = problem.operator.named()[-1][1]
@@ -116,8 +85,29 @@ class ReferenceLevel(Effect):
     compares_frames = True
     of_sensor = True
 
+    @torch.no_grad()
     def update(self, problem: Problem, *, settled: bool) -> bool:
-        if settled or problem.same_sensor:
-            refine_reference_level(problem)
+        """Measure the data from the likeliest level.
+
+        Another level after the first round starts scene, gain and offset anew. Later, and where data sets share one
+        sensor, they go on from where they are.
+        """
+        known, goes_on = bool(problem.reference), bool(settled or problem.same_sensor)
+        if goes_on and not (known or problem.same_sensor):
             return False
-        return take_reference_level(problem)
+        level = _likeliest(problem, REFINEMENT_MARGIN if goes_on and known else EVIDENCE_MARGIN)
+        if level is None:
+            return False
+        if not goes_on:
+            far = abs(level) >= MIN_DEVIATIONS * float(problem.data[problem.precision > 0].std())
+            if far:
+                problem.measure_from(level)
+            return far
+        change = level - float(problem.reference)
+        data_sets = (problem, *problem.same_sensor)
+        for scene in dict.fromkeys(each.fields["scene"] for each in data_sets):
+            scene.init_from(scene() - change)
+        for each in data_sets:
+            each.measure_from(level)
+        update_parts(problem)
+        return False

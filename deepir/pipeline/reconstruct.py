@@ -14,7 +14,7 @@ from deepir.config import Config
 from deepir.diagnostics.frames import equalised_message
 from deepir.diagnostics.motion_evidence import doubtful_motion, scene_in_pattern_message
 from deepir.diagnostics.residual_correlation import residual_correlation_message
-from deepir.effects.gain_drift import has_exposures
+from deepir.effects.frame_gain import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
