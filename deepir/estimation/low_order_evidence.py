@@ -15,7 +15,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import masked_values, median, subsample
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
-from deepir.estimation.residuals import has_line_noise, line_noise_in_polynomials, subtract_line_means
+from deepir.estimation.residuals import has_line_noise, line_noise_fields
 from deepir.fields.base import Field
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import WALK_SIGMA_RATIO, Drift
@@ -169,10 +169,7 @@ class LowOrderEvidence(_StrengthEvidence):
         self.count, self.stray_flux = len(residual), stray_flux
         seen = self.low_order.frame_scores(_clipped(residual, some)[0])
         self.contrast = float(contrast(problem))
-        known, chance = (
-            line_noise_in_polynomials(problem, self.low_order.frame),
-            self._line_variance(variance),
-        )
+        known, chance = self._line_noise_variance(), self._line_variance(variance)
         variances = [known + share * chance for share in LINE_VARIANCE_FRACTIONS]
         wrong = () if stray_flux else MODEL_ERROR_FRACTIONS  # stray flux, before it is known, is as much
         variances += [known + chance + (share * self.contrast) ** 2 for share in wrong]
@@ -197,6 +194,17 @@ class LowOrderEvidence(_StrengthEvidence):
         evidence = MarginalLikelihood(normal, rhs, free)
         nats = evidence.nats(self._prior(self.expected.new_tensor([2 * [self.contrast]])))[0]
         return model, evidence, model.null_nats(seen).cpu() + evidence.constant.cpu() + nats
+
+    def _line_noise_variance(self) -> Tensor:
+        """Variance of temporal line noise in the level and the polynomials of a frame, (terms + 1,)."""
+        frame = self.low_order.frame
+        level = torch.zeros_like(frame.order_y[:1])
+        of_y, of_x = torch.cat((level, frame.order_y)), torch.cat((level, frame.order_x))
+        found = torch.zeros(len(of_y), dtype=torch.float64, device=of_y.device)
+        for field in line_noise_fields(self.low_order.problem):
+            constant = (of_x if field.line_axis == -2 else of_y) == 0
+            found += constant * field.frame_mean_variance
+        return found
 
     def _line_variance(self, variance: dict[tuple[int, ...], float]) -> float:
         """Variance of what the lines' pattern does to the frames by chance.
@@ -367,9 +375,11 @@ class GainOffsetEvidence(_StrengthEvidence):
             pattern = terms, levels[k][:, None] * one, terms * zk, wrong.flatten(0, 1)
             columns = torch.cat((*scene, *own, *pattern, residual[k][None]))
             if jump:  # all of the frame is there
-                columns = subtract_line_means(
-                    self.low_order.problem, columns.unflatten(1, self.shape)
-                ).flatten(1)
+                maps = columns.unflatten(1, self.shape)
+                for field in line_noise_fields(self.low_order.problem):
+                    if field.sigma > 0:
+                        maps = maps - maps.mean(-3 - field.line_axis, keepdim=True)
+                columns = maps.flatten(1)
             yield columns
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
