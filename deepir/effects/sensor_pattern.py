@@ -93,24 +93,6 @@ def pattern_to_noise(problem: Problem) -> float:
 
 
 @torch.no_grad()
-def keep_gauge(problem: Problem) -> None:
-    """Carry what gain and offset have in common over to the scenes: their parts are to be about one and zero.
-
-    The data do not change with it, so nothing but the priors holds it, and it drifts.
-    """
-    values, closed = problem.values(), problem.closed_form()
-    unknowns = problem.sensor_unknowns()
-    gain, offset = unknowns.get("gain"), unknowns.get("offset")
-    for field in dict.fromkeys(each.fields["scene"] for each in (problem, *problem.same_sensor)):
-        scene = field()
-        if gain in closed:
-            scene = scene * values[gain].mean()
-        if offset in closed:
-            scene = scene + values[offset].mean()
-        field.init_from(scene)
-
-
-@torch.no_grad()
 def update_parts(problem: Problem) -> None:
     """Set the standard deviations of the parts by marginal likelihood, the scene fixed.
 
@@ -168,8 +150,23 @@ class SensorPattern(Effect):
         if estimate.step == 1:
             start_parts(estimate.problem, estimate.residual)
 
+    @torch.no_grad()
     def update(self, problem: Problem, *, settled: bool) -> bool:
-        keep_gauge(problem)
+        """Carry what gain and offset have in common over to the scenes, and estimate the parts.
+
+        Gain and offset are to be about one and zero. The data do not change with it, so nothing but the priors holds
+        it, and it drifts.
+        """
+        values, closed = problem.values(), problem.closed_form()
+        unknowns = problem.sensor_unknowns()
+        gain, offset = unknowns.get("gain"), unknowns.get("offset")
+        for field in dict.fromkeys(each.fields["scene"] for each in (problem, *problem.same_sensor)):
+            scene = field()
+            if gain in closed:
+                scene = scene * values[gain].mean()
+            if offset in closed:
+                scene = scene + values[offset].mean()
+            field.init_from(scene)
         update_parts(problem)
         return False
 

@@ -20,6 +20,7 @@ from deepir.fields.base import Field
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import WALK_SIGMA_RATIO, Drift
 from deepir.fields.shading import Shading
+from deepir.operators import Warp
 from deepir.operators.motion_models import displacement_at
 from deepir.optim.low_order_model import LowOrderModel, Variances, expected_variances, pattern_variances
 from deepir.problem import Problem
@@ -211,8 +212,10 @@ class LowOrderEvidence(_StrengthEvidence):
 
         Of the lines at one edge of the view some leave as the camera moves, and as many others enter at the other.
         """
-        height, width = self.low_order.frame.shape[-2:]
-        moved = relative_shifts(self.low_order.problem).abs().mean(0)
+        problem, (height, width) = self.low_order.problem, self.low_order.frame.shape[-2:]
+        motion = problem.field_of(problem.slot(Warp, "motion"))().detach().double()
+        shifts = displacement_at(motion, motion.new_zeros(2))
+        moved = (shifts - shifts.mean(0)).abs().mean(0)
         columns = 2 * float(moved[0]) / width * variance[COLUMN] / width
         return columns + 2 * float(moved[1]) / height * variance[ROW] / height
 
@@ -484,15 +487,6 @@ def frame_level_offsets(problem: Problem) -> Tensor:
     """Known levels of the frames, (N, 1, 1, 1); (1, 1, 1, 1) without any."""
     found = [module.level_offsets for module in problem.modules() if isinstance(module, Drift)]
     return sum(found, problem.data.new_zeros(1, 1, 1, 1))
-
-
-def relative_shifts(problem: Problem) -> Tensor:
-    """Translation (x, y) of each frame, less the mean, (N, 2) float64, px; zero without motion."""
-    values = [field() for name in problem.slots.values() if (field := problem.fields[name]).model]
-    if not values:
-        return problem.data.new_zeros(len(problem.data), 2).double()
-    moved = displacement_at(values[0].detach().double(), problem.data.new_zeros(2).double())
-    return moved - moved.mean(0)
 
 
 def contrast(problem: Problem) -> Tensor:
