@@ -222,9 +222,8 @@ def _frame_gains(problem: Problem, expected: Tensor) -> tuple[Tensor, float]:
         [slice(side * i // GRID, side * (i + 1) // GRID, step) for i in range(GRID)] for side in (h, w)
     )
     given = problem.data, expected, problem.precision
-    blocks = [
-        contrast_slopes(*(each[:, 0, y, x] for each in given), BLOCK_DEGREE) for y in rows for x in columns
-    ]
+    parts = [[each[:, 0, y, x] for each in given] for y in rows for x in columns]
+    blocks = [contrast_slopes(frames, shown, weight, BLOCK_DEGREE) for frames, shown, weight in parts]
     slopes, information = (torch.stack(each, 1) for each in zip(*blocks, strict=True))
     weights = information.mean(0)
     each = slopes / slopes.mean(0) - 1
