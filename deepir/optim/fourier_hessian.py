@@ -17,7 +17,12 @@ from deepir.fields.base import Pixels
 from deepir.fields.motion import Motion
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import displacement_at
-from deepir.optim.low_order_model import MIN_CURVATURE_RATIO, Variances, additive_variances
+from deepir.optim.low_order_model import (
+    MIN_CURVATURE_RATIO,
+    Variances,
+    additive_variances,
+    penalty_curvature,
+)
 from deepir.problem import Problem
 
 #: Positions along each axis of the frame at which the motion is evaluated.
@@ -103,9 +108,7 @@ def fourier_curvature(
     """
     scene, count = problem.fields["scene"](), len(problem.data)
     y, x = frequencies(scene.shape[-2:], scene.device)
-    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    curvatures = [penalty.mean_curvature(scene) for penalty in penalties]
-    of_value, of_gradient = (penalty_factor * sum(each) for each in zip((0.0, 0.0), *curvatures, strict=True))
+    of_value, of_gradient = (penalty_factor * each for each in penalty_curvature(problem, scene))
     share = _coupling_denominator(pattern, precision, count, scene.shape[-2:], y, x).reciprocal_()
     y, x = y.float(), x.float()
     information = precision * _squared_spline_response(y, x)

@@ -250,13 +250,18 @@ def _stray_flux_curvature(
 
 def _penalty_curvature(problem: Problem, low_order: LowOrderModel) -> Tensor:
     """Hessian of the scene's penalties in its polynomials."""
-    value = problem.fields["scene"]()
-    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    curvatures = [penalty.mean_curvature(value) for penalty in penalties]
-    of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *curvatures, strict=True))
+    of_value, of_gradient = penalty_curvature(problem, problem.fields["scene"]())
     basis = low_order.scene  # of products of functions of y and of x, whose sums are products, too
     (y, down), (x, right) = (
         [each @ each.T for each in (along[of], along[of].diff(dim=-1))]
         for along, of in ((basis.basis_y, basis.order_y), (basis.basis_x, basis.order_x))
     )
     return of_value * y * x + of_gradient * (y * right + down * x)
+
+
+def penalty_curvature(problem: Problem, scene: Tensor) -> tuple[float, float]:
+    """Mean curvature of the scene's penalties in its values, and in its squared gradient."""
+    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
+    curvatures = [penalty.mean_curvature(scene) for penalty in penalties]
+    of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *curvatures, strict=True))
+    return of_value, of_gradient
