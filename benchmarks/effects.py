@@ -1,132 +1,182 @@
-"""What each effect is worth: `make bench-effects` leaves one out at a time, on simulated and on real bursts.
+"""What each effect of `nuc` is worth: `make bench-effects` leaves out one at a time, and compares with the truth.
 
-Simulated: PSNR of the scene, against truth, in dB; bursts that have the imperfection, and plain ones. Real: likeness of
-corrected frames with the calibrated ones on the drive that `DEEPIR_DATA` holds, over frames that were not used.
+On simulated bursts of what the effect is for, at three strengths; on clean bursts, where it is not needed; and on
+bursts of hand-held recordings that are drawn from real pictures (`recordings_drawn.py`).
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import recordings_drawn
 import torch
 from golden import error_db
-from recordings_cases import DATA
-from recordings_scores import alike
+from recordings_methods import BURST
+from recordings_scores import MARGIN, mean_error
 from written import write
 
 import deepir
-from deepir.config import load
 from deepir.errors import DeepIRError
-from deepir.pipeline.schedule import make_recipe
-from deepir.registry import components, summary
 from deepir.simulate import Settings, simulate
 
 SCRIPT = "benchmarks/effects.py"
+SEEDS = range(1, 6)
 SMALL = {"shape": (80, 96), "n_frames": 6}
 COUNTS = SMALL | {"counts": True}
-#: Name: the camera. The first two have nothing special.
-BURSTS: dict[str, dict[str, Any]] = {
-    "plain": SMALL,
-    "counts": COUNTS,
-    "saturated": COUNTS | {"pedestal": 15500.0},
-    "dead pixels": SMALL | {"dead_pixels": 0.03, "stuck_pixels": 0.01},
-    "level drift": SMALL | {"level_drift": 0.02},
-    "jumping rows": SMALL | {"row_noise": 0.02},
-    "strong shading": SMALL | {"shading": 0.6},
-    "vignetting": SMALL | {"n_frames": 8, "gain_shading": 0.3},
-    "moving object": SMALL | {"walker": 0.4},
-    "strong pattern": SMALL | {"offset_pixel": 0.2, "offset_column": 0.2},
-    "failed frame": SMALL | {"failed_frame": 3},
-    "bolometer": COUNTS | {"bolometer": True, "n_frames": 8},
-    "faint": COUNTS | {"contrast": 100.0},
-    "photons": SMALL | {"photons": 2000.0},
+CROPPED = np.s_[:, 20:100, 32:128]  # of a drawn recording
+
+Array = np.ndarray
+Judge = Callable[[Any], float]  # quality of a result, dB; of None, that of the raw frames
+
+
+def stretched(frames: Array, deviation: float, rng: np.random.Generator) -> Array:
+    """Frames with gains of their own, in 8 bits, as of an automatic gain control."""
+    frames = own_gains(frames, deviation, rng)
+    return np.round((frames - frames.min()) / np.ptp(frames) * 255).astype(np.uint8)
+
+
+def own_gains(frames: Array, deviation: float, rng: np.random.Generator) -> Array:
+    gains = 1 + deviation * rng.standard_normal(len(frames)).clip(-2, 2)
+    return (frames.mean() + gains[:, None, None] * (frames - frames.mean())).astype(np.float32)
+
+
+def dead_columns(frames: Array, count: int, rng: np.random.Generator) -> Array:
+    first = rng.integers(10, frames.shape[2] - 20)
+    frames[:, :, first : first + count] = frames.min()
+    return frames
+
+
+def overlay(frames: Array, side: int, rng: np.random.Generator) -> Array:
+    y, x = (rng.integers(4, length - side - 4) for length in frames.shape[1:])
+    frames[:, y : y + side, x : x + side] = np.median(frames)
+    return frames
+
+
+ALTERED = {each.__name__: each for each in (stretched, own_gains, dead_columns, overlay)}
+#: Cameras, by the setting that varies; others are small ones, or have altered frames.
+CAMERAS: dict[str, dict[str, Any]] = {
+    "max_shift": COUNTS,
+    "pedestal": COUNTS | {"dead_pixels": 0.01},
+    "contrast": COUNTS | {"bolometer": True, "n_frames": 8},
+    "gain_shading": SMALL | {"n_frames": 8},
 }
-#: Each frame of these bursts is stretched, or has a response of its own.
-STRETCHED = {"AGC": 0.15, "gain drift": 0.004}
-SEEDS = (31,)
-DRIVE = [range(30, 90, 6)]  # frames of the real drive
-SKIP = 17  # frames between those that likeness is taken of
+#: Effect, what it is for, and strengths of that.
+NEEDS = (
+    ("frame_offset", "level_drift", (0.1, 0.5, 2.0)),
+    ("unobserved", "max_shift", (5.0, 15.0, 30.0)),
+    ("bad_pixels", "dead_columns", (1, 2, 4)),
+    ("bad_pixels", "overlay", (5, 10, 20)),
+    ("frame_gain", "stretched", (0.03, 0.1, 0.3)),
+    ("saturation", "pedestal", (15000.0, 15400.0, 15800.0)),
+    ("line_noise", "row_noise", (0.003, 0.01, 0.03)),
+    ("moving_objects", "walker", (0.2, 0.4, 0.7)),
+    ("reference_level", "contrast", (500.0, 1500.0, 4000.0)),
+    ("gain_drift", "own_gains", (0.002, 0.01, 0.05)),
+    ("vignetting", "gain_shading", (0.1, 0.3, 0.6)),
+    ("shading", "shading", (0.1, 0.4, 1.0)),
+    ("shading", "level_drift", (0.1, 0.5, 2.0)),
+    ("outliers", "dead_pixels", (0.01, 0.03, 0.1)),
+    ("noise", "read_noise", (0.001, 0.01, 0.03)),
+    ("sensor_pattern", "offset_pixel", (0.01, 0.05, 0.2)),
+)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, help="write the report to this file too")
-    parser.add_argument("--no-real", action="store_true", help="simulated bursts only")
+    parser.add_argument("--only", default="", help="effects whose name contains this")
     options = parser.parse_args()
-    torch.set_num_threads(2)
-    write(report(real=not options.no_real and DATA.is_dir()), SCRIPT, options.output)
+    torch.set_num_threads(1)
+    write(report(options.only), SCRIPT, options.output)
 
 
-def report(*, real: bool) -> Iterator[str]:
+def report(only: str) -> Iterator[str]:
     """Lines of markdown."""
     yield "# What each effect is worth\n"
-    yield "`make bench-effects` leaves out one effect of `nuc` at a time (`effects.NAME=false`)."
-    yield "Simulated: change of the scene's PSNR, dB, over 16 kinds of bursts. Real: change of likeness"
-    yield "with the calibrated frames on a drive. Seconds: of the simulated bursts, all effects first.\n"
-    began = time.monotonic()
-    whole = simulated([])
-    drive = driven([]) if real else []
-    yield f"| effect | what it is | mean, dB | largest changes, dB | real | s, of {time.monotonic() - began:.0f} |"
-    yield "|---|---|---|---|---|---|"
-    kinds = {kind: name for name, kind in components("effect").items()}
-    for effect in make_recipe(load("nuc")).effects:
-        name, began = kinds[type(effect)], time.monotonic()
-        found = simulated([f"effects.{name}=false"])
-        seconds = time.monotonic() - began
-        change = {burst: found[burst] - whole[burst] for burst in whole}
-        largest = sorted(change, key=lambda burst: -abs(change[burst]))[:3]
-        words = ", ".join(f"{burst} {change[burst]:+.1f}" for burst in largest if abs(change[burst]) >= 0.05)
-        also = driven([f"effects.{name}=false"]) if real else []
-        on_real = ", ".join(f"{b - a:+.3f}" for a, b in zip(drive, also, strict=True))
-        mean = np.mean(list(change.values()))
-        yield f"| `{name}` | {summary(type(effect))} | {mean:+.2f} | {words} | {on_real} | {seconds:.0f} |"
+    yield "PSNR of the scene with an effect of `nuc` less that without it (`effects.NAME=false`, `prior=tv`), dB:"
+    yield f"median of {len(SEEDS)} seeds (worst to best). Bursts of what it is for, weak to strong; clean bursts; ten frames"
+    yield "of hand-held recordings of real pictures, by the pattern that is left. Last: CPU seconds on a clean burst.\n"
+    yield "| effect | for | weak | medium | strong | clean | drawn | s |"
+    yield "|---|---|---|---|---|---|---|---|"
+    is_drawn = not recordings_drawn.missing("hand-held")
+    for effect, what, strengths in NEEDS:
+        if only in effect:
+            kinds = [*((what, each) for each in strengths), ("clean", 0.0), *[("drawn", 0.0)] * is_drawn]
+            changes = {kind: np.array([changed(effect, *kind, seed) for seed in SEEDS]) for kind in kinds}
+            words = [
+                f"{np.median(x):+.2f} ({x.min():+.2f} to {x.max():+.2f})"
+                for x, _ in (each.T for each in changes.values())
+            ]
+            words += [""] * (not is_drawn)
+            name = f"{what.replace('_', ' ')} {', '.join(f'{each:g}' for each in strengths)}"
+            seconds = np.median(changes["clean", 0.0][:, 1])
+            yield f"| {' | '.join([f'`{effect}`', name, *words, f'{seconds:+.2f}'])} |"
 
 
-def simulated(settings: list[str]) -> dict[str, float]:
-    """PSNR of the scene of each kind of burst, dB; the mean over the seeds. A burst that fails has the raw frame's."""
-    found = {}
-    for name in [*BURSTS, *STRETCHED]:
-        each = []
-        for seed in SEEDS:
-            burst = simulate(settings=Settings(**BURSTS.get(name, SMALL)), seed=seed)
-            frames = burst.frames
-            if name in STRETCHED:
-                gains = 1 + STRETCHED[name] * np.random.default_rng(seed).standard_normal(len(frames))
-                frames = (frames.mean() + gains[:, None, None] * (frames - frames.mean())).astype(np.float32)
-            if name == "AGC":
-                low, high = frames.min((1, 2), keepdims=True), frames.max((1, 2), keepdims=True)
-                frames = ((frames - low) / (high - low)).astype(np.float32)
-            try:
-                scene = deepir.run("nuc", *settings, frames=frames).scene
-            except (DeepIRError, torch.linalg.LinAlgError):
-                scene = frames[0]
-            truth = burst.truth.scene
-            gain, offset = np.polyfit(
-                scene.ravel(), truth.ravel(), 1
-            )  # stretched frames have a gain of their own
-            each.append(error_db(gain * scene + offset, truth))
-        found[name] = float(np.mean(each))
-    return found
+def changed(effect: str, what: str, strength: float, seed: int) -> tuple[float, float]:
+    """What an effect adds to the quality of a burst, dB, and to its CPU seconds."""
+    (better, longer), (worse, shorter) = (quality(what, strength, seed, each) for each in ("", effect))
+    return better - worse, longer - shorter
 
 
-def driven(settings: list[str]) -> list[float]:
-    """Likeness with the calibrated frames at places of the drive."""
-    raw, calibrated = (
-        deepir.read_frames(DATA / "lynred_car" / f"{name}.avi").frames for name in ("raw", "calibrated")
+@functools.cache
+def quality(what: str, strength: float, seed: int, without: str) -> tuple[float, float]:
+    """Quality of a burst's result without an effect, dB, and CPU seconds."""
+    frames, judge = drawn(seed) if what == "drawn" else simulated(what, strength, seed)
+    settings = [f"effects.{without}=false"] if without else []
+    began = time.process_time()
+    try:
+        result = deepir.run("nuc", "prior=tv", *settings, frames=frames)
+    except (DeepIRError, torch.linalg.LinAlgError):
+        result = None
+    return judge(result), time.process_time() - began
+
+
+def simulated(what: str, strength: float, seed: int) -> tuple[Array, Judge]:
+    camera = CAMERAS.get(what, SMALL)
+    if what == "clean":
+        camera = camera | {"dead_pixels": 0.0, "shading": 0.0}
+    elif what not in ALTERED:
+        camera = camera | {what: strength}
+    burst = simulate(settings=Settings(**camera), seed=seed)
+    frames, truth = burst.frames, burst.truth.scene
+    if what in ALTERED:
+        frames = ALTERED[what](frames.copy(), strength, np.random.default_rng(seed))
+
+    def judge(result: Any) -> float:
+        scene = frames[0] if result is None else result.scene
+        gain, level = np.polyfit(
+            scene.ravel().astype(float), truth.ravel(), 1
+        )  # stretched frames have their own
+        return error_db(gain * scene + level, truth)
+
+    return frames, judge
+
+
+def drawn(seed: int) -> tuple[Array, Judge]:
+    """Ten frames of a hand-held recording: another kind of path, and of pattern, for each seed."""
+    names = recordings_drawn.names("hand-held", seed)
+    make = recordings_drawn.drawn().cases(str(recordings_drawn.DATA), seed)[names[7 * seed % len(names)]]
+    frames, truth = make()
+    used = np.linspace(0, len(frames) - 1, BURST).astype(int)
+    frames, scene, pattern = (
+        frames[used][CROPPED],
+        truth["scene"][used][CROPPED],
+        truth["pattern"][CROPPED[1:]],
     )
-    found = []
-    for used in DRIVE:
-        others = np.setdiff1d(np.arange(0, len(raw), SKIP), used)
-        result = deepir.run("nuc", *settings, frames=raw, data={"frames": list(used)})
-        found.append(
-            float(np.median([alike((raw[k] - result.offset) / result.gain, calibrated[k]) for k in others]))
-        )
-    return found
+
+    def judge(result: Any) -> float:
+        corrected = frames if result is None else (frames - result.offset) / result.gain
+        left = mean_error(corrected, scene)[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        return float(20 * np.log10(pattern.std() / left.std()))
+
+    return frames, judge
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
-"""Whether the frames say that the motion which was found is theirs; else a correction by it may be worse than none."""
+"""Whether motion and pattern that were found are those of the frames; a correction by others may be worse than none."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from scipy import ndimage
+from torch import Tensor
 
-from deepir.arrays.samples import Array
-from deepir.diagnostics.repeating_scene import scene_period
+from deepir.arrays.samples import Array, autocorrelation
+from deepir.arrays.statistics import MAD_TO_SIGMA, median
 from deepir.diagnostics.residual_correlation import (
     MIN_RESIDUAL_CORRELATION,
     RESIDUAL_CLIP_SIGMAS,
@@ -14,6 +17,7 @@ from deepir.diagnostics.residual_correlation import (
 from deepir.messages import Message
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
+from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem
 from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
@@ -24,6 +28,22 @@ MIN_MOTION_NATS = 0.3
 #: The same before a scene that repeats itself: if all frames register, and if fewer than a share do, since frames of
 #: another phase of the period are then left out, and the others rest.
 MIN_NATS_PERIODIC, MIN_NATS_PERIODIC_FEW, MIN_REGISTERED = 0.5, 1.2, 0.7
+#: Pairs of frames whose differences show a period, at most.
+MAX_PAIRS = 4
+#: Share of the autocorrelation one px from zero, where noise is no more, that it reaches at a period.
+MIN_REPETITION = 0.8
+#: The same share, below which it falls on the way to the period; smooth scenes, as clouds, stay above.
+MAX_BETWEEN = 0.5
+#: Distance of the peak of a repetition over that of its nearest sample, at most.
+PEAK_REACH = 1.5
+#: Distance at which pixels of the pattern are compared, px: noise in the motion and interpolation reach one.
+PATTERN_DISTANCE = 2
+#: Robust standard deviations of the pattern at which its values are cut off.
+PATTERN_CLIP_SIGMAS = 4.0
+#: Correlation of pixels so far apart from which a pattern is a picture; those that were found right have 0.08 at most.
+MIN_PATTERN_CORRELATION = 0.1
+#: Least pattern, relative to the scene: less may be of a sensor that was corrected with a scene in view.
+MIN_PATTERN_CONTRAST = 0.2
 
 
 @torch.no_grad()
@@ -79,3 +99,83 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
             "and leaves more than the pattern",
         )
     ]
+
+
+def scene_period(frames: Array, usable: Array) -> float | None:
+    """Smallest displacement at which the scene repeats itself, px; None if it does not, or by more than is seen.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, same shape, bool.
+    """
+    total, good = np.zeros((0, 0)), np.asarray(usable.all(0))
+    for k in range(0, len(frames) - 1, max(1, -(-(len(frames) - 1) // MAX_PAIRS))):
+        change = np.where(good, frames[k + 1].astype(float) - frames[k], 0.0)
+        change[good] -= np.median(change[good]) if good.any() else 0.0
+        if change.any():
+            found = autocorrelation(change, change, good)
+            total = total + found if total.size else found
+    if not total.size:
+        return None
+    middle = len(total) // 2
+    near = total[middle - 1 : middle + 2, middle - 1 : middle + 2]
+    highest = max(near[0, 1], near[1, 0], near[0, 0], near[0, 2], 0.0)
+    parts, _ = ndimage.label(total > MAX_BETWEEN * highest, np.ones((3, 3)))
+    apart = np.hypot(*(np.indices(total.shape) - middle))
+    other = (total > MIN_REPETITION * highest) & (parts != parts[middle, middle])
+    if not other.any():
+        return None
+    nearest = other & (apart < PEAK_REACH * apart[other].min())  # of a ridge, the part that is nearest
+    return float(apart[nearest][total[nearest].argmax()])
+
+
+@torch.no_grad()
+def scene_in_pattern_message(problem: Problem) -> list[str]:
+    """Say so if the pattern that was found is a picture: then the motion was wrong, and the scene is in the pattern.
+
+    A sensor has columns, rows, pixels and something smooth, and what one pixel has says nothing of the one next but
+    one. Where the camera stands still while something moves, or moves by less than a pixel under a strong pattern, the
+    motion that is found may be of something else: what stands still is then the scene, and what is left may be its
+    negative. Dust on a window, a bonnet, the corners that a lens leaves dark look like pictures, too, but there the
+    motion explains the frames far better than rest does.
+    """
+    stage, last = problem.operator.named()[-1]
+    if not isinstance(last, Sensor) or not problem.closed_form() or not problem.slot(Warp, "motion"):
+        return []
+    values = problem.values()
+    flux = problem.flux(values)
+    problem.eliminate(values, problem.closed_form(), flux=flux)
+    gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    shown = (gain * flux.median() + offset).expand_as(flux[:1])
+    pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
+    if (
+        pattern.std() < MIN_PATTERN_CONTRAST * scene.std()
+        or _alike(pattern, problem.alive()) < MIN_PATTERN_CORRELATION
+        or motion_nats(problem) > MIN_MOTION_NATS
+    ):
+        return []
+    return [
+        Message(
+            "scene-in-pattern",
+            "the fixed pattern that was found looks like a picture, as where the camera stands still and something "
+            "else moves, or where the motion is not found: do not trust the scene. Move the camera between frames, by "
+            "3 to 10 px in x and in y",
+        )
+    ]
+
+
+def _rough(image: Tensor, good: Tensor) -> Tensor:
+    """An image (h, w) less its lines and all that is smooth, outliers cut off; zero where it is not good."""
+    image = image.double()
+    image = image - image.median(1, keepdim=True).values
+    image = image - image.median(0, keepdim=True).values
+    image = image - polynomials(*image.shape, image.device).project(image)
+    limit = PATTERN_CLIP_SIGMAS * MAD_TO_SIGMA * median(image.abs())
+    return image.clamp(-limit, limit) * good
+
+
+def _alike(image: Tensor, good: Tensor) -> float:
+    """Correlation of pixels that are `PATTERN_DISTANCE` px apart, along rows and columns."""
+    found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
+    middle = len(found) // 2
+    return float(found[middle, middle + PATTERN_DISTANCE] + found[middle + PATTERN_DISTANCE, middle]) / 2

@@ -1,1 +1,1 @@
-"""Imperfections of a camera or a burst. One a file; a new file is found by itself."""
+"""Imperfections of a camera or a burst; a new file is found by itself."""

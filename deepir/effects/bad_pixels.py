@@ -19,7 +19,6 @@ from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
 from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import temporal_mean
-from deepir.problem import Problem
 from deepir.registry import register
 
 OUTLIER_DEVIATION = 7.0  # robust standard deviations of the pattern: beyond, a pixel is no part of it
@@ -28,9 +27,7 @@ DEFECT_MISFIT = 12.0  # mean squared residual over the frames, in units of the n
 MAX_MISFIT = 100.0  # squared residual at which that of one sample is clipped: one frame makes no defect
 ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
 STATIC_PROBABILITY = 1e-3  # at which noise alone varies as little over the frames
-EXPECTED_CHANGE = (
-    9.0  # variance over the frames, in units of the noise, that the scene has where an overlay hides it
-)
+EXPECTED_CHANGE = 9.0  # variance over the frames, in units of the noise, of the scene that an overlay hides
 RIM_SHARE = 0.5  # of the rim of a static region that is overlay, for all of it to be
 LINE_SAMPLES = 128  # pixels of a line for its median
 CROWD_MISFIT = 2.0  # mean squared residual of a neighbourhood, from which its samples are doubted
@@ -175,26 +172,22 @@ def neighbourhood_doubt(misfit: Tensor, usable: Tensor) -> Tensor:
     return total.div_(share.clamp_(min=0.1 * DEFAULT_WINDOW**2)).sub_(CROWD_MISFIT).clamp_(min=0)
 
 
-@torch.no_grad()
-def mask_dead_pixels(problem: Problem, rest: Tensor, noise: float, calm: Tensor) -> None:
-    """Give up pixels that are dead, or drawn over; from the edge of a block inwards, for its inside shows itself.
-
-    calm: those that do not change in the frames as they are, (1, 1, h, w); once levels and contrasts are evened out
-    others may not.
-    """
-    usable = problem.precision > 0
-    calm = calm | static_pixels(problem.data, usable, noise)
-    gone = dead_pixels(calm, temporal_mean(rest, problem.precision.sign()), usable.any(0, keepdim=True))
-    if problem.saturation is not None:  # a scene beyond the range is as calm
-        calm = calm & (problem.saturation == 0).all(0, keepdim=True)
-    gone |= overlay_mask(calm, problem.data - rest, usable, noise)
-    problem.precision.mul_(~gone)
-
-
 @register("effect", "bad_pixels")
 @dataclass(frozen=True)
 class BadPixels(Effect):
     """Dead pixels, and overlays that a camera draws over its frames."""
 
+    @torch.no_grad()
     def reject(self, estimate: InitialEstimate) -> None:
-        mask_dead_pixels(estimate.problem, estimate.residual, estimate.noise, estimate.static)
+        """Give up pixels that are dead, or drawn over; from the edge of a block inwards, for its inside shows itself.
+
+        Those that do not change in the frames as they are, and others once levels and contrasts are evened out.
+        """
+        problem, rest, noise = estimate.problem, estimate.residual, estimate.noise
+        usable = problem.precision > 0
+        calm = estimate.static | static_pixels(problem.data, usable, noise)
+        gone = dead_pixels(calm, temporal_mean(rest, problem.precision.sign()), usable.any(0, keepdim=True))
+        if problem.saturation is not None:  # a scene beyond the range is as calm
+            calm = calm & (problem.saturation == 0).all(0, keepdim=True)
+        gone |= overlay_mask(calm, problem.data - rest, usable, noise)
+        problem.precision.mul_(~gone)

@@ -1,23 +1,82 @@
-"""Gains of whole frames, as an automatic gain control (AGC) sets them."""
+"""Gains of whole frames: of an automatic gain control (AGC), of exposures that differ, of a response that drifts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from deepir.effects.effect import Effect
+from deepir.effects.effect import Effect, Rounds
+from deepir.estimation.low_order_evidence import GainOffsetEvidence, frame_level_offsets
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
+from deepir.fields.drift import Drift
 from deepir.messages import Message
 from deepir.problem import Problem
 from deepir.registry import register
+from deepir.schedule import Schedule
 
-POLYNOMIAL_DEGREE = 4  # of the low-order part of a frame, which shading has too
-MAX_CONTRAST = 3.0  # ratio of a frame's gain to the mean, either way
-START_CONTRAST = 0.02  # least deviation of a gain that the initial estimate corrects
-EQUAL_CONTRAST = 0.002  # largest deviation of gains that are called equal after a round
-REPORTED_AGC, REPORTED_DRIFT = 0.02, 0.001  # deviation of gains that is reported: of AGC frames, of others
+#: Degree of the low-order part of a frame, which shading has too, and of a block.
+FRAME_DEGREE, BLOCK_DEGREE = 4, 2
+#: Ratio of an AGC frame's gain to the mean, either way, at most.
+MAX_CONTRAST = 3.0
+#: Least deviation of such gains that the initial estimate corrects, and largest that is called equal after a round.
+START_CONTRAST, EQUAL_CONTRAST = 0.02, 0.002
+#: Deviation of gains that is reported: of AGC frames, of others.
+REPORTED_AGC, REPORTED_DRIFT = 0.02, 0.001
+#: Blocks along each axis of a frame, and samples of a frame that are used.
+GRID, MAX_SAMPLES = 3, 40_000
+#: Standard errors by which the blocks' gains differ from frame to frame if the response drifts. A camera that does not
+#: drift has 5.6 at most, mostly 1 to 3.
+MIN_DEVIATION = 6.0
+#: The same, where the frames' levels say so, too.
+MIN_AGREED_DEVIATION = 2.0
+#: Relative change of the gain that is a drift.
+MIN_DRIFT = 2e-4
+#: Effective number of blocks, less one.
+MIN_BLOCKS = 2
+#: Relative deviation of a frame's level and contrast, and of its contrast alone, from which frames have exposures of
+#: their own: a strong pattern that is not found yet makes contrasts differ by 0.04.
+MIN_EXPOSURE, MIN_CONTRAST = 0.03, 0.1
+#: Difference of exposures by level and by contrast, over their deviation from one, up to which they agree.
+MAX_DISAGREEMENT = 0.5
+#: Relative change of exposures that ends the turns.
+EXPOSURE_TOLERANCE = 1e-4
+
+
+@register("effect", "frame_gain")
+@dataclass(frozen=True)
+class FrameGain(Effect):
+    """The gain of each frame, as an automatic gain control sets it."""
+
+    def equalise(self, problem: Problem) -> bool:
+        return normalise_frame_gain(problem, START_CONTRAST)
+
+    def update(self, problem: Problem, *, settled: bool) -> bool:
+        normalise_frame_gain(problem)
+        return False
+
+    def finish(self, problem: Problem) -> None:
+        normalise_frame_gain(problem)
+
+    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+        apart = float((problem.contrast / problem.contrast.mean() - 1).abs().max())
+        if not (complete and apart >= (REPORTED_AGC if problem.agc else REPORTED_DRIFT)):
+            return []
+        if problem.agc:
+            return [
+                Message(
+                    "contrast-varies",
+                    f"the contrast of the frames differs by up to {apart:.0%}, as an automatic gain makes it: it is "
+                    "evened out. Record with a fixed gain, 14 or 16 bits, to measure",
+                )
+            ]
+        return [
+            Message(
+                "response-drift",
+                f"the camera's response drifts, by up to {apart:.1%} from frame to frame: it is evened out",
+            )
+        ]
 
 
 @torch.no_grad()
@@ -38,7 +97,7 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
     if least:
         expected = expected + temporal_mean(fixed_pattern_residual(problem), problem.precision.sign())
     frames = zip(problem.data, expected, problem.precision, strict=True)
-    contrast = torch.cat([contrast_slopes(*each, POLYNOMIAL_DEGREE)[0] for each in frames])
+    contrast = torch.cat([contrast_slopes(*each, FRAME_DEGREE)[0] for each in frames])
     contrast = (contrast / contrast.mean()).clamp(1 / MAX_CONTRAST, MAX_CONTRAST)
     if not (contrast - 1).abs().max() > least:
         return False
@@ -48,27 +107,6 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
         problem.gains_are_equal.fill_(True)
     problem.divide_frames(contrast)
     return True
-
-
-def frame_gain_message(problem: Problem) -> list[str]:
-    """A message if the gains of the frames differ."""
-    apart = float((problem.contrast / problem.contrast.mean() - 1).abs().max())
-    if problem.agc and apart >= REPORTED_AGC:
-        return [
-            Message(
-                "contrast-varies",
-                f"the contrast of the frames differs by up to {apart:.0%}, as an automatic gain makes it: it is evened "
-                "out. Record with a fixed gain, 14 or 16 bits, to measure",
-            )
-        ]
-    if not problem.agc and apart >= REPORTED_DRIFT:
-        return [
-            Message(
-                "response-drift",
-                f"the camera's response drifts, by up to {apart:.1%} from frame to frame: it is evened out",
-            )
-        ]
-    return []
 
 
 def contrast_slopes(frames: Tensor, expected: Tensor, weight: Tensor, degree: int) -> tuple[Tensor, Tensor]:
@@ -87,20 +125,110 @@ def contrast_slopes(frames: Tensor, expected: Tensor, weight: Tensor, degree: in
     return slope.where(known, 1.0), (1 / inverse[:, 0, 0]).where(known, 0.0)
 
 
-@register("effect", "frame_gain")
+@register("effect", "gain_drift")
 @dataclass(frozen=True)
-class FrameGain(Effect):
-    """The gain of each frame, as an automatic gain control sets it."""
+class GainDrift(Effect):
+    """A response that drifts from frame to frame, as a camera that warms up has it; or exposures that differ."""
 
+    @torch.no_grad()
     def equalise(self, problem: Problem) -> bool:
-        return normalise_frame_gain(problem, START_CONTRAST)
+        """Divide frames by their exposures where these differ.
 
-    def update(self, problem: Problem, *, settled: bool) -> bool:
-        normalise_frame_gain(problem)
+        The fixed pattern, which is not in the prediction yet, is added to it. An exposure acts on all of the signal:
+        where level and contrast of the frames agree on it, they are divided about zero, which leaves no levels to be
+        found.
+        """
+        if len(problem.data) < 2 or problem.agc:
+            return False
+        pattern = temporal_mean(fixed_pattern_residual(problem), problem.precision.sign())
+        expected, zero = problem.predict(problem.values()) + pattern, -float(problem.reference)
+        levels = frame_level_offsets(problem)
+        exposures = _exposures(problem, expected - levels, zero)
+        if has_exposures(problem):  # of the turn before
+            again = not levels.any() and (exposures - 1).abs().max() > EXPOSURE_TOLERANCE
+            if again:
+                problem.divide_frames(exposures, zero)
+            return bool(again)
+        gains, deviation = _frame_gains(problem, expected)
+        if (exposures - gains).norm() > MAX_DISAGREEMENT * (gains - 1).norm():
+            differ = deviation > MIN_DEVIATION and bool((gains - 1).abs().max() > MIN_CONTRAST)
+            if differ:
+                problem.divide_frames(gains)
+            return differ
+        if deviation < MIN_AGREED_DEVIATION or not (exposures - 1).abs().max() > MIN_EXPOSURE:
+            return False
+        problem.divide_frames(exposures, zero)
+        for each in problem.modules():
+            if isinstance(each, Drift):
+                each.level_offsets.zero_()
+        return True
+
+    def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
+        def again(problem: Problem) -> None:
+            correct_gain_drift(problem)
+            rounds.restart(problem)
+
+        def go_on(problem: Problem) -> None:
+            correct_gain_drift(problem)
+            rounds.update(problem)
+
+        last = schedule("sensor 3")
+        return schedule.after(
+            last.name,
+            *(
+                replace(last, name=f"response {i}", needed=detect_gain_drift, prepare=prepare)
+                for i, prepare in enumerate((again, go_on, go_on), 1)
+            ),
+        )
+
+
+def has_exposures(problem: Problem) -> bool:
+    """Whether frames were divided by exposures that differ."""
+    return not problem.agc and bool((problem.contrast - 1).abs().max() > MIN_EXPOSURE)
+
+
+def _exposures(problem: Problem, expected: Tensor, zero: float) -> Tensor:
+    """Factors between the frames and their prediction, (N,), of mean one: slopes of a regression through `zero`."""
+    shown = expected - zero
+    weighted = (shown * problem.precision.sign()).double()
+    found = (weighted * (problem.data - zero)).sum((1, 2, 3)) / (weighted * shown).sum((1, 2, 3))
+    return found / found.mean()
+
+
+@torch.no_grad()
+def detect_gain_drift(problem: Problem) -> bool:
+    """Whether the gain drifts from frame to frame; valid where scene and pattern have converged."""
+    if problem.agc:
         return False
+    gains, deviation = _frame_gains(problem, problem.predict(problem.values()))
+    return deviation > MIN_DEVIATION and bool((gains - 1).abs().max() > MIN_DRIFT)
 
-    def finish(self, problem: Problem) -> None:
-        normalise_frame_gain(problem)
 
-    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
-        return frame_gain_message(problem) if complete else []
+@torch.no_grad()
+def correct_gain_drift(problem: Problem) -> None:
+    """Divide the frames by the estimated gains."""
+    problem.divide_frames(GainOffsetEvidence(problem, frame_gains=True).frame_gains())
+
+
+def _frame_gains(problem: Problem, expected: Tensor) -> tuple[Tensor, float]:
+    """Gains of the frames, (N,), of mean one, and their deviation from one in standard errors over the blocks.
+
+    Each block's gains are its slopes on the prediction. The deviation is zero where few blocks count. A moving object
+    is in one block or two.
+    """
+    h, w = problem.data.shape[-2:]
+    step = max(round((h * w / MAX_SAMPLES) ** 0.5), 1)
+    rows, columns = (
+        [slice(side * i // GRID, side * (i + 1) // GRID, step) for i in range(GRID)] for side in (h, w)
+    )
+    given = problem.data, expected, problem.precision
+    parts = [[each[:, 0, y, x] for each in given] for y in rows for x in columns]
+    blocks = [contrast_slopes(frames, shown, weight, BLOCK_DEGREE) for frames, shown, weight in parts]
+    slopes, information = (torch.stack(each, 1) for each in zip(*blocks, strict=True))
+    weights = information.mean(0)
+    each = slopes / slopes.mean(0) - 1
+    found = (weights * each).sum(1) / weights.sum()
+    spread = (weights * (each - found[:, None]).square()).sum(1) / weights.sum()
+    free = weights.sum().square() / weights.square().sum() - 1  # of as many blocks as count
+    apart = (found.square() * free / spread).mean().sqrt()
+    return 1 + found, float(apart) if free > MIN_BLOCKS else 0.0

@@ -14,44 +14,16 @@ from deepir.fields.line_noise import LineNoise
 from deepir.messages import Message
 from deepir.problem import Problem
 from deepir.registry import register
-from deepir.schedule import Schedule, Stage, Step
+from deepir.schedule import Schedule, Step
 
-MIN_FRAMES = 3  # a scene and a pattern explain any two values of a line
-MIN_VARIANCE_RATIO = 3.0  # variance of lines' means to that of the difference of their halves, if lines jump
-LONG_LINE = (
-    80  # px: for shorter lines the ratio grows with the square, for one edge of the scene lies in both halves
-)
-MIN_JUMP = 0.1  # standard deviation of jumps that matter, in those of a sample's noise
-
-
-def with_jumps(problem: Problem, scene: Stage) -> list[Stage]:
-    """The stage of the scene; or, where lines jump, one in which the jumps follow the scene.
-
-    What the jumps of all frames have in common along a line of the scene, only the scene's penalties separate from it.
-    """
-    if not line_noise_fields(problem):
-        return [scene]
-    level = problem.sensor_unknowns()["level"]
-    step = Step((*scene.steps[0].group, *([level] if level in problem.free() else [])))
-    return [
-        dataclasses.replace(scene, needed=lambda it: not has_line_noise(it)),
-        dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=has_line_noise),
-    ]
-
-
-@torch.no_grad()
-def line_noise_message(problem: Problem) -> list[str]:
-    """A message if lines jump."""
-    noise = median_sigma(problem.precision)
-    found = [(field.line_name, float(field.sigma)) for field in line_noise_fields(problem) if field.sigma > 0]
-    return [
-        Message(
-            "line-noise",
-            f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
-            "estimated and taken out",
-        )
-        for lines, sigma in found
-    ]
+#: A scene and a pattern explain any two values of a line.
+MIN_FRAMES = 3
+#: Variance of lines' means to that of the difference of their halves, if lines jump.
+MIN_VARIANCE_RATIO = 3.0
+#: For shorter lines, px, that ratio grows with the square: one edge of the scene lies in both halves.
+LONG_LINE = 80
+#: Standard deviation of jumps that matter, in those of a sample's noise.
+MIN_JUMP = 0.1
 
 
 @torch.no_grad()
@@ -115,7 +87,31 @@ class TemporalLineNoise(Effect):
         return False
 
     def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
-        return schedule.replaced("scene", *with_jumps(problem, schedule("scene")))
+        """Where lines jump, the jumps follow the scene in its stage.
 
+        What the jumps of all frames have in common along a line of the scene, only the scene's penalties separate from
+        it.
+        """
+        if not line_noise_fields(problem):
+            return schedule
+        scene, level = schedule("scene"), problem.sensor_unknowns()["level"]
+        step = Step((*scene.steps[0].group, *([level] if level in problem.free() else [])))
+        return schedule.replaced(
+            "scene",
+            dataclasses.replace(scene, needed=lambda it: not has_line_noise(it)),
+            dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=has_line_noise),
+        )
+
+    @torch.no_grad()
     def messages(self, problem: Problem, *, complete: bool) -> list[str]:
-        return line_noise_message(problem)
+        noise = median_sigma(problem.precision)
+        found = [(field.line_name, float(field.sigma)) for field in line_noise_fields(problem)]
+        return [
+            Message(
+                "line-noise",
+                f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
+                "estimated and taken out",
+            )
+            for lines, sigma in found
+            if sigma > 0
+        ]

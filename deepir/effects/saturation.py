@@ -26,23 +26,6 @@ MIN_SATURATED_SHARE = 0.75  # of its neighbourhood, for a pixel within a saturat
 
 
 @torch.no_grad()
-def mask_stuck_pixels(problem: Problem) -> None:
-    """Give up pixels that are cut off in all frames, though most of what others see there is not, and far from it."""
-    if problem.saturation is None:
-        return
-    cut, usable, values = problem.saturation != 0, problem.precision > 0, problem.values()
-    those, all_of_them = (problem.backproject(values, each)[1] for each in (cut & usable, usable))
-    share = those / all_of_them.clamp(min=1e-6)
-    nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
-    lonely = problem.predict(values | {"scene": share}) - nothing < SATURATED_SHARE
-    rest = fixed_pattern_residual(problem)
-    far = problem.saturation * rest > DEAD_DEVIATION * robust_std(temporal_mean(rest, usable))
-    live = ~(cut & lonely & far).all(0)
-    problem.precision.mul_(live)
-    problem.saturation.mul_(live)
-
-
-@torch.no_grad()
 def bounded(problem: Problem, image: Tensor) -> tuple[Tensor, Tensor]:
     """The scene's image, at the bound or beyond where most samples that see it are cut off; and where, 1 or -1.
 
@@ -89,9 +72,22 @@ def clipping_message(problem: Problem, where: Array, frames: Array) -> list[str]
 class Saturation(Effect):
     """Samples at an end of the range: bounds of the scene, unless the pixel is stuck there."""
 
+    @torch.no_grad()
     def reject(self, estimate: InitialEstimate) -> None:
-        if estimate.step == 0:
-            mask_stuck_pixels(estimate.problem)
+        """Give up pixels cut off in all frames, though most of what others see there is not, and far from it."""
+        problem = estimate.problem
+        if estimate.step > 0 or problem.saturation is None:
+            return
+        cut, usable, values = problem.saturation != 0, problem.precision > 0, problem.values()
+        those, all_of_them = (problem.backproject(values, each)[1] for each in (cut & usable, usable))
+        share = those / all_of_them.clamp(min=1e-6)
+        nothing = problem.predict(values | {"scene": torch.zeros_like(share)})
+        lonely = problem.predict(values | {"scene": share}) - nothing < SATURATED_SHARE
+        rest = fixed_pattern_residual(problem)
+        far = problem.saturation * rest > DEAD_DEVIATION * robust_std(temporal_mean(rest, usable))
+        live = ~(cut & lonely & far).all(0)
+        problem.precision.mul_(live)
+        problem.saturation.mul_(live)
 
     def initialise(self, problem: Problem) -> None:
         if problem.saturation is not None:  # a pixel rejected for its other samples is no bound either

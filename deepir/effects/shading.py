@@ -1,15 +1,20 @@
-"""Shading of the offset and drift of the level, by the evidence of low-order parts of the frames."""
+"""Shading of offset and gain, and drift of the level, by the evidence of low-order parts of the frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
 
-from deepir.effects.effect import Effect
-from deepir.estimation.low_order_evidence import LowOrderEvidence, contrast
+from deepir.effects.effect import Effect, Rounds
+from deepir.estimation.low_order_evidence import (
+    GainOffsetEvidence,
+    LowOrderEvidence,
+    contrast,
+    gain_and_offset,
+)
+from deepir.estimation.residuals import has_line_noise
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
 from deepir.fields.shading import Shading
@@ -17,6 +22,7 @@ from deepir.messages import Message
 from deepir.operators import Add, Sensor
 from deepir.problem import Problem
 from deepir.registry import register
+from deepir.schedule import Schedule
 
 MIN_FRAMES = 3  # that separate shading and stray flux from the scene
 
@@ -30,7 +36,7 @@ def estimate_low_order(problem: Problem, *, start: bool = False) -> None:
     shadings, stray, drifts = low_order_unknowns(problem)
     if not (shadings or stray or drifts):
         return
-    evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
+    evidence = LowOrderEvidence(problem, stray)
     # Strong stray flux, before anything is known of it, leaves residuals that look like a drift.
     sure = not (start and stray)
     smooth, drift = evidence.most_likely(smooth=bool(shadings or stray), drift=bool(drifts) and sure)
@@ -65,7 +71,7 @@ def estimate_shared_shading(data_sets: Sequence[Problem]) -> None:
         for each in data_sets:
             estimate_low_order(each)
         return
-    evidence = {each: LowOrderEvidence(each, each.closed_form()) for each in unknowns}
+    evidence = {each: LowOrderEvidence(each) for each in unknowns}
     strength = max(each.contrast for each in evidence.values()) * torch.logspace(
         -4.5, 0.5, 41, dtype=torch.float64
     )
@@ -94,11 +100,6 @@ def low_order_unknowns(problem: Problem) -> tuple[list[Shading], list[BasisExpan
         stray_flux_fields(problem),
         [field for field in fields if isinstance(field, Drift) and not field.sigma_is_fixed],
     )
-
-
-def low_order_doubt(problem: Problem) -> Tensor:
-    """Variances by which the low-order parts of each frame are wrong, (terms + 1,), as their likelihood has them."""
-    return LowOrderEvidence(problem, problem.closed_form(), stray_flux_fields(problem)).doubt
 
 
 def added_flux(problem: Problem) -> list[str]:
@@ -137,7 +138,7 @@ class LowOrderParts(Effect):
         shadings, stray, drifts = low_order_unknowns(problem)
         if not complete or not (shadings or stray) or len(problem.data) >= MIN_FRAMES:
             return []
-        evidence = LowOrderEvidence(problem, problem.closed_form(), stray)
+        evidence = LowOrderEvidence(problem, stray)
         smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
         if not smooth:
             return []
@@ -148,3 +149,85 @@ class LowOrderParts(Effect):
                 f"in. Take {MIN_FRAMES} or more",
             )
         ]
+
+
+@register("effect", "vignetting")
+@dataclass(frozen=True)
+class Vignetting(Effect):
+    """A gain that falls off towards the edges, as a lens makes it.
+
+    Args:
+        min_frames: Three frames hardly separate a low-order gain from the scene.
+        min_evidence: Nats by which a shaded gain has to make the frames likelier.
+        strong_sigma: Standard deviation from which it has to by `strong_evidence`: skies and moving objects look alike.
+        strong_evidence: Nats.
+        max_sigma: Standard deviation that no lens exceeds: a fall-off of 60 % has 0.08 to 0.15.
+        max_truncated: Share of pixels cut off in all frames. Bright places lack their large offsets, as under a gain.
+    """
+
+    min_frames: int = 4
+    min_evidence: float = 10.0
+    strong_sigma: float = 0.08
+    strong_evidence: float = 150.0
+    max_sigma: float = 0.18
+    max_truncated: float = 0.02
+
+    def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
+        if not self.unknown(problem):
+            return schedule
+
+        def prepare(problem: Problem) -> None:
+            rounds.update(problem)
+            self.estimate(problem)
+
+        last = schedule("sensor 3")
+        return schedule.before(
+            "scene", replace(last, name="shaded gain", prepare=prepare, needed=self.is_present)
+        )
+
+    def unknown(self, problem: Problem) -> list[Shading]:
+        """Shadings of the gain whose standard deviation is to be found; none where too little separates them."""
+        offsets, stray, _ = low_order_unknowns(problem)
+        cut = problem.saturation
+        if not offsets or stray or len(problem.data) < self.min_frames:
+            return []
+        if cut is not None and float((cut != 0).all(0).float().mean()) > self.max_truncated:
+            return []  # the offsets that are seen are a selection
+        parts = gain_and_offset(problem)[0].parts()
+        return [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed]
+
+    def is_present(self, problem: Problem) -> bool:
+        """Whether the evidence is for a shaded gain."""
+        return bool(self.unknown(problem)) and self._most_likely(problem) is not None
+
+    @torch.no_grad()
+    def estimate(self, problem: Problem) -> None:
+        """Set the standard deviations of the gain's shading, the offset's and the drift, if the gain is shaded."""
+        found, (offsets, _, drifts) = self._most_likely(problem), low_order_unknowns(problem)
+        if found is None:
+            return
+        offset, drift, gain = found
+        for part in self.unknown(problem):
+            part.sigma.fill_(gain)
+        for part in offsets:  # a gain stands in for it, unless the scene is flat
+            part.sigma.fill_(max(offset, float(part.sigma)))
+        if not has_line_noise(problem):  # without the means of lines the levels are not seen
+            for field in drifts:
+                field.sigma.fill_(drift)
+
+    @torch.no_grad()
+    def _most_likely(self, problem: Problem) -> list[float] | None:
+        """Standard deviations of the offset's shading, a drift and the gain's shading; None if the gain has none.
+
+        It has to be likelier, too, where the low-order parts of the frames are doubted.
+        """
+        drift = bool(low_order_unknowns(problem)[2]) and not has_line_noise(problem)
+        for doubted in (False, True):
+            doubt = LowOrderEvidence(problem, stray_flux_fields(problem)).doubt if doubted else None
+            evidence = GainOffsetEvidence(problem, doubt=doubt)
+            even, _ = evidence.best(shaded=False, drift=drift)
+            nats, found = evidence.best(shaded=True, drift=drift)
+            margin = self.min_evidence if found[-1] < self.strong_sigma else self.strong_evidence
+            if not (nats + margin < even and found[-1] < self.max_sigma):
+                return None
+        return found

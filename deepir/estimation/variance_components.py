@@ -65,11 +65,7 @@ def estimate_sigmas(
     free = [i for i in free if sigma[i] > 0]
     if not free:
         return sigma
-    step = max(information.shape[1] // MAX_ELEMENTS, 1)
-    (aa, ab, bb), (x, y) = information[:, ::step], means[:, ::step]
-    prior = torch.where(sigma > 0, sigma.square().reciprocal(), 0.0)
-    score = aa * x + ab * y + prior[0] * x, ab * x + bb * y + prior[1] * y
-    values = torch.stack((aa, ab, bb, *score)).cpu()  # so few that a GPU would be no faster
+    values, _, _ = _likelihoods(information, means, sigma)
     found, high = sigma.cpu().numpy().copy(), most.cpu().numpy()
     low = MIN_SIGMA_RATIO * found[free]
     high = high[free].clip(min=low)
@@ -97,12 +93,10 @@ def reference_level_nats(information: Tensor, means: Tensor, sigma: Tensor, leve
         sigma: Present standard deviations, (2,); positive.
         level: L relative to the present level, data units.
     """
-    step = max(information.shape[1] // MAX_ELEMENTS, 1)
-    (aa, ab, bb), (x, y) = information[:, ::step], means[:, ::step]
-    s, t = aa * x + ab * y + x / sigma[0] ** 2, ab * x + bb * y + y / sigma[1] ** 2
-    values = torch.stack((aa, ab, bb, s, t)).cpu()
+    values, (x, y), step = _likelihoods(information, means, sigma)
+    aa, ab, bb, s, t = values
     inliers = _inliers(values, *(sigma.cpu().numpy() ** 2))
-    moved = torch.stack((aa - 2 * level * ab + level**2 * bb, ab - level * bb, bb, s - level * t, t)).cpu()
+    moved = torch.stack((aa - 2 * level * ab + level**2 * bb, ab - level * bb, bb, s - level * t, t))
     start = np.log(
         [
             max(float(sigma[0]), TYPICAL_GAIN_SIGMA / 2),
@@ -116,6 +110,19 @@ def reference_level_nats(information: Tensor, means: Tensor, sigma: Tensor, leve
     far = np.full(2, np.log(1 / MIN_SIGMA_RATIO))
     best = _minimise(cost, start, start - far, start + far)
     return cost(best)[0] * float(inliers.sum()) * step / 2
+
+
+def _likelihoods(information: Tensor, means: Tensor, sigma: Tensor) -> tuple[Tensor, Tensor, int]:
+    """A and s of every n-th element, (aa, ab, bb, s, t), (5, K), its posterior means (2, K), and n."""
+    step = max(information.shape[1] // MAX_ELEMENTS, 1)
+    # So few that a GPU would be no faster.
+    (aa, ab, bb), (x, y), sigma = (each.cpu() for each in (information[:, ::step], means[:, ::step], sigma))
+    u, v = torch.where(sigma > 0, sigma.square().reciprocal(), 0.0)
+    return (
+        torch.stack((aa, ab, bb, aa * x + ab * y + u * x, ab * x + bb * y + v * y)),
+        torch.stack((x, y)),
+        step,
+    )
 
 
 def _nats(values: Tensor, inliers: Tensor, sigma: np.ndarray) -> Expansion:

@@ -17,15 +17,16 @@ from deepir.fields.base import Pixels
 from deepir.fields.motion import Motion
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import displacement_at
-from deepir.optim.low_order_model import Variances, pattern_variances
+from deepir.optim.low_order_model import (
+    MIN_CURVATURE_RATIO,
+    Variances,
+    additive_variances,
+    penalty_curvature,
+)
 from deepir.problem import Problem
 
-#: Largest prior standard deviation of the gain of lines that is treated as an additive pattern.
-MAX_ADDITIVE_LINE_GAIN = 0.15
 #: Positions along each axis of the frame at which the motion is evaluated.
 N_MOTION_POSITIONS = 5
-#: Smallest curvature, relative to the mean.
-MIN_CURVATURE_RATIO = 1e-8
 #: Weight of the scene's squared gradient under the weak prior, relative to the precision of a frame.
 GRADIENT_WEIGHT = 0.001
 #: Frequencies along each axis of the spectrum.
@@ -86,11 +87,6 @@ def spline_response(problem: Problem) -> Tensor:
     return _squared_spline_response(*frequencies(problem.fields["scene"].shape[-2:], problem.data.device))
 
 
-def additive_variances(problem: Problem, eliminated: Collection[str]) -> Variances:
-    """Variances of the pattern, without line gains above `MAX_ADDITIVE_LINE_GAIN`."""
-    return pattern_variances(problem, eliminated, MAX_ADDITIVE_LINE_GAIN)
-
-
 def fourier_curvature(
     problem: Problem,
     precision: float,
@@ -112,9 +108,7 @@ def fourier_curvature(
     """
     scene, count = problem.fields["scene"](), len(problem.data)
     y, x = frequencies(scene.shape[-2:], scene.device)
-    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
-    curvatures = [penalty.mean_curvature(scene) for penalty in penalties]
-    of_value, of_gradient = (penalty_factor * sum(each) for each in zip((0.0, 0.0), *curvatures, strict=True))
+    of_value, of_gradient = (penalty_factor * each for each in penalty_curvature(problem, scene))
     share = _coupling_denominator(pattern, precision, count, scene.shape[-2:], y, x).reciprocal_()
     y, x = y.float(), x.float()
     information = precision * _squared_spline_response(y, x)

@@ -2,7 +2,7 @@
 
 A camera that moves by d over a slope of the sensor sees its level change in proportion to d, as in a drift; over a
 quadratic offset it sees slopes that vary between frames. The marginal likelihood of the low-order parts of the frames
-separates these causes.
+separates these causes; a solve is preconditioned by their Hessian.
 
 The low-order part of frame j is `c_j = T_j θ + φ + l_j`: coefficients θ of polynomials of the scene, transported by the
 motion, φ of the pattern, the same in all frames, and the level l_j in the constant term. Its negative log-likelihood is
@@ -20,10 +20,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.arrays.statistics import MAX_SAMPLES_PER_FRAME, subsample
+from deepir.arrays.statistics import MAX_SAMPLES_PER_FRAME, median_sigma, subsample
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.basis_expansion import BasisExpansion
-from deepir.fields.drift import level_basis
+from deepir.fields.drift import Drift, level_basis
 from deepir.fields.shading import Shading
 from deepir.operators import Lag, Warp
 from deepir.problem import Problem
@@ -32,6 +32,10 @@ from deepir.problem import Problem
 N_SAMPLING_POINTS = 40
 #: Regularisation of the information of frames, relative to the mean of its diagonal: some frames have none.
 INFORMATION_RIDGE = 1e-12
+#: Smallest curvature, relative to the mean.
+MIN_CURVATURE_RATIO = 1e-8
+#: Largest prior standard deviation of the gain of lines that is treated as an additive pattern.
+MAX_ADDITIVE_LINE_GAIN = 0.15
 #: Key of the variance of the shading; no axes.
 SHADING_KEY = (-1, 1)
 
@@ -163,6 +167,11 @@ def pattern_variances(
     return found
 
 
+def additive_variances(problem: Problem, eliminated: Collection[str]) -> Variances:
+    """Variances of the pattern, without line gains above `MAX_ADDITIVE_LINE_GAIN`."""
+    return pattern_variances(problem, eliminated, MAX_ADDITIVE_LINE_GAIN)
+
+
 def expected_variances(variance: Variances, frame: Shading) -> Tensor:
     """Prior variance of each polynomial of a frame in a pattern of these variances, without shading."""
     height, width = frame.shape[-2:]
@@ -171,3 +180,88 @@ def expected_variances(variance: Variances, frame: Shading) -> Tensor:
     return (
         each + (frame.order_y == 0) * variance[COLUMN] / width + (frame.order_x == 0) * variance[ROW] / height
     )
+
+
+def low_order_inverse_hessian(
+    problem: Problem,
+    low_order: LowOrderModel,
+    others: Sequence[Drift | BasisExpansion],
+    eliminated: Collection[str],
+) -> Tensor:
+    """Inverse Hessian of the scene's polynomials and of free frame levels and stray flux.
+
+    The polynomials of the pattern are eliminated with their prior variances: where the motion does not separate slopes
+    of scene and pattern, only these determine them.
+    """
+    scene: Any = problem.fields["scene"]
+    terms = len(low_order.scene.whitened)
+    found = additive_variances(problem, eliminated)
+    maps = [
+        low_order.level_columns() if isinstance(each, Drift) else low_order.basis_columns(each)[0]
+        for each in others
+    ]
+    whole = low_order.normal_matrix(*maps)
+    unit = whole.new_full((len(whole),), float(scene.scale))
+    at = 2 * terms + 1
+    for each, made in zip(others, maps, strict=True):
+        mine = slice(at, at := at + made.shape[-1])
+        unit[mine] = float(each.preconditioning_scale)
+        if isinstance(each, BasisExpansion):
+            whole[mine, mine] += _stray_flux_curvature(problem, low_order, each, found)
+        else:  # a steady change is steps, too
+            whole[mine, mine].diagonal().add_(1 / each.sigma.double().square())
+    prior_variance = (
+        expected_variances(found, low_order.frame)
+        + found[SHADING_KEY] * low_order.frame.relative_sigma.square()
+    )
+    whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / prior_variance.clamp(
+        min=1e-30
+    )  # the pattern's level is free
+    whole[:terms, :terms] += _penalty_curvature(problem, low_order)
+    pattern = torch.arange(len(whole), device=whole.device)
+    pattern = (pattern >= terms) & (pattern <= 2 * terms)
+    own, shared = whole[pattern][:, pattern], whole[pattern][:, ~pattern]
+    system = whole[~pattern][:, ~pattern] - shared.T @ torch.linalg.solve(own, shared)
+    unit = unit[~pattern]
+    system = unit[:, None] * system * unit
+    system.diagonal().add_(MIN_CURVATURE_RATIO * system.diagonal().mean())
+    # As it lies in a checkpoint: the order of the sums of its products follows from it.
+    return torch.linalg.inv(system).contiguous()
+
+
+def _stray_flux_curvature(
+    problem: Problem, low_order: LowOrderModel, field: BasisExpansion, variance: Variances
+) -> Tensor:
+    """Hessian of stray flux in its prior and in its high-order part, behind a free pattern."""
+    _, rest = low_order.basis_columns(field)
+    height, width = problem.data.shape[-2:]
+    unsure = median_sigma(problem.precision) ** 2 / len(problem.data) + variance[PIXEL]
+    columns, rows = rest.mean(1, keepdim=True).expand_as(rest), rest.mean(2, keepdim=True).expand_as(rest)
+    curvature = torch.eye(len(rest), dtype=rest.dtype, device=rest.device) / field.sigma.double().square()
+    for part, more in (
+        (rest - columns - rows, 0.0),
+        (columns, height * variance[COLUMN]),
+        (rows, width * variance[ROW]),
+    ):
+        flat = part.flatten(1)
+        curvature += height * width / (unsure + more) * flat @ flat.T / flat.shape[1]
+    return curvature
+
+
+def _penalty_curvature(problem: Problem, low_order: LowOrderModel) -> Tensor:
+    """Hessian of the scene's penalties in its polynomials."""
+    of_value, of_gradient = penalty_curvature(problem, problem.fields["scene"]())
+    basis = low_order.scene  # of products of functions of y and of x, whose sums are products, too
+    (y, down), (x, right) = (
+        [each @ each.T for each in (along[of], along[of].diff(dim=-1))]
+        for along, of in ((basis.basis_y, basis.order_y), (basis.basis_x, basis.order_x))
+    )
+    return of_value * y * x + of_gradient * (y * right + down * x)
+
+
+def penalty_curvature(problem: Problem, scene: Tensor) -> tuple[float, float]:
+    """Mean curvature of the scene's penalties in its values, and in its squared gradient."""
+    penalties = problem.penalties["scene"].values() if "scene" in problem.penalties else ()
+    curvatures = [penalty.mean_curvature(scene) for penalty in penalties]
+    of_value, of_gradient = (sum(each) for each in zip((0.0, 0.0), *curvatures, strict=True))
+    return of_value, of_gradient

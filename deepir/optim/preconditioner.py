@@ -21,14 +21,18 @@ from deepir.joint_problem import AnyProblem
 from deepir.operators import Lag, Sensor
 from deepir.optim.fourier_hessian import (
     N_MOTION_POSITIONS,
-    additive_variances,
     fourier_curvature,
     frequencies,
     has_fourier_model,
     pattern_coupling,
 )
-from deepir.optim.low_order_hessian import low_order_inverse_hessian
-from deepir.optim.low_order_model import LowOrderModel, Variances, pattern_variances
+from deepir.optim.low_order_model import (
+    LowOrderModel,
+    Variances,
+    additive_variances,
+    low_order_inverse_hessian,
+    pattern_variances,
+)
 from deepir.problem import Problem
 
 #: Smallest curvature along a wave, relative to the mean: waves that the motion does not determine must not run to the

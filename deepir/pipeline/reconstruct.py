@@ -11,11 +11,10 @@ import torch
 from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.motion_evidence import doubtful_motion
-from deepir.diagnostics.repeating_scene import equalised_message
+from deepir.diagnostics.frames import equalised_message
+from deepir.diagnostics.motion_evidence import doubtful_motion, scene_in_pattern_message
 from deepir.diagnostics.residual_correlation import residual_correlation_message
-from deepir.diagnostics.scene_in_pattern import scene_in_pattern_message
-from deepir.effects.gain_drift import has_exposures
+from deepir.effects.frame_gain import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap

@@ -10,8 +10,7 @@ from deepir.analysis.burst_assessment import MIN_MOTION_SPAN
 from deepir.arrays.windows import fill_nearest
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.repeating_scene import are_interlaced
-from deepir.diagnostics.shutter import longest_shutter_segment, shutter_message
+from deepir.diagnostics.frames import are_interlaced, longest_shutter_segment, shutter_message
 from deepir.errors import DataError
 from deepir.messages import Message
 from deepir.problems.recipe import Recipe

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.effects.effect import Effect
-from deepir.effects.reference_level import ReferenceLevel
+from deepir.effects.sensor_pattern import ReferenceLevel
 from deepir.errors import ConfigError
 from deepir.fields.constant import Constant
 from deepir.fields.dense_motion import Flow

@@ -1,13 +1,18 @@
-"""Where the motion is not to be trusted, the result is the first frame as it is, and no worse."""
+"""Where the motion is not to be trusted, the result is the first frame as it is, and no worse.
+
+A pattern that looks like a picture was the scene.
+"""
 
 import numpy as np
 import pytest
+from skimage.data import camera
 
 import deepir
-from deepir.diagnostics.repeating_scene import scene_period
+from deepir.diagnostics.motion_evidence import scene_period
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import sky
+from tests.effects.solved import solved
 
 X = np.mgrid[:400, :400][1]
 FENCE = 0.1 + 0.8 * (X % 8 < 4)
@@ -23,10 +28,10 @@ def period(frames):
 
 @pytest.mark.parametrize(("seed", "turn"), [pytest.param(0, 0.0, marks=pytest.mark.slow), (1, 2.0)])
 def test_before_a_fence_the_result_is_no_worse_than_a_raw_frame(seed, turn):
-    camera = Settings(
+    settings = Settings(
         n_frames=6, shape=(96, 128), motion="rigid" if turn else "shift", max_rotation=turn, scale=1.25
     )
-    sim = simulate(FENCE, camera, seed=seed)
+    sim = simulate(FENCE, settings, seed=seed)
     result = deepir.run("nuc", frames=sim.frames, threads=1)
     raw, found = (scores(each, sim.truth.scene)["psnr_aligned"] for each in (sim.frames[0], result.scene))
     assert found > raw - 0.1
@@ -59,3 +64,30 @@ def test_clouds_have_none():
     """Their differences hardly fall between two places that are alike."""
     clean = {"shading": 0.0, "dead_pixels": 0.0, "level_drift": 0.0, "photons": 1000.0, "read_noise": 0.002}
     assert period(simulate(sky(20, (430, 500)), Settings(n_frames=5, **clean), seed=102).frames) is None
+
+
+def looks_like_a_picture(result):
+    return any("looks like a picture" in message for message in result.messages)
+
+
+def test_a_camera_that_rests_before_somebody_who_walks_is_reported():
+    rng = np.random.default_rng(3)
+    scene = 8000 + 1500 / 255 * camera()[100:340:3, 100:412:3].astype(float)
+    still = scene * (1 + rng.normal(0, 0.03, scene.shape)) + rng.normal(0, 60, scene.shape[1])
+    frames = still + rng.normal(0, 3, (8, *scene.shape))
+    for k, frame in enumerate(frames):
+        frame[14:66, 6 + 9 * k : 20 + 9 * k] += 500
+    assert looks_like_a_picture(deepir.run("nuc", frames=frames, threads=1))
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_the_pattern_of_a_camera_that_moves_is_none(seed):
+    assert not looks_like_a_picture(solved(seed=seed, shape=(96, 128), shading=0.1, dead_pixels=0.002)[0])
+
+
+def test_dust_on_the_window_is_no_picture():
+    sim = simulate(None, Settings(n_frames=6, shape=(96, 128), counts=True), seed=1)
+    y, x = np.mgrid[:96, :128]
+    places = np.random.default_rng(0).uniform(0, [96, 128], (40, 2))
+    dust = sum(np.exp(-((y - row) ** 2 + (x - column) ** 2) / 8) for row, column in places)
+    assert not looks_like_a_picture(deepir.run("nuc", frames=sim.frames + 800 * dust, threads=1))

@@ -6,34 +6,33 @@ import torch
 
 import deepir
 from deepir.diagnostics.residual_correlation import lag_correlation, residual_correlation
-from deepir.simulate import Settings, simulate
+from tests.effects.solved import burst, solved
 
-CAMERA = {"n_frames": 6, "shape": (96, 128), "counts": True, "shading": 0.0, "dead_pixels": 0.0}
+CAMERA = {"n_frames": 6, "shape": (96, 128)}
 
 
-def said(frames):
-    messages = deepir.run("nuc", frames=frames, threads=1).messages
-    return [each.name for each in messages if each.name in {"correlated-residuals", "thermal-lag"}]
+def said(result):
+    return [each.name for each in result.messages if each.name in {"correlated-residuals", "thermal-lag"}]
 
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_noise_is_no_message(seed):
-    assert said(simulate(None, Settings(**CAMERA), seed=seed).frames) == []
+    assert said(solved(seed=seed, **CAMERA)[0]) == []
 
 
 def test_a_cloud_that_moves_by_itself_is_reported():
-    frames = simulate(None, Settings(**CAMERA), seed=3).frames.astype(float)
+    frames = burst(**CAMERA).frames.astype(float)
     y, x = np.mgrid[:96, :128]
     for k in range(len(frames)):
         frames[k] += 60 * np.exp(-((x - 20 - 12 * k) ** 2 + (y - 40) ** 2) / 800)
-    assert said(frames) == ["correlated-residuals"]
+    assert said(deepir.run("nuc", frames=frames, threads=1)) == ["correlated-residuals"]
 
 
 def test_slow_pixels_are_reported_as_such():
-    frames = simulate(None, Settings(**CAMERA), seed=3).frames.astype(float)
+    frames = burst(**CAMERA).frames.astype(float)
     for k in range(1, len(frames)):
         frames[k] = 0.75 * frames[k] + 0.25 * frames[k - 1]
-    assert said(frames) == ["thermal-lag"]
+    assert said(deepir.run("nuc", frames=frames, threads=1)) == ["thermal-lag"]
 
 
 def test_white_noise_is_not_alike_and_a_wave_is():

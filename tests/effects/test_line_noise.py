@@ -1,7 +1,5 @@
 """Rows and columns that jump from frame to frame: found where they do, left alone where they do not."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -12,31 +10,19 @@ from deepir.errors import ConfigError
 from deepir.fields.line_noise import ColumnNoise, RowNoise
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural
+from tests.effects.solved import PLAIN, burst, error, solved
 
-CAMERA = Settings(n_frames=5, shape=(80, 96), counts=True, shading=0.0, dead_pixels=0.0)
-NOISE = CAMERA.read_noise * CAMERA.contrast
+READ_NOISE = 0.003  # of the range, of these bursts
+NOISE = READ_NOISE * 1500  # counts
 WITHOUT = "physics.sensor.level=drift"
-
-
-def burst(seed=3, **effects):
-    return simulate(None, dataclasses.replace(CAMERA, **effects), seed=seed)
-
-
-def run(sim, *overrides):
-    return deepir.run("nuc", *overrides, frames=sim.frames, threads=1)
-
-
-def error(result, sim):
-    apart = result.scene - sim.truth.scene
-    return (apart - apart.mean()).std()
 
 
 @pytest.mark.parametrize(("lines", "truth"), [("row", "rows"), ("column", "columns")])
 def test_lines_that_jump_are_found_and_taken_out(lines, truth):
     errors = []
     for seed in (5, 3):
-        sim = burst(seed, **{f"{lines}_noise": 2 * CAMERA.read_noise})
-        result, without = run(sim), run(sim, WITHOUT)
+        jumps = {"seed": seed, f"{lines}_noise": 2 * READ_NOISE}
+        (result, sim), (without, _) = solved(**jumps), solved(WITHOUT, **jumps)
         errors.append((error(result, sim), error(without, sim)))
     found = result.metrics["strengths"]
     other = {"row": "column", "column": "row"}[lines]
@@ -51,10 +37,9 @@ def test_lines_that_jump_are_found_and_taken_out(lines, truth):
 
 @pytest.mark.parametrize("effects", [{}, {"gain_row": 0.05, "offset_row": 0.05}, {"max_rotation": 4.0}])
 def test_where_no_line_jumps_nothing_changes(effects):
-    sim = burst(**effects)
-    result = run(sim)
+    result, _ = solved(**effects)
     assert not any("jump" in message for message in result.messages)
-    np.testing.assert_array_equal(result.scene, run(sim, WITHOUT).scene)
+    np.testing.assert_array_equal(result.scene, solved(WITHOUT, **effects)[0].scene)
 
 
 @pytest.mark.parametrize(
@@ -69,42 +54,35 @@ def test_where_no_line_jumps_nothing_changes(effects):
 )
 def test_edges_as_long_as_a_short_line_do_not_make_it_jump(scene, camera):
     for seed in range(2):
-        settings = dataclasses.replace(CAMERA, **camera)
-        sim = simulate(procedural(scene, (430, 500)), settings, seed=seed)
-        assert not any("jump" in message for message in run(sim).messages)
-
-
-@pytest.fixture(scope="module")
-def jumping():
-    """The result of a burst whose rows jump, and the burst."""
-    sim = burst(row_noise=2 * CAMERA.read_noise)
-    return run(sim), sim
+        sim = simulate(procedural(scene, (430, 500)), Settings(**PLAIN | camera), seed=seed)
+        result = deepir.run("nuc", frames=sim.frames, threads=1)
+        assert not any("jump" in message for message in result.messages)
 
 
 def test_two_frames_leave_no_jump_to_be_seen():
-    sim = burst(n_frames=2, row_noise=2 * CAMERA.read_noise)
-    assert run(sim).metrics["strengths"]["level.row_noise.sigma"] == 0
+    result, _ = solved(n_frames=2, row_noise=2 * READ_NOISE)
+    assert result.metrics["strengths"]["level.row_noise.sigma"] == 0
 
 
 def test_what_is_given_is_not_estimated():
-    sim = burst(row_noise=2 * CAMERA.read_noise)
-    given = run(sim, "physics.sensor.level.row_noise.sigma=7.5")
+    given, _ = solved("physics.sensor.level.row_noise.sigma=7.5", row_noise=2 * READ_NOISE)
     assert given.metrics["strengths"]["level.row_noise.sigma"] == 7.5
     with pytest.raises(ConfigError, match="sigma must be a number of at least 0"):
-        run(sim, "physics.sensor.level.row_noise.sigma=-1")
+        solved("physics.sensor.level.row_noise.sigma=-1", row_noise=2 * READ_NOISE)
 
 
-def test_jumps_of_rows_are_neither_a_drift_nor_a_shading(jumping):
-    result, _ = jumping
+def test_jumps_of_rows_are_neither_a_drift_nor_a_shading():
+    result, _ = solved(row_noise=2 * READ_NOISE)
     found = result.metrics["strengths"]
     assert found["gain.shading.sigma"] == found["offset.shading.sigma"] == 0
     assert np.abs(result.level).max() < NOISE  # the mean of a frame's jumps, which is one, too
     assert not any("drifts" in message for message in result.messages)
 
 
-def test_a_run_whose_rows_jump_repeats_to_the_bit(jumping):
-    result, sim = jumping
-    np.testing.assert_array_equal(run(sim).scene, result.scene)
+def test_a_run_whose_rows_jump_and_level_drifts_repeats_to_the_bit():
+    sim = burst(row_noise=2 * READ_NOISE, level_drift=0.3)
+    first, second = (deepir.run("nuc", frames=sim.frames, threads=1) for _ in range(2))
+    np.testing.assert_array_equal(first.scene, second.scene)
 
 
 def test_a_simulated_line_jumps_as_the_truth_says():

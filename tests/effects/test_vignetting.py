@@ -2,23 +2,14 @@
 
 import pytest
 
-import deepir
-from deepir.metrics import scores
-from deepir.simulate import Settings, simulate
+from tests.effects.solved import psnr, solved
 
-CAMERA = {"shape": (80, 96), "shading": 0.0, "dead_pixels": 0.0, "max_shift": 8.0}
-TONES = {"photons": 1000.0, "read_noise": 0.002}
+TONES = {"counts": False, "photons": 1000.0, "read_noise": 0.002}
 COUNTS = {"counts": True}
 
 
-def run(*overrides, n_frames=6, seed=2, **effects):
-    sim = simulate(None, Settings(n_frames=n_frames, **(CAMERA | effects)), seed=seed)
-    result = deepir.run("nuc", *overrides, frames=sim.frames, threads=1)
-    return result, sim
-
-
-def psnr(result, sim):
-    return scores(result.scene, sim.truth.scene)["psnr_aligned"]
+def run(*settings, n_frames=6, **camera):
+    return solved(*settings, seed=2, n_frames=n_frames, max_shift=8.0, **camera)
 
 
 def strength(result):

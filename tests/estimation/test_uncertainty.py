@@ -1,24 +1,20 @@
 """How sure a result is: of the size of its error, and larger where less is known."""
 
+import functools
 import math
 
 import numpy as np
 import pytest
 
-import deepir
-from deepir.simulate import Settings, simulate
+from tests.effects import solved as bursts
 
-
-def solved(**changes):
-    camera = {"n_frames": 5, "shape": (64, 80), "counts": True, "shading": 0.0, "dead_pixels": 0.0}
-    sim = simulate(None, Settings(**camera | changes), seed=2)
-    return deepir.run("nuc", frames=sim.frames, threads=1), sim.truth
+solved = functools.partial(bursts.solved, seed=2, shape=(64, 80))
 
 
 @pytest.mark.parametrize("n_frames", [3, 8])
 def test_errors_of_the_scene_are_of_the_size_that_it_says(n_frames):
-    result, truth = solved(n_frames=n_frames)
-    error = result.scene - truth.scene
+    result, sim = solved(n_frames=n_frames)
+    error = result.scene - sim.truth.scene
     error -= np.median(error)
     ratio = 1.4826 * np.median(np.abs(error / result.uncertainty["scene"]))
     assert 0.5 < ratio < 2

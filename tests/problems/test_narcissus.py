@@ -8,7 +8,7 @@ import deepir
 from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.effects import gain_drift
+from deepir.effects import frame_gain
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import adapt_weight_map
 from deepir.fields.basis_expansion import DCT, Radial
@@ -180,7 +180,7 @@ def stages(*settings):
 def test_a_response_that_drifts_is_corrected_before_its_rounds(monkeypatch):
     called = []
     monkeypatch.setattr(module, "_register", lambda problem: called.append("register"))
-    monkeypatch.setattr(gain_drift, "correct_gain_drift", lambda problem: called.append("even"))
+    monkeypatch.setattr(frame_gain, "correct_gain_drift", lambda problem: called.append("even"))
     monkeypatch.setattr(Narcissus, "update", lambda self, problem: None)
     stages()["response 2"].prepare(None)
     assert called == ["register", "even"]

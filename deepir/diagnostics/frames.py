@@ -1,30 +1,22 @@
-"""Signs that frames are unlike a scene: repetition, an equalised histogram, interlacing."""
+"""What frames alone show: an equalised histogram, interlacing, a shutter that closed between them."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy import ndimage
 from torch import Tensor
 
-from deepir.arrays.samples import autocorrelation
-from deepir.io.inspection.samples import Array
+from deepir.arrays.samples import Array
+from deepir.arrays.statistics import mixed_difference, subsample
 from deepir.messages import Message
 from deepir.registration.alignment import tukey_weights
 from deepir.registration.preprocess import Level, preprocess, sample, smooth_shading
 
 #: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
 MAX_DISTANCE_FROM_UNIFORM = 0.01
-MAX_PAIRS = 4  # of frames whose differences are taken
-#: Share of the autocorrelation one px from zero, where noise is no more, that it reaches at a period.
-MIN_REPETITION = 0.8
-MAX_BETWEEN = (
-    0.5  # the same share, below which it falls on the way to the period; smooth scenes, as clouds, stay above
-)
-PEAK_REACH = 1.5  # distance of the peak of a repetition over that of its nearest sample, at most
-#: Largest side of the central crop that is examined, px.
+#: Largest side of the central crop that is examined for interlacing, px.
 MAX_CROP_SIDE = 320
-#: Most frames that are examined.
+#: Most frames that are examined for it.
 MAX_FRAMES = 10
 #: Fewest frames: a scene and a pattern explain any two.
 MIN_FRAMES = 3
@@ -36,6 +28,14 @@ N_ROW_CLASSES = 4
 MIN_FIELD_SHIFT_RATIO = 5.0
 #: Smallest shift between fields that counts, px.
 MIN_FIELD_SHIFT = 0.1
+#: Samples of all frames that suffice to find a shutter event.
+MAX_SAMPLES = 40_000
+#: Fewest samples of a frame.
+MIN_SAMPLES_PER_FRAME = 200
+#: Fraction of the smallest differences that count: the others are edges of the scene.
+BULK_FRACTION = 0.75
+#: Distance between two groups of frames relative to that within them from which their patterns differ.
+MIN_SEPARATION = 1.3
 
 
 def is_equalised(frames: Array) -> bool:
@@ -64,34 +64,6 @@ def equalised_message(frames: Array) -> list[str]:
             "the scene's contrasts mean much. Record the raw (radiometric) stream of 14 or 16 bits, or a linear gain",
         )
     ]
-
-
-def scene_period(frames: Array, usable: Array) -> float | None:
-    """Smallest displacement at which the scene repeats itself, px; None if it does not, or by more than is seen.
-
-    Args:
-        frames: (N, h, w).
-        usable: Samples that count, same shape, bool.
-    """
-    total, good = np.zeros((0, 0)), np.asarray(usable.all(0))
-    for k in range(0, len(frames) - 1, max(1, -(-(len(frames) - 1) // MAX_PAIRS))):
-        change = np.where(good, frames[k + 1].astype(float) - frames[k], 0.0)
-        change[good] -= np.median(change[good]) if good.any() else 0.0
-        if change.any():
-            found = autocorrelation(change, change, good)
-            total = total + found if total.size else found
-    if not total.size:
-        return None
-    middle = len(total) // 2
-    near = total[middle - 1 : middle + 2, middle - 1 : middle + 2]
-    highest = max(near[0, 1], near[1, 0], near[0, 0], near[0, 2], 0.0)
-    parts, _ = ndimage.label(total > MAX_BETWEEN * highest, np.ones((3, 3)))
-    apart = np.hypot(*(np.indices(total.shape) - middle))
-    other = (total > MIN_REPETITION * highest) & (parts != parts[middle, middle])
-    if not other.any():
-        return None
-    nearest = other & (apart < PEAK_REACH * apart[other].min())  # of a ridge, the part that is nearest
-    return float(apart[nearest][total[nearest].argmax()])
 
 
 @torch.no_grad()
@@ -155,3 +127,55 @@ def row_class_shifts(frames: Tensor, motion: Tensor, ignore: Tensor | None) -> T
         normal = design @ some[0].mT + 1e-9 * torch.eye(3, dtype=torch.float64)
         found.append(torch.linalg.solve(normal, design @ right[:, :, None])[:, :2, 0])
     return torch.stack(found)
+
+
+@torch.no_grad()
+def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
+    """Longest run of frames with one fixed pattern.
+
+    Mixed differences of frames are mostly pattern and noise. Across a shutter event they differ by more than within
+    either part; a camera in motion does not separate frames into such parts.
+
+    Args:
+        frames: (N, h, w).
+        usable: Samples that count, same shape, bool.
+
+    Returns:
+        The frames of the longer part; all of them without an event.
+    """
+    n, whole = len(frames), slice(0, len(frames))
+    if n < 4:
+        return whole
+    fine, counts = mixed_difference(frames, usable.all(0).expand_as(usable))
+    some, known = subsample(
+        fine[:, None], counts[:, None], max_samples=max(MIN_SAMPLES_PER_FRAME, MAX_SAMPLES // n)
+    )
+    some = some[:, known[0]]
+    if not some.numel():
+        return whole
+    bulk = max(1, int(BULK_FRACTION * some.shape[1]))
+    values = some.numpy()
+    apart = np.stack([np.partition(np.abs(values - one), bulk - 1)[:, :bulk].mean(1) for one in values])
+
+    def stands_out(at: int) -> float:
+        within = max(float(apart[:at, :at].max()), float(apart[at:, at:].max()))
+        return float(apart[:at, at:].min()) / max(within, 1e-30)
+
+    at = max(range(2, n - 1), key=stands_out)
+    if stands_out(at) < MIN_SEPARATION:
+        return whole
+    return slice(0, at) if 2 * at >= n else slice(at, n)
+
+
+def shutter_message(part: slice, n: int) -> list[str]:
+    """Warning if only a part of n frames is used; [] otherwise."""
+    if part == slice(0, n):
+        return []
+    at, other = (part.start, f":{part.start}") if part.start else (part.stop, f"{part.stop}:")
+    return [
+        Message(
+            "shutter-in-burst",
+            f"the fixed pattern changes between frames {at - 1} and {at}, as where a shutter closes: only frames "
+            f"{part.start} to {part.stop - 1} are used. The others: data.frames={other}",
+        )
+    ]

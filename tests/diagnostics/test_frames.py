@@ -1,4 +1,4 @@
-"""Interlaced frames: every second row is of another time."""
+"""Interlaced frames: every second row is of another time. A shutter that closes within a burst: another pattern."""
 
 import dataclasses
 
@@ -7,9 +7,10 @@ import pytest
 import torch
 
 import deepir
-from deepir.diagnostics.repeating_scene import are_interlaced
+from deepir.diagnostics.frames import are_interlaced
 from deepir.registration import register
 from deepir.simulate import Settings, simulate
+from tests.effects.solved import burst, error, solved
 
 CAMERA = Settings(n_frames=10, shape=(80, 96), max_shift=3.0, shading=0.0, dead_pixels=0.0)
 
@@ -53,3 +54,34 @@ def test_a_px_between_the_fields_is_enough(seed):
 def test_rows_of_one_time_are_not_apart(effects):
     sim = simulate(None, dataclasses.replace(CAMERA, n_frames=5, **effects), seed=6)
     assert not reported(sim.frames)
+
+
+def closed(at):
+    """Frames of a burst whose offsets are others from frame `at` on, and the burst."""
+    sim = burst(2, n_frames=8)
+    frames = sim.frames.astype(np.float32)
+    frames[at:] += np.random.default_rng(2).normal(0, 60, frames.shape[1:])
+    return frames, sim
+
+
+@pytest.mark.parametrize(("at", "used"), [(5, range(5)), (3, range(3, 8)), (4, range(4))])
+def test_the_longer_part_is_used(at, used):
+    frames, sim = closed(at)
+    result = deepir.run("nuc", frames=frames, threads=1)
+    assert np.flatnonzero(result.frames_used).tolist() == list(used)
+    assert any(f"between frames {at - 1} and {at}" in message for message in result.messages)
+    if used[0] == 0:
+        assert error(result, sim) < 0.03 * sim.settings.contrast
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_burst_of_one_pattern_is_used_whole(seed):
+    assert solved(seed=seed, n_frames=8)[0].frames_used.all()
+
+
+def test_a_camera_that_rests_in_two_places_is_no_shutter():
+    sim = burst(4, n_frames=8)
+    noise = np.random.default_rng(0).normal(0, 5, (2, *sim.frames.shape[1:]))
+    frames = np.concatenate([sim.frames[:1] + noise, sim.frames[1:2] + noise[::-1]])
+    result = deepir.run("nuc", frames=frames, threads=1)
+    assert result.frames_used.all()
