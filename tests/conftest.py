@@ -3,6 +3,7 @@
 import logging
 import os
 import shutil
+from pathlib import Path
 
 # The tests share the cores among processes: threads that wait for each other take them away.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -56,6 +57,12 @@ def browser():
         found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield found
         found.close()
+
+
+@pytest.fixture
+def benchmarks(monkeypatch):
+    """The scripts of `benchmarks/` can be imported."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
 
 
 @pytest.fixture

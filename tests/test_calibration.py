@@ -33,28 +33,27 @@ def scene():
     return 8000 + 300 * np.sin(x / 9) + 200 * np.cos(y / 7)
 
 
-def test_two_flats_give_gain_and_offset(camera):
+def mean_flats(see, *levels):
+    """Means of twenty frames of uniform sources."""
+    return [calibration.mean_frame(see(level), "flat") for level in levels]
+
+
+def test_two_flats_give_gain_and_offset_and_many_agree_better(camera):
     gain, _, bad, see = camera
-    found = calibration.maps_from_flats(
-        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
-    )
+    means = mean_flats(see, 7000, 7000, 7000, 9000, 9000, 9000)
+    found = calibration.maps_from_flats(means[2:4])
     np.testing.assert_array_equal(found.bad_pixels, bad)
     good = ~bad
     assert np.std((found.gain - gain)[good]) < 0.002
     assert found.gain[good].mean() == pytest.approx(1, abs=1e-6)
     assert found.offset[good].mean() == pytest.approx(0, abs=1e-2)
-
-
-def test_many_flats_agree_better_than_two(camera):
-    gain, _, bad, see = camera
-    means = [calibration.mean_frame(see(level), "flat") for level in (7000, 7000, 7000, 9000, 9000, 9000)]
-    errors = [np.std((calibration.maps_from_flats(flats).gain - gain)[~bad]) for flats in (means[2:4], means)]
-    assert errors[1] < 0.7 * errors[0]
+    many = calibration.maps_from_flats(means)
+    assert np.std((many.gain - gain)[good]) < 0.7 * np.std((found.gain - gain)[good])
 
 
 def test_one_flat_takes_away_all_of_the_pattern_at_its_temperature(camera):
     _, _, bad, see = camera
-    found = calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat")])
+    found = calibration.maps_from_flats(mean_flats(see, 8000))
     corrected = found.correct(see(8000, 1)[0])
     assert (found.gain == 1).all()
     assert np.std(corrected[~bad]) == pytest.approx(4, rel=0.1)  # the noise
@@ -81,20 +80,11 @@ def test_bad_pixels_are_the_mean_of_their_good_neighbours():
     np.testing.assert_array_equal(mended[~bad], ramp[~bad].astype(np.float32))
 
 
-def test_markers_without_a_value_stay_without():
+def test_masked_samples_become_nan():
     frame = np.ma.masked_array(np.ones(SHAPE, np.uint8), np.zeros(SHAPE, bool))
     frame[3, 4] = np.ma.masked
     corrected = CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(frame)
     assert np.argwhere(np.isnan(corrected)).tolist() == [[3, 4]]
-
-
-def test_maps_come_back_from_their_file(tmp_path, camera):
-    gain, offset, bad, _ = camera
-    CorrectionMaps(gain.astype(np.float32), offset.astype(np.float32), bad).save(tmp_path / "maps.npz")
-    found = calibration.read_maps(tmp_path / "maps.npz")
-    np.testing.assert_allclose(found.gain, gain, rtol=1e-6)
-    np.testing.assert_allclose(found.offset[~bad], offset[~bad], rtol=1e-5)
-    np.testing.assert_array_equal(found.bad_pixels, bad)
 
 
 def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
@@ -114,30 +104,30 @@ def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
         ({"gain": np.zeros(SHAPE), "offset": np.zeros(SHAPE)}, "not one pixel has a gain above zero"),
     ],
 )
-def test_maps_that_are_none_are_refused(tmp_path, arrays, message):
+def test_files_without_valid_maps_are_refused(tmp_path, arrays, message):
     np.savez(tmp_path / "maps.npz", **arrays)
     with pytest.raises(DataError, match=message):
         calibration.read_maps(tmp_path / "maps.npz")
 
 
-def test_maps_of_another_camera_are_refused():
+def test_frames_that_maps_cannot_correct_and_flats_that_give_none_are_refused(camera):
     with pytest.raises(DataError, match="the frames are 9 x 9 px, the maps 48 x 64 px"):
         CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(np.ones((9, 9)))
-
-
-def test_flats_of_one_temperature_give_no_gain(camera):
-    _, _, _, see = camera
     with pytest.raises(DataError, match="two temperatures are needed"):
-        calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat") for _ in range(2)])
+        calibration.maps_from_flats(mean_flats(camera[-1], 8000, 8000))
+    with pytest.raises(DataError, match="no pixel has a value"):
+        calibration.maps_from_flats([np.full(SHAPE, np.nan)])
+    rng = np.random.default_rng(8)
+    scenes = [8000 + 300 * rng.standard_normal(SHAPE) for _ in range(2)]
+    with pytest.raises(DataError, match=r"\d+% of the pixels answer unlike the others.*--burst"):
+        calibration.maps_from_flats([scenes[0], scenes[1] + 100])
 
 
 def test_a_pixel_without_a_value_in_one_flat_is_bad(camera):
     _, _, bad, see = camera
-    flats = [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
+    flats = mean_flats(see, 7000, 9000)
     flats[1][7, 7] = np.nan
     assert np.argwhere(calibration.maps_from_flats(flats).bad_pixels & ~bad).tolist() == [[7, 7]]
-    with pytest.raises(DataError, match="no pixel has a value"):
-        calibration.maps_from_flats([np.full(SHAPE, np.nan)])
 
 
 @pytest.mark.parametrize("end", [0, 2**14 - 1])
@@ -153,34 +143,25 @@ def test_what_is_at_an_end_of_the_range_in_all_flats_is_bad(end):
     assert found.sum() <= found[5::9, 3::11].size + 1
 
 
-def test_maps_of_a_run_hold_its_stray_flux(tmp_path):
-    rng = np.random.default_rng(4)
-    gain, offset, stray = (
-        1 + 0.05 * rng.standard_normal(SHAPE),
-        rng.standard_normal(SHAPE),
-        90 * rng.random(SHAPE),
-    )
+def test_maps_come_back_from_their_file_and_those_of_a_run_hold_its_stray_flux(tmp_path, camera):
+    gain, offset, bad, _ = camera
+    CorrectionMaps(gain.astype(np.float32), offset.astype(np.float32), bad).save(tmp_path / "maps.npz")
+    found = calibration.read_maps(tmp_path / "maps.npz")
+    np.testing.assert_allclose(found.gain, gain, rtol=1e-6)
+    np.testing.assert_allclose(found.offset[~bad], offset[~bad], rtol=1e-5)
+    np.testing.assert_array_equal(found.bad_pixels, bad)
+    stray, flux = np.random.default_rng(4).uniform(0, 300, (2, *SHAPE))
     np.savez(tmp_path / "result.npz", gain=gain, offset=offset, stray=stray)
-    flux = 8000 + 300 * rng.random(SHAPE)
     seen = gain * (flux + stray) + offset
     np.testing.assert_allclose(calibration.read_maps(tmp_path).correct(seen), flux, atol=0.01)
 
 
 def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene):
     _, _, _, see = camera
-    found = calibration.maps_from_flats(
-        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
-    )
+    found = calibration.maps_from_flats(mean_flats(see, 7000, 9000))
     frame = see(scene, 1)[0]
     assert found.roughness_ratio(frame) < 0.3
     assert found.roughness_ratio(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3
     assert found.roughness_ratio(frame / 50 + 200) > 5
     for nothing in (8000.0, np.nan):
         assert found.roughness_ratio(np.full(SHAPE, nothing)) == 1.0
-
-
-def test_frames_of_a_scene_are_no_flats():
-    rng = np.random.default_rng(8)
-    scenes = [8000 + 300 * rng.standard_normal(SHAPE) for _ in range(2)]
-    with pytest.raises(DataError, match=r"\d+% of the pixels answer unlike the others.*--burst"):
-        calibration.maps_from_flats([scenes[0], scenes[1] + 100])

@@ -110,7 +110,7 @@ def test_the_sum_is_that_of_the_parts(joint):
     assert [name for name in terms if name != "data"] == ["gain", "offset"]  # counted once
 
 
-def test_penalties_go_by_the_unknown(joint):
+def test_penalties_are_named_by_the_unknown(joint):
     joint.represent("second_scene", Pixels((2, *SHAPE[1:])).double(), {"near": Ridge(weight=2.0, center=1.0)})
     terms = joint.losses(joint.values())
     assert float(terms["second_scene.near"].detach()) == pytest.approx(2 * 2 * H * W / 2)

@@ -49,16 +49,13 @@ def test_penalties_stack_on_any_unknown():
     assert float(terms["gain.far"].detach()) == pytest.approx(3 * 42 / 2)
 
 
-def test_a_field_is_evaluated_once_a_step(small_nuc, monkeypatch):
+def test_a_field_is_evaluated_once_a_step_and_carries_a_gradient_only_if_it_is_free(small_nuc, monkeypatch):
     problem, calls = small_nuc(), []
     forward = type(problem.fields["scene"]).forward
     monkeypatch.setattr(Pixels, "forward", lambda field: calls.append(1) or forward(field))
     problem.losses(problem.values(), ("gain", "offset"))
     assert len(calls) == 1
-
-
-def test_only_what_is_free_carries_a_gradient(small_nuc):
-    values = small_nuc().values(["motion"])
+    values = problem.values(["motion"])
     assert values["motion"].requires_grad
     assert not values["scene"].requires_grad
 
@@ -105,12 +102,12 @@ def test_elimination_finds_where_the_gradient_is_zero(small_nuc, group):
             assert slope.abs().max() < 1e-6
 
 
-def test_what_can_be_eliminated():
+def test_what_is_free_and_what_can_be_eliminated():
+    assert sensor_problem().free() == ["scene", "gain", "offset"]
     assert sensor_problem().closed_form() == ["gain", "offset"]
-    assert sensor_problem(gain=Constant(SHAPE, 1.0)).closed_form() == ["offset"]
-    assert sensor_problem(gain=Pixels(SHAPE, 1.0)).closed_form() == ["offset"]
     mixed = SumField(SHAPE, 1.0, {"column": Column(SHAPE, sigma=0.1), "pixels": Pixels(SHAPE)})
-    assert sensor_problem(gain=mixed).closed_form() == ["offset"]
+    for gain in (Constant(SHAPE, 1.0), Pixels(SHAPE, 1.0), mixed):
+        assert sensor_problem(gain=gain).closed_form() == ["offset"]
     assert sensor_problem(penalties={"gain": {"near": Ridge()}}).closed_form() == ["offset"]
     assert sensor_problem(fidelity=Huber()).closed_form() == []
     fixed = sensor_problem()
@@ -119,10 +116,6 @@ def test_what_can_be_eliminated():
     fields = {"scene": Pixels((1, 1, 8, 9)), "psf": Constant((1, 1, 3, 3), value=1 / 9)}
     data = torch.rand(1, 1, 6, 7)
     assert Problem(Chain({"blur": Blur(radius=1)}), fields, data, torch.ones_like(data)).closed_form() == []
-
-
-def test_what_is_free():
-    assert sensor_problem().free() == ["scene", "gain", "offset"]
 
 
 def test_a_slot_without_a_field_is_named():

@@ -91,7 +91,7 @@ def test_crops_are_in_the_range_of_the_pictures_or_its_negative():
 
 @settings(max_examples=8, deadline=None)
 @given(gain=st.floats(1e-3, 1e3), level=st.floats(-10, 10), seed=st.integers(0, 99))
-def test_the_network_knows_no_units(gain, level, seed):
+def test_the_network_does_not_depend_on_units(gain, level, seed):
     torch.manual_seed(seed)
     network, x = UNet((4, 6)).double(), torch.randn(1, 1, 16, 12, dtype=torch.float64)
     with torch.no_grad():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-import deepir
 from deepir.baselines.temporal.basic import flat_and_dark_field
 
 SHAPE, COUNT = (40, 48), 40
@@ -40,9 +39,3 @@ def test_another_unit_scales_the_dark_field_alone(microscope):
     found, again = flat_and_dark_field(frames), flat_and_dark_field(8 * frames)
     np.testing.assert_allclose(again[0], found[0], rtol=1e-6)
     np.testing.assert_allclose(again[1], 8 * found[1], atol=1e-6)
-
-
-def test_frames_of_one_scene_are_corrected_then_registered(burst):
-    result = deepir.run("nuc", frames=burst.frames, method="basic")
-    assert result.scene.shape == burst.frames.shape[1:]
-    assert result.gain.std() > 0

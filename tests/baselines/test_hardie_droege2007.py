@@ -74,27 +74,22 @@ def test_roughness_is_the_transpose_after_the_difference():
     )
 
 
-def test_gain_and_bias_are_found():
-    # Offsets alone, then gains alone: the strengths tell which it is.
-    for camera, name in (
+@pytest.mark.parametrize(
+    ("camera", "name"),
+    [
         ({"gain_pixel": 0.0, "offset_pixel": 0.05}, "offset"),
         ({"gain_pixel": 0.1, "offset_pixel": 0.0}, "gain"),
-    ):
-        clean = {
-            "gain_column": 0.0,
-            "offset_column": 0.0,
-            "offset_row": 0.0,
-            "shading": 0.0,
-            "dead_pixels": 0.0,
-        }
-        sim = simulate(None, Settings(n_frames=8, shape=(32, 40), **clean, **camera), seed=1)
-        result = deepir.run("nuc", frames=sim.frames, method="hardie_droege2007")
-        found, truth = (getattr(each, name).ravel() for each in (result, sim.truth))
-        assert np.corrcoef(found, truth)[0, 1] > 0.9
-        before, after = (
-            scores(each, sim.truth.scene)["psnr_aligned"] for each in (sim.frames[0], result.scene)
-        )
-        assert after > before + 12
+    ],
+)
+def test_gain_and_bias_are_found(camera, name):
+    """Offsets alone, then gains alone: the strengths tell which it is."""
+    lines = {"gain_column": 0.0, "offset_column": 0.0, "offset_row": 0.0, "shading": 0.0, "dead_pixels": 0.0}
+    sim = simulate(None, Settings(n_frames=8, shape=(32, 40), **lines, **camera), seed=1)
+    result = deepir.run("nuc", frames=sim.frames, method="hardie_droege2007")
+    found, truth = (getattr(each, name).ravel() for each in (result, sim.truth))
+    assert np.corrcoef(found, truth)[0, 1] > 0.9
+    before, after = (scores(each, sim.truth.scene)["psnr_aligned"] for each in (sim.frames[0], result.scene))
+    assert after > before + 12
 
 
 def test_without_a_sensor_it_is_refused():

@@ -35,7 +35,7 @@ def test_a_scene_that_stands_still_is_learnt_once_and_not_burnt_in():
     assert np.abs(ungated).max() > 5 * np.abs(gated).max()
 
 
-def test_edges_are_learnt_less_from():
+def test_edges_lower_the_learning_rate():
     frame = np.kron([[0.0, 1.0]], np.ones((20, 20)))[None]
     _, bias = learn_correction(frame, 0.2, 3.0, 0.0, passes=0)
     assert np.abs(bias).max() < 0.02  # a plain LMS would take a tenth: the rate times half the edge

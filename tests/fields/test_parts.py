@@ -72,10 +72,6 @@ def test_a_sum_adds_the_members_priors():
     assert float((field.penalty() - column.penalty() - row.penalty()).detach()) == pytest.approx(0)
 
 
-def test_a_sum_is_float64_in_float64():
-    assert total(column=0.1, pixel=0.1).to(torch.float64)().dtype == torch.float64
-
-
 def test_a_sum_with_another_field_has_no_closed_form():
     field = SumField(SHAPE, 1.0, {"column": Column(SHAPE, sigma=0.1), "constant": Constant(SHAPE, value=0.5)})
     assert field.parts() == ()
