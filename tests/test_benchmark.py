@@ -100,16 +100,6 @@ def test_stored_bursts_are_simulated_once():
     assert burst("sky 0", SMALL, 4)[1] != digest
 
 
-def test_the_radiometric_error_forgives_a_level_and_not_a_gain():
-    from nuc_oracle import aligned, radiometric
-
-    sim = simulate(settings=dataclasses.replace(SMALL, counts=True))
-    scene = sim.truth.scene
-    assert radiometric(scene + 50, sim) == pytest.approx(0, abs=1e-9)
-    assert radiometric(1.1 * scene, sim) == pytest.approx(10 * scene.std() / 1500)
-    assert aligned(1.1 * scene + 50, sim) > 150
-
-
 def test_the_report_says_what_it_found():
     from nuc_table import Case, Row, summary
 

@@ -134,9 +134,9 @@ def test_mistakes_are_named_with_their_data_set(pair, changes, message):
 
 
 def test_data_that_are_missing_or_show_something_else_are_named(pair, tmp_path):
-    (fine, coarse), _ = pair
+    (fine, _), _ = pair
     with pytest.raises(DataError, match=r"datasets.coarse.data.path is missing"):
         deepir.run("two_cameras", fine, *QUICK)
     np.save(tmp_path / "coarse.npy", np.random.default_rng(0).standard_normal((32, 32)).astype(np.float32))
     with pytest.raises(DataError, match=r"datasets.coarse: its first frame does not register"):
-        deepir.run("two_cameras", fine, coarse, *QUICK)
+        deepir.run("two_cameras", fine, f"datasets.coarse.data.path={tmp_path / 'coarse.npy'}", *QUICK)

@@ -6,7 +6,6 @@ from dataclasses import fields as dataclass_fields
 
 import numpy as np
 import pytest
-import torch
 import yaml
 from documentation import OFF_THE_SITE, PAGES, ROOT, blocks, rows
 from pydantic import BaseModel
@@ -25,15 +24,6 @@ PARTS = ROOT / "docs/tutorials/python.md"
 CONFIGURATION = ROOT / "docs/reference/configuration.md"
 #: Pages whose blocks belong together and are run by tests of their own.
 APART = {ROOT / "docs/how-to/extending.md"}
-
-
-@pytest.fixture
-def one_thread():
-    """Small arrays gain nothing from more, and lose where the other cores are busy."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def ids(path):
@@ -67,14 +57,14 @@ def test_files_that_are_named_are_there(page):
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page not in APART and blocks(page, "python")], ids=ids
 )
-def test_python_blocks_run(page, burst, tmp_path, monkeypatch, one_thread):
+def test_python_blocks_run(page, burst, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     np.savez("burst.npz", frames=burst.frames)
     for _, text in blocks(page, "python"):
         exec(compile(text, str(page), "exec"), {})
 
 
-def test_the_composed_form_finds_the_scene(burst, tmp_path, monkeypatch, one_thread):
+def test_the_composed_form_finds_the_scene(burst, tmp_path, monkeypatch):
     from deepir.metrics import scores
 
     monkeypatch.chdir(tmp_path)
@@ -177,14 +167,14 @@ def test_every_file_of_a_run_is_documented():
     assert [name for name in RUN_FILES if f"`{name}`" not in text] == ["checkpoint.part"]
 
 
-def test_the_table_of_components_is_current():
-    current = (ROOT / "docs/reference/components.md").read_text() == components_page()
-    assert current, "run: python -m deepir.report.components docs/reference/components.md"
-
-
-def test_the_page_of_messages_is_current():
-    current = (ROOT / "docs/reference/messages.md").read_text() == messages_page()
-    assert current, "run: python -m deepir.report.messages docs/reference/messages.md"
+@pytest.mark.parametrize(
+    ("name", "written"),
+    [("components", components_page), ("messages", messages_page)],
+    ids=["components", "messages"],
+)
+def test_a_page_that_is_written_from_the_code_is_current(name, written):
+    current = (ROOT / f"docs/reference/{name}.md").read_text() == written()
+    assert current, f"run: python -m deepir.report.{name} docs/reference/{name}.md"
 
 
 def test_the_citation_names_this_version_and_the_paper():

@@ -69,16 +69,13 @@ def dense(joint):
 def test_elimination_is_the_dense_solution_of_the_stacked_problem(joint):
     values = joint.values(without=SENSOR)
     joint.misfit(values, SENSOR, joint.fitted())
-    found = torch.stack([values[name].flatten() for name in SENSOR]).detach().numpy()
-    assert found - [[1], [0]] == pytest.approx(dense(joint), abs=1e-9)
-
-
-def test_a_data_set_knows_its_sensor_from_all_samples(joint):
-    for each in joint.data_sets:
-        values = each.values()
-        each.eliminate(values, SENSOR)
-        found = torch.stack([values[name].flatten() for name in SENSOR]).detach().numpy()
-        assert found - [[1], [0]] == pytest.approx(dense(joint), abs=1e-9)
+    found = [values]
+    for each in joint.data_sets:  # which know their sensor from all samples
+        found.append(each.values())
+        each.eliminate(found[-1], SENSOR)
+    for values in found:
+        sensor = torch.stack([values[name].flatten() for name in SENSOR]).detach().numpy()
+        assert sensor - [[1], [0]] == pytest.approx(dense(joint), abs=1e-9)
 
 
 def test_the_gradient_is_that_of_the_eliminated_objective(joint):
