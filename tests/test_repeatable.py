@@ -10,14 +10,15 @@ from documentation import ROOT
 import deepir
 from deepir.simulate import Settings, simulate
 
-FRAMES = functools.cache(
-    lambda: simulate(None, Settings(n_frames=4, shape=(48, 64), counts=True), seed=1).frames
-)
+
+@functools.cache
+def burst_frames():
+    return simulate(None, Settings(n_frames=4, shape=(48, 64), counts=True), seed=1).frames
 
 
 @functools.cache
 def once(*settings):
-    return deepir.run("nuc", *settings, frames=FRAMES(), threads=1)
+    return deepir.run("nuc", *settings, frames=burst_frames(), threads=1)
 
 
 def same(result, wanted):
@@ -31,17 +32,17 @@ def test_any_type_or_layout_in_memory_that_holds_the_same_numbers(held):
         "in Fortran's order": np.asfortranarray,
         "every second column": lambda frames: np.repeat(frames, 2, 2)[:, :, ::2],
     }
-    frames = turned[held](FRAMES()) if held in turned else FRAMES().astype(held)
+    frames = turned[held](burst_frames()) if held in turned else burst_frames().astype(held)
     short = "prior=tv", "solver.max_iterations=3"
     assert same(deepir.run("nuc", *short, frames=frames, threads=1), once(*short))
 
 
 def test_one_thread_or_two():
-    assert same(deepir.run("nuc", frames=FRAMES(), threads=2), once())
+    assert same(deepir.run("nuc", frames=burst_frames(), threads=2), once())
 
 
 def test_frames_in_another_order_give_the_same_scene_within_its_noise():
-    other = deepir.run("nuc", frames=FRAMES()[[0, 2, 3, 1]], threads=1)
+    other = deepir.run("nuc", frames=burst_frames()[[0, 2, 3, 1]], threads=1)
     apart = (other.scene - once().scene) / once().uncertainty["scene"]
     assert np.sqrt(np.mean(apart**2)) < 0.5
 

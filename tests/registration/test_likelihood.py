@@ -127,9 +127,6 @@ def test_with_each_update_the_powers_are_likelier():
     assert (np.diff(found) < 0).all()
 
 
-TURNS = {"n_frames": 6, "max_rotation": 2.0}
-
-
 def test_the_likelihood_of_rotations_has_the_slope_of_its_differences():
     _, frames = recorded("sky 3", 5, **TONES | {"n_frames": 3, "max_rotation": 3.0})
     turns = RotationLikelihood(likelihood_frames(frames, torch.ones(frames.shape[1:]), 100)[0])
@@ -150,7 +147,7 @@ def test_the_likelihood_of_rotations_has_the_slope_of_its_differences():
 def test_clouds_before_which_the_camera_turns_are_found_by_the_likelihood_of_rotations(
     name, seed, camera, monkeypatch
 ):
-    sim, frames = recorded(name, seed, max_shift=8.0, **camera | TURNS)
+    sim, frames = recorded(name, seed, n_frames=6, max_rotation=2.0, max_shift=8.0, **camera)
     result = register(frames)
     assert result.used.all()
     assert off(result.motion, sim) < 0.4
@@ -159,7 +156,7 @@ def test_clouds_before_which_the_camera_turns_are_found_by_the_likelihood_of_rot
 
 
 def test_from_no_rotation_at_all_the_likeliest_is_near():
-    sim, frames = recorded("sky 2", 31, max_shift=4.0, **TONES | TURNS)
+    sim, frames = recorded("sky 2", 31, n_frames=6, max_rotation=2.0, max_shift=4.0, **TONES)
     still = torch.eye(3, dtype=torch.float64).repeat(6, 1, 1)
     found = maximise_rotation_likelihood(likelihood_frames(frames, torch.ones(frames.shape[1:]))[0], still)
     assert off(found, sim) < 0.3 * off(still, sim)
