@@ -18,10 +18,10 @@ demo: setup  ## correct a simulated burst; results and pictures in runs/demo/
 	$(BIN)/deepir demo
 
 test: setup lint  ## lint and tests
-	$(BIN)/python -m pytest -n 2 -m "not slow and not matrix"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow and not matrix"
 
 test-all: setup lint  ## lint and all tests, the slow ones too
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: setup  ## ruff, mypy, and the size of the package against its budget
 	$(BIN)/ruff check .

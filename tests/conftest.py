@@ -1,15 +1,18 @@
 """Shared by all tests."""
 
 import logging
+import os
 import shutil
+from pathlib import Path
+
+# The tests share the cores among processes: threads that wait for each other take them away.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 import torch
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-
-# The tests share the cores among processes: threads that wait for each other take them away.
 torch.set_num_threads(1)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @pytest.fixture(autouse=True)
@@ -24,6 +27,15 @@ def quiet_compiler():
     from deepir.kernels import ahead
 
     ahead.log = logging.Logger("quiet", logging.CRITICAL)
+
+
+@pytest.fixture
+def own_components(monkeypatch):
+    """What a test registers is forgotten afterwards; all that deepir has is loaded before."""
+    from deepir import registry
+
+    known = {kind: dict(registry.components(kind)) for kind in registry.COMPONENT_MODULES}
+    monkeypatch.setattr(registry, "_components", known)
 
 
 @pytest.fixture(scope="session")
@@ -45,6 +57,12 @@ def browser():
         found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         yield found
         found.close()
+
+
+@pytest.fixture
+def benchmarks(monkeypatch):
+    """The scripts of `benchmarks/` can be imported."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
 
 
 @pytest.fixture

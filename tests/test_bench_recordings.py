@@ -1,23 +1,16 @@
 """The yardstick of recordings: its scores are what they are said to be, and its tables count what is worse."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-
-@pytest.fixture(autouse=True)
-def benchmarks(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
+pytestmark = pytest.mark.usefixtures("benchmarks")
+SHAPE = (64, 80)
+SLOPE = np.linspace(-1, 1, SHAPE[0])[:, None] * np.ones(SHAPE)
 
 
 @pytest.fixture
 def rng():
     return np.random.default_rng(0)
-
-
-SHAPE = (64, 80)
-SLOPE = np.linspace(-1, 1, SHAPE[0])[:, None] * np.ones(SHAPE)
 
 
 def test_a_slope_is_low_order_and_pixels_are_fine(rng):

@@ -38,7 +38,12 @@ def scene():
     return 8000 + 300 * np.sin(x / 9) + 200 * np.cos(y / 7)
 
 
-def test_two_flats_give_gain_and_offset(camera):
+def mean_flats(see, *levels):
+    """Means of twenty frames of uniform sources."""
+    return [calibration.mean_frame(see(level), "flat") for level in levels]
+
+
+def test_two_flats_give_gain_and_offset_and_many_agree_better(camera):
     gain, _, bad, see = camera
     found = calibration.maps_from_flats(flats(see, 7000, 9000))
     np.testing.assert_array_equal(found.bad_pixels, bad)
@@ -84,20 +89,11 @@ def test_bad_pixels_are_the_mean_of_their_good_neighbours():
     np.testing.assert_array_equal(mended[~bad], ramp[~bad].astype(np.float32))
 
 
-def test_markers_without_a_value_stay_without():
+def test_masked_samples_become_nan():
     frame = np.ma.masked_array(np.ones(SHAPE, np.uint8), np.zeros(SHAPE, bool))
     frame[3, 4] = np.ma.masked
     corrected = CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(frame)
     assert np.argwhere(np.isnan(corrected)).tolist() == [[3, 4]]
-
-
-def test_maps_come_back_from_their_file(tmp_path, camera):
-    gain, offset, bad, _ = camera
-    CorrectionMaps(gain.astype(np.float32), offset.astype(np.float32), bad).save(tmp_path / "maps.npz")
-    found = calibration.read_maps(tmp_path / "maps.npz")
-    np.testing.assert_allclose(found.gain, gain, rtol=1e-6)
-    np.testing.assert_allclose(found.offset[~bad], offset[~bad], rtol=1e-5)
-    np.testing.assert_array_equal(found.bad_pixels, bad)
 
 
 def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
@@ -117,13 +113,13 @@ def test_pixels_that_cannot_be_divided_by_are_bad(tmp_path):
         ({"gain": np.zeros(SHAPE), "offset": np.zeros(SHAPE)}, "not one pixel has a gain above zero"),
     ],
 )
-def test_maps_that_are_none_are_refused(tmp_path, arrays, message):
+def test_files_without_valid_maps_are_refused(tmp_path, arrays, message):
     np.savez(tmp_path / "maps.npz", **arrays)
     with pytest.raises(DataError, match=message):
         calibration.read_maps(tmp_path / "maps.npz")
 
 
-def test_maps_of_another_camera_are_refused():
+def test_frames_that_maps_cannot_correct_and_flats_that_give_none_are_refused(camera):
     with pytest.raises(DataError, match="the frames are 9 x 9 px, the maps 48 x 64 px"):
         CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(np.ones((9, 9)))
 
@@ -162,15 +158,15 @@ def test_what_is_at_an_end_of_the_range_in_all_flats_is_bad(end):
     assert found.sum() <= found[5::9, 3::11].size + 1
 
 
-def test_maps_of_a_run_hold_its_stray_flux(tmp_path):
-    rng = np.random.default_rng(4)
-    gain, offset, stray = (
-        1 + 0.05 * rng.standard_normal(SHAPE),
-        rng.standard_normal(SHAPE),
-        90 * rng.random(SHAPE),
-    )
+def test_maps_come_back_from_their_file_and_those_of_a_run_hold_its_stray_flux(tmp_path, camera):
+    gain, offset, bad, _ = camera
+    CorrectionMaps(gain.astype(np.float32), offset.astype(np.float32), bad).save(tmp_path / "maps.npz")
+    found = calibration.read_maps(tmp_path / "maps.npz")
+    np.testing.assert_allclose(found.gain, gain, rtol=1e-6)
+    np.testing.assert_allclose(found.offset[~bad], offset[~bad], rtol=1e-5)
+    np.testing.assert_array_equal(found.bad_pixels, bad)
+    stray, flux = np.random.default_rng(4).uniform(0, 300, (2, *SHAPE))
     np.savez(tmp_path / "result.npz", gain=gain, offset=offset, stray=stray)
-    flux = 8000 + 300 * rng.random(SHAPE)
     seen = gain * (flux + stray) + offset
     np.testing.assert_allclose(calibration.read_maps(tmp_path).correct(seen), flux, atol=0.01)
 

@@ -37,7 +37,7 @@ def test_an_operator_is_linear_physics(deepinv, kind):
     assert torch.allclose((y * u).sum(), (x * physics.A_adjoint(u)).sum())
 
 
-def test_physics_are_a_stage(deepinv):
+def test_physics_of_deepinv_are_a_stage(deepinv):
     _, x, slots = Blur.example()
     operator, size = Blur.example()[0], tuple(x.shape[-2:])
     physics = as_physics(operator, tuple(x.shape), **slots)
@@ -48,7 +48,7 @@ def test_physics_are_a_stage(deepinv):
     assert torch.allclose((stage(x) * y).sum(), (x * stage.adjoint(y, tuple(x.shape))).sum())
 
 
-def test_a_denoiser_goes_both_ways(deepinv):
+def test_a_denoiser_is_converted_to_deepinv_and_back(deepinv):
     pictures = 100 + 10 * torch.rand(2, 1, 24, 24)
     model = as_denoiser("dct")
     wanted = torch.cat([lookup("denoiser", "dct")(each[None], 5.0) for each in pictures])

@@ -25,7 +25,7 @@ from deepir.simulate.scenes.procedural import procedural
 from deepir.testing import check_operator
 
 PAGE = ROOT / "docs/how-to/extending.md"
-PACKAGE = "deepir_inpainting"
+PACKAGE, LENS = "deepir_inpainting", "deepir_lens"
 NOISE = 5.0
 QUICK = ("threads=1", "output.dir=null")
 
@@ -70,16 +70,13 @@ def outside(tmp_path, monkeypatch, picture):
 
 
 @pytest.fixture
-def plugin(outside, monkeypatch):
-    """The plugin in this process; forgotten afterwards."""
-    known = {
-        kind: registry.components(kind) for kind in registry.COMPONENT_MODULES
-    }  # all are loaded before any is added
-    monkeypatch.setattr(registry, "_components", known)
+def plugin(outside, own_components, monkeypatch):
+    """The page's packages in this process; forgotten afterwards."""
     monkeypatch.syspath_prepend(outside)
-    load_plugin(PACKAGE)
+    for name in (PACKAGE, LENS):
+        load_plugin(name)
     yield
-    for name in [name for name in sys.modules if name.split(".")[0] == PACKAGE]:
+    for name in [name for name in sys.modules if name.split(".")[0] in (PACKAGE, LENS)]:
         del sys.modules[name]
 
 
@@ -159,17 +156,12 @@ def test_the_field_may_stand_for_any_unknown_or_a_part_of_it(plugin, burst):
     assert np.abs(result.offset - plain.offset).max() > 1
 
 
-def test_the_penalty_takes_the_place_of_tv(plugin, picture):
+def test_the_penalty_takes_the_place_of_tv_in_a_setting_or_a_file(plugin, picture, outside):
     swapped = deepir.run("inpaint.yaml", *QUICK, "scene.penalties.tv=null", "scene.penalties.curvature=auto")
     assert list(swapped.metrics["strengths"]) == ["scene.curvature.weight"]
     assert error(swapped.scene, picture) < 0.05 * error(picture[2], picture)
-
-
-def test_a_file_may_swap_the_penalty_too(plugin, outside):
-    text = (
-        outside / "inpaint.yaml"
-    ).read_text() + "scene: {penalties: {tv: null, curvature: {weight: 0.02}}}\n"
-    (outside / "straight.yaml").write_text(text)
+    scene = "scene: {penalties: {tv: null, curvature: {weight: 0.02}}}\n"
+    (outside / "straight.yaml").write_text((outside / "inpaint.yaml").read_text() + scene)
     result = deepir.run("straight.yaml", *QUICK, solver={"max_iterations": 2})
     assert result.metrics["strengths"] == {"scene.curvature.weight": pytest.approx(0.02)}
 
@@ -218,13 +210,9 @@ def test_mistakes_are_named(plugin, change, message):
         deepir.run("inpaint.yaml", *QUICK, change)
 
 
-def test_options_of_a_component_need_no_keyword_marker(monkeypatch):
+def test_options_of_a_component_need_no_keyword_marker(own_components):
     from deepir.config.components import make
     from deepir.priors.penalties.base import Penalty
-
-    monkeypatch.setattr(
-        registry, "_components", {kind: registry.components(kind) for kind in registry.COMPONENT_MODULES}
-    )
 
     @registry.register("penalty", "plain")
     class Plain(Penalty):
@@ -239,33 +227,11 @@ def test_options_of_a_component_need_no_keyword_marker(monkeypatch):
         make("penalty", "plain", {"widht": 5}, "here")
 
 
-LENS = "deepir_lens"
-
-
-@pytest.fixture
-def lens(outside, monkeypatch):
-    """The second package of the page in this process; forgotten afterwards."""
-    known = {kind: registry.components(kind) for kind in registry.COMPONENT_MODULES}
-    monkeypatch.setattr(registry, "_components", known)
-    monkeypatch.syspath_prepend(outside)
-    load_plugin(LENS)
-    yield
-    for name in [name for name in sys.modules if name.split(".")[0] == LENS]:
-        del sys.modules[name]
-
-
 @pytest.fixture(scope="module")
 def vignetted():
     """A burst through a lens that vignettes, the strength of that, and a frame with a flash."""
-    settings = Settings(
-        n_frames=6,
-        shape=(48, 64),
-        gain_pixel=0.01,
-        gain_column=0.0,
-        dead_pixels=0.0,
-        shading=0.0,
-        counts=True,
-    )
+    pattern = {"gain_pixel": 0.01, "gain_column": 0.0, "dead_pixels": 0.0, "shading": 0.0}
+    settings = Settings(n_frames=6, shape=(48, 64), counts=True, **pattern)
     sim = simulate(settings=settings, seed=2)
     rows, columns = (np.linspace(-1, 1, side) for side in settings.shape)
     dark = 1 - 0.1 * (rows[:, None] ** 2 + columns**2) / 2
@@ -275,7 +241,7 @@ def vignetted():
     return frames, flashed
 
 
-def test_an_operator_between_warp_and_sensor_keeps_the_shortcuts_of_the_solver(lens, vignetted):
+def test_an_operator_between_warp_and_sensor_keeps_the_shortcuts_of_the_solver(plugin, vignetted):
     frames, _ = vignetted
     still = torch.eye(3, dtype=torch.float64).repeat(len(frames), 1, 1)
     usable = np.ones(frames.shape, bool)
@@ -286,14 +252,14 @@ def test_an_operator_between_warp_and_sensor_keeps_the_shortcuts_of_the_solver(l
     check_operator(*operator.example())
 
 
-def test_a_recipe_changes_one_stage_of_nuc_by_name(lens, vignetted):
+def test_a_recipe_changes_one_stage_of_nuc_by_name(plugin, vignetted):
     frames, _ = vignetted
     result = deepir.run("lens.yaml", *QUICK, frames=frames)
     assert result.history[-1]["stage"] == "scene"
     assert 0.0 < float(result.extra["strength"]) < 0.3
 
 
-def test_an_effect_of_a_plugin_has_a_switch(lens, vignetted):
+def test_an_effect_of_a_plugin_has_a_switch(plugin, vignetted):
     _, flashed = vignetted
     short = ("solver.max_iterations=2", *QUICK)
     found = deepir.run("lens.yaml", *short, frames=flashed)
@@ -304,7 +270,7 @@ def test_an_effect_of_a_plugin_has_a_switch(lens, vignetted):
     assert any("flash" in message for message in taken.messages)
 
 
-def test_an_operator_between_warp_and_sensor_is_one_for_all_bursts_of_a_recording(lens, vignetted):
+def test_an_operator_between_warp_and_sensor_is_one_for_all_bursts_of_a_recording(plugin, vignetted):
     frames = np.concatenate([vignetted[0], vignetted[0][::-1]])
     changes = ("physics.falloff={strength: uniform, before: sensor}", "method.count=2", "method.frames=5")
     result = deepir.run("recording", *QUICK, *changes, "prior=tv", frames=frames)

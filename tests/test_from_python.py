@@ -65,7 +65,7 @@ def test_a_folder_that_cannot_be_made_is_named(result, tmp_path):
         result.save(tmp_path / "file" / "run")
 
 
-def test_the_random_numbers_of_the_caller_go_on(burst):
+def test_the_callers_random_numbers_are_unchanged(burst):
     torch.manual_seed(5)
     wanted = torch.rand(3)
     torch.manual_seed(5)
@@ -130,10 +130,7 @@ def test_no_physics_is_plain_denoising():
     assert np.std(found.scene - scene) < 0.6 * np.std(noisy - scene)
 
 
-def test_a_network_that_moves_with_the_sensor_is_named(burst, monkeypatch):
-    known = {kind: registry.components(kind) for kind in registry.COMPONENT_MODULES}
-    monkeypatch.setattr(registry, "_components", known)
-
+def test_a_network_that_moves_with_the_sensor_is_named(burst, own_components):
     @registry.register("field", "tiny_network")
     class TinyNetwork(Pixels):
         """A network that a stranger wrote, without the base class."""

@@ -69,16 +69,13 @@ def dense(joint):
 def test_elimination_is_the_dense_solution_of_the_stacked_problem(joint):
     values = joint.values(without=SENSOR)
     joint.misfit(values, SENSOR, joint.fitted())
-    found = torch.stack([values[name].flatten() for name in SENSOR]).detach().numpy()
-    assert found - [[1], [0]] == pytest.approx(dense(joint), abs=1e-9)
-
-
-def test_a_data_set_knows_its_sensor_from_all_samples(joint):
-    for each in joint.data_sets:
-        values = each.values()
-        each.eliminate(values, SENSOR)
-        found = torch.stack([values[name].flatten() for name in SENSOR]).detach().numpy()
-        assert found - [[1], [0]] == pytest.approx(dense(joint), abs=1e-9)
+    found = [values]
+    for each in joint.data_sets:  # which know their sensor from all samples
+        found.append(each.values())
+        each.eliminate(found[-1], SENSOR)
+    for values in found:
+        sensor = torch.stack([values[name].flatten() for name in SENSOR]).detach().numpy()
+        assert sensor - [[1], [0]] == pytest.approx(dense(joint), abs=1e-9)
 
 
 def test_the_gradient_is_that_of_the_eliminated_objective(joint):
@@ -110,7 +107,7 @@ def test_the_sum_is_that_of_the_parts(joint):
     assert [name for name in terms if name != "data"] == ["gain", "offset"]  # counted once
 
 
-def test_penalties_go_by_the_unknown(joint):
+def test_penalties_are_named_by_the_unknown(joint):
     joint.represent("second_scene", Pixels((2, *SHAPE[1:])).double(), {"near": Ridge(weight=2.0, center=1.0)})
     terms = joint.losses(joint.values())
     assert float(terms["second_scene.near"].detach()) == pytest.approx(2 * 2 * H * W / 2)

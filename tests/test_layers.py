@@ -95,11 +95,8 @@ def circles(edges):
     return left
 
 
-def test_no_circle_of_files():
+def test_no_circle_of_files_or_folders():
     assert not circles(graph())
-
-
-def test_no_circle_of_folders():
     assert not circles(graph(folder))
 
 

@@ -69,17 +69,14 @@ def test_noise_of_the_given_variance_costs_about_what_it_should(name):
         assert cost == pytest.approx(expected[name], rel=0.15 if name == "huber" else 0.02)
 
 
-def test_gaussian_and_laplacian_are_scipys():
+@pytest.mark.parametrize(
+    ("name", "density", "per_sigma"), [("gaussian", stats.norm, 1), ("l1", stats.laplace, 2**0.5)]
+)
+def test_gaussian_and_laplacian_are_scipys(name, density, per_sigma):
     prediction, data, precision = samples()
-    sigma = precision.rsqrt()
-    log = stats.norm(loc=prediction, scale=sigma).logpdf
-    assert float(FIDELITIES["gaussian"]()(prediction, data, precision)) == pytest.approx(
-        (log(prediction) - log(data)).sum()
-    )
-    log = stats.laplace(loc=prediction, scale=sigma / 2**0.5).logpdf
-    assert float(FIDELITIES["l1"]()(prediction, data, precision)) == pytest.approx(
-        (log(prediction) - log(data)).sum()
-    )
+    log = density(loc=prediction, scale=precision.rsqrt() / per_sigma).logpdf
+    found = float(FIDELITIES[name]()(prediction, data, precision))
+    assert found == pytest.approx((log(prediction) - log(data)).sum())
 
 
 def test_huber_is_gaussian_within_its_threshold_and_grows_like_l1_beyond():

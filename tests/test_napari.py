@@ -29,7 +29,7 @@ def test_a_run_shows_its_scene_and_its_maps(tmp_path):
     assert [options.get("visible", True) for _, options, _ in layers] == [True, False, False, False]
 
 
-def test_what_it_does_not_know_is_left_to_others(tmp_path):
+def test_other_files_are_left_to_other_readers(tmp_path):
     assert reader(str(tmp_path)) is None
     assert reader([str(tmp_path / "a.npy"), str(tmp_path / "b.npy")]) is None
 

@@ -15,28 +15,23 @@ SCALE = 0.04  # K a count: 288 to 308 K
 CAMERA = Settings(n_frames=6, shape=(64, 80), counts=True, pedestal=7200.0, contrast=500.0, dead_pixels=0.002)
 
 
-@pytest.fixture(scope="module", params=[0, 3])
-def corrected(request, tmp_path_factory):
-    burst = simulate(None, CAMERA, seed=request.param)
+@pytest.fixture(scope="module")
+def corrected(tmp_path_factory):
+    burst = simulate(None, CAMERA, seed=0)
     folder = tmp_path_factory.mktemp("radiometric")
     write_tiff(folder / "burst.tif", burst.frames, unit_metadata(Linear(SCALE)))
     result = run("nuc", data={"path": folder / "burst.tif"}, output={"dir": folder / "run"})
     return burst, result, folder / "run"
 
 
-def test_the_level_moves_by_less_than_twenty_millikelvin(corrected):
+def test_the_pattern_of_kelvins_goes_and_the_level_moves_by_less_than_twenty_millikelvin(corrected):
     burst, result, _ = corrected
-    error = result.extra["scene_kelvin"] - SCALE * burst.truth.scene
-    assert abs(error.mean()) < 0.02
-    assert abs(np.median(error)) < 0.02
-
-
-def test_the_pattern_of_kelvins_is_gone(corrected):
-    burst, result, _ = corrected
+    found, truth = result.extra["scene_kelvin"], SCALE * burst.truth.scene
+    assert abs((found - truth).mean()) < 0.02
+    assert abs(np.median(found - truth)) < 0.02
     inside = np.s_[8:-8, 8:-8]
-    truth = SCALE * burst.truth.scene[inside]
-    assert np.median(np.abs(SCALE * burst.frames[0][inside] - truth)) > 3
-    assert np.median(np.abs(result.extra["scene_kelvin"][inside] - truth)) < 0.1
+    assert np.median(np.abs(SCALE * burst.frames[0] - truth)[inside]) > 3
+    assert np.median(np.abs(found - truth)[inside]) < 0.1
 
 
 def test_files_say_what_their_values_are(corrected):
@@ -53,8 +48,7 @@ def test_files_say_what_their_values_are(corrected):
     assert json.loads((folder / "metrics.json").read_text())["radiometry"] == {"scale": SCALE, "zero": 0.0}
 
 
-def test_counts_without_a_law_stay_counts(tmp_path):
-    burst = simulate(None, CAMERA, seed=1)
+def test_counts_without_a_law_stay_counts(burst):
     result = run("nuc", frames=burst.frames, method="average")
     assert "scene_kelvin" not in result.extra
     assert result.metrics["radiometry"] is None

@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from deepir.errors import ConfigError
 from deepir.registry import components
 from deepir.sweep.table import Row
 
+pytestmark = pytest.mark.usefixtures("benchmarks")
 CAMERA = {
     "shape": (40, 48),
     "n_frames": 4,
@@ -19,11 +19,6 @@ CAMERA = {
     "dead_pixels": 0.01,
     "stray": 0.5,
 }
-
-
-@pytest.fixture(autouse=True)
-def benchmarks(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
 
 
 @pytest.fixture
@@ -82,14 +77,14 @@ def test_a_burst_is_simulated_once_and_what_was_simulated_is_found_again(stem):
     assert np.corrcoef(gain[good], sim.truth.gain[good])[0, 1] > 0.9
 
 
-def test_an_oracle_wants_a_simulation(tmp_path):
+def test_an_oracle_is_refused_for_a_recorded_burst(tmp_path):
     from record_methods import stored
 
     with pytest.raises(ConfigError, match="only a simulated burst"):
         stored(tmp_path / "mine.npz", 3)
 
 
-def test_what_is_not_to_be_had_is_left_out_with_a_reason(monkeypatch, tmp_path):
+def test_missing_bursts_are_left_out_with_a_reason(monkeypatch, tmp_path):
     from record_bursts import Recorded, Simulated
 
     burst = Recorded("a65/a65.npz")

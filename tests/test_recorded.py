@@ -50,7 +50,7 @@ def test_without_frame_0_there_is_no_truth_to_compare_with():
         burst("data.frames=1:4")
 
 
-def test_a_file_and_a_simulation_are_one_too_many():
+def test_a_file_and_a_simulation_together_are_refused():
     with pytest.raises(ConfigError, match="not both"):
         burst("data.path=burst.npz")
 

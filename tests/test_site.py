@@ -53,17 +53,12 @@ def test_the_reference_says_what_a_docstring_says(site):
     assert 'id="deepir.api.run"' in text
 
 
-def test_formulas_are_drawn(site):
+def test_formulas_are_drawn_and_a_page_that_a_script_wrote_has_its_title(site):
     text = (site / "explanation/noise/index.html").read_text()
     assert 'aria-label="\\sigma^2(s) = ' in text
     assert not re.search(r"\$[^$<]*\\[a-z]+[^$<]*\$|FORMULA\d", text)
-
-
-def test_a_page_that_a_script_wrote_has_its_title(site):
-    home = (site / "index.html").read_text()
-    assert re.search(
-        r'href="benchmarks/record/"[^>]*>\s*<span class="md-ellipsis">\s*Against other methods', home
-    )
+    title = r'href="benchmarks/record/"[^>]*>\s*<span class="md-ellipsis">\s*Against other methods'
+    assert re.search(title, (site / "index.html").read_text())
 
 
 def test_the_site_loads_nothing_from_another_server(site):

@@ -65,13 +65,10 @@ def test_a_known_gain_stays_and_the_offset_adapts(solve, burst, tmp_path):
     np.save(tmp_path / "gain.npy", burst.truth.gain)
     known = solve(gain=f"{{type: constant, path: {tmp_path / 'gain.npy'}}}")
     assert np.allclose(known.gain, burst.truth.gain, rtol=1e-5)
+    assert np.all(solve(gain="1").gain == 1)  # a number is known, too
     free = solve()
     assert np.abs(known.offset - free.offset).max() > 1
     assert np.abs(known.offset - burst.truth.offset).std() < np.abs(free.offset - burst.truth.offset).std()
-
-
-def test_a_number_is_a_known_gain(solve):
-    assert np.all(solve(gain="1").gain == 1)
 
 
 def test_a_part_may_be_given_its_strength(solve):

@@ -2,7 +2,6 @@
 
 import importlib
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,17 +42,11 @@ def test_every_training_has_a_network_and_a_loss_with_a_slope(name):
     assert all(p.grad is not None and p.grad.isfinite().all() for p in network.parameters())
 
 
-def test_a_training_finds_what_is_to_be_learnt():
+def test_a_training_finds_what_is_to_be_learnt_by_its_seed_and_reports_where_it_is():
     assert train(Line).weight.item() == pytest.approx(3, rel=0.02)
-
-
-def test_the_same_seed_gives_the_same_weights_and_another_one_others():
     first, again, other = (train(Line, seed=seed, iterations=20).weight for seed in (1, 1, 2))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
-
-
-def test_a_training_says_where_it_is():
     said = []
     train(Line, iterations=3, report=said.append)
     assert [(each.iteration, each.iterations) for each in said] == [(1, 3), (2, 3), (3, 3)]
@@ -68,10 +61,9 @@ def test_nothing_is_learnt_from_pictures_that_are_kept_for_judging():
     assert training.FIRST_SCENE_SEED >= 1000
 
 
-def test_no_rival_learns_from_what_rivals_are_judged_by(monkeypatch):
+def test_no_rival_learns_from_what_rivals_are_judged_by(benchmarks):
     from deepir.training.training import BENCHMARK_PHOTOGRAPHS
 
-    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
     record = importlib.import_module("record_protocols")
     assert set(BENCHMARK_PHOTOGRAPHS) == set(PHOTOGRAPHS) & set(record.PICTURES)
     everything, fewer = (
@@ -91,7 +83,7 @@ def test_crops_are_in_the_range_of_the_pictures_or_its_negative():
 
 @settings(max_examples=8, deadline=None)
 @given(gain=st.floats(1e-3, 1e3), level=st.floats(-10, 10), seed=st.integers(0, 99))
-def test_the_network_knows_no_units(gain, level, seed):
+def test_the_network_does_not_depend_on_units(gain, level, seed):
     torch.manual_seed(seed)
     network, x = UNet((4, 6)).double(), torch.randn(1, 1, 16, 12, dtype=torch.float64)
     with torch.no_grad():

@@ -1,5 +1,7 @@
 """Gain and offset in closed form, against dense least squares."""
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -51,7 +53,7 @@ def dense(z, y, w, gain, offset):
     return np.concatenate([a, np.eye(a.shape[1])]), np.concatenate([b, np.zeros(a.shape[1])])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     gain=subsets, offset=subsets, zero=st.sampled_from([(), ("column",), ("pixel",), ("row", "pixel"), ("shading",)]),
     pedestal=st.sampled_from([0.0, 50.0, 8000.0]), dead=st.sampled_from([0.0, 0.3]),
@@ -96,41 +98,37 @@ def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
     assert found[0].numpy() == pytest.approx(found[1].numpy(), abs=3e-5)
 
 
-@pytest.mark.parametrize("pedestal", [0.0, 50.0, 8000.0])
-@pytest.mark.parametrize("dead", [0.0, 0.3])
-def test_the_variances_of_pixels_alone_are_those_of_the_dense_inverse(pedestal, dead):
-    gains, offsets = make_parts(["pixel"], 1.0), make_parts(["pixel"], 50.0)
+def white_variances(z, y, w, parts):
+    """Posterior variances of whitened values, from the inverse of the dense normal matrix: one array a part."""
+    a, _ = dense(z, y, w, *parts)
+    sizes = [part.whitened.numel() for each in parts for part in each]
+    return np.split(np.diag(np.linalg.inv(a.T @ a)), np.cumsum(sizes)[:-1])
+
+
+@pytest.mark.parametrize(
+    ("names", "pedestal", "dead"),
+    [
+        *itertools.product([["pixel"]], [0.0, 50.0, 8000.0], [0.0, 0.3]),
+        (["column"], 50.0, 0.0),
+        (["pixel", "column", "shading"], 50.0, 0.0),
+    ],
+)
+def test_variances_of_pixels_or_columns_alone_and_of_shadings_are_those_of_the_dense_inverse(
+    names, pedestal, dead
+):
+    parts = make_parts(names, 1.0), make_parts(names, 50.0)
     z, y, w = burst(pedestal, dead=dead)
-    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
-    a, _ = dense(z, y, w, gains, offsets)
-    white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, *SHAPE)
-    for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
+    found = [v for each in eliminate(z, y, w, *parts).posterior_variances() for v in each]
+    compared = 0
+    for variance, part, white in zip(
+        found, itertools.chain(*parts), white_variances(z, y, w, parts), strict=True
+    ):
         assert variance.shape == part.whitened.shape
-        assert variance.numpy() == pytest.approx(wanted * float(part.sigma) ** 2, rel=1e-6)
-
-
-def test_the_variances_of_columns_alone_are_those_of_the_dense_inverse():
-    gains, offsets = make_parts(["column"], 1.0), make_parts(["column"], 50.0)
-    z, y, w = burst()
-    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
-    a, _ = dense(z, y, w, gains, offsets)
-    white = np.diag(np.linalg.inv(a.T @ a)).reshape(2, 6)
-    for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
-        assert variance.numpy().ravel() == pytest.approx(wanted * float(part.sigma) ** 2, rel=1e-6)
-
-
-def test_the_variances_of_a_shading_with_columns_and_pixels_are_those_of_the_dense_inverse():
-    names = ["pixel", "column", "shading"]
-    gains, offsets = make_parts(names, 1.0), make_parts(names, 50.0)
-    z, y, w = burst()
-    found = [v for each in eliminate(z, y, w, gains, offsets).posterior_variances() for v in each]
-    a, _ = dense(z, y, w, gains, offsets)
-    white = np.split(
-        np.diag(np.linalg.inv(a.T @ a)), np.cumsum([p.whitened.numel() for p in [*gains, *offsets]])[:-1]
-    )
-    for variance, part, wanted in zip(found, (*gains, *offsets), white, strict=True):
-        if isinstance(part, Shading):
-            assert variance.numpy() == pytest.approx(wanted * part.prior_sigma.numpy() ** 2, rel=1e-6)
+        if len(names) == 1 or isinstance(part, Shading):  # others are approximate beside each other
+            wanted = white * part.prior_sigma.numpy().ravel() ** 2
+            assert variance.numpy().ravel() == pytest.approx(wanted, rel=1e-6)
+            compared += 1
+    assert compared == 2
 
 
 def test_variances_come_in_the_order_of_the_parts_and_lie_between_nothing_and_the_prior():
@@ -150,15 +148,6 @@ def test_a_pixel_without_data_is_left_at_its_prior():
     for part, variance in zip((*gains, *offsets), variances, strict=True):
         assert part.whitened[0, 0, 2, 3] == 0
         assert variance[0, 0, 2, 3] == pytest.approx(float(part.sigma) ** 2)
-
-
-def test_the_true_pattern_is_found_without_noise_and_with_loose_priors():
-    z, _, w = burst(n_frames=4)
-    gain, offset = 0.02 * torch.randn(SHAPE, dtype=torch.float64), torch.randn(SHAPE, dtype=torch.float64)
-    g, o = Pixel(SHAPE, sigma=10.0), Pixel(SHAPE, sigma=1e4)
-    eliminate(z, gain * z + offset, 1e6 * w, [g], [o])
-    assert torch.allclose(g.values, gain, atol=1e-6)
-    assert torch.allclose(o.values, offset, atol=1e-4)
 
 
 @pytest.mark.parametrize("names", [["pixel"], ["column", "row", "pixel"]])

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepir.fields.motion import Affine, Auto, Homography, Motion, Rigid, Shift
+from deepir.fields.motion import Affine, Auto, Homography, Rigid, Shift
 
 MODELS = [Shift, Rigid, Affine, Homography]
 each_model = pytest.mark.parametrize("model", MODELS)
@@ -59,15 +59,6 @@ def test_a_model_takes_what_it_can_of_a_motion():
 def test_a_single_frame_does_not_move(model):
     field = make(model, 1)
     assert torch.equal(field(), torch.eye(3, dtype=torch.float64)[None])
-    field.init_from(torch.eye(3)[None])
-
-
-def test_a_model_must_say_how_it_moves():
-    class Nothing(Motion):
-        n_parameters = 1
-
-    with pytest.raises(NotImplementedError):
-        Nothing((2, 3, 3), size=(6, 7))()
 
 
 def test_auto_keeps_a_rigid_motion_rigid_and_follows_one_that_bends():

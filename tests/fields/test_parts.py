@@ -29,16 +29,6 @@ def test_parameters_are_white_and_float64():
     assert float(part.penalty().detach()) == pytest.approx(42 / 2, rel=1e-5)
 
 
-def test_the_prior_is_the_negative_logarithm_of_the_gaussian():
-    from scipy import stats
-
-    part = Row(SHAPE, sigma=3.0)
-    values = torch.randn(6, dtype=torch.float64)
-    part.assign(values.reshape(1, 1, 6, 1))
-    log = stats.norm(scale=3.0).logpdf
-    assert float(part.penalty().detach()) == pytest.approx(-(log(values) - log(0)).sum())
-
-
 def test_a_part_without_sigma_is_zero_until_it_has_one():
     part = Column(SHAPE, 1.0)
     assert not part.sigma_is_fixed
@@ -70,10 +60,6 @@ def test_a_sum_adds_the_members_priors():
     field.init_from(torch.rand(SHAPE))
     column, row = field.parts()
     assert float((field.penalty() - column.penalty() - row.penalty()).detach()) == pytest.approx(0)
-
-
-def test_a_sum_is_float64_in_float64():
-    assert total(column=0.1, pixel=0.1).to(torch.float64)().dtype == torch.float64
 
 
 def test_a_sum_with_another_field_has_no_closed_form():

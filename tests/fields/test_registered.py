@@ -20,18 +20,14 @@ def nudge(field):
             parameter.add_(0.3 * torch.randn_like(parameter))
 
 
-def test_the_value_has_the_shape_and_is_float32(field):
-    value = field()
-    assert value.shape == field.shape
-    assert value.dtype == torch.float32
-    assert value.isfinite().all()
-
-
-def test_in_float64_the_value_is_float64(field):
+def test_the_value_has_the_shape_and_the_type(field):
+    assert field().dtype == torch.float32
     nudge(field)
     before = field().detach()
     value = field.to(torch.float64)()
+    assert value.shape == field.shape
     assert value.dtype == torch.float64
+    assert value.isfinite().all()
     assert torch.allclose(value.detach(), before.double(), atol=1e-5)
 
 
@@ -47,10 +43,12 @@ def test_a_value_that_it_represents_is_taken_over(field):
     assert torch.allclose(field(), value, atol=1e-5)
 
 
-def test_every_parameter_has_a_gradient(field):
+def test_every_parameter_has_a_gradient_and_its_own_penalty_is_a_number_that_is_not_negative(field):
     nudge(field)
     total = (field() * torch.rand(field.shape)).sum()
     if (own := field.penalty()) is not None:
+        assert own.shape == ()
+        assert own >= 0
         total = total + own
     for parameter in field.parameters():
         (gradient,) = torch.autograd.grad(total, parameter, retain_graph=True)
@@ -58,18 +56,11 @@ def test_every_parameter_has_a_gradient(field):
         assert gradient.any()
 
 
-def test_its_state_is_all_there_is_to_it(field):
+def test_its_state_restores_it(field):
     nudge(field)
     other = type(field).example()
     other.load_state_dict(field.state_dict())
     assert torch.equal(other(), field())
-
-
-def test_its_own_penalty_is_a_number_that_is_not_negative(field):
-    nudge(field)
-    if (own := field.penalty()) is not None:
-        assert own.shape == ()
-        assert own >= 0
 
 
 def test_its_parts_add_up_to_it(field):

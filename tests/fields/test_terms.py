@@ -17,12 +17,8 @@ FIELDS = [
 
 
 @pytest.mark.parametrize("field", FIELDS, ids=["dct", "radial"])
-def test_each_term_has_mean_zero(field):
+def test_each_term_has_mean_zero_and_without_strength_none_shows(field):
     assert torch.allclose(field.sample_basis().mean((1, 2)), torch.zeros(len(field.values)), atol=1e-6)
-
-
-@pytest.mark.parametrize("field", FIELDS, ids=["dct", "radial"])
-def test_a_value_without_strength_is_zero(field):
     other = type(field)((1, 1, *SIZE))
     other.values.data.fill_(3.0)
     assert not other().any()
@@ -57,7 +53,7 @@ def test_the_prior_is_the_energy_of_a_bent_plate(height, width, order):
     assert torch.allclose(bent, torch.full_like(bent, per_side**2), rtol=1e-5)
 
 
-def test_what_is_about_the_axis_depends_on_the_distance_alone():
+def test_a_radial_map_depends_on_the_distance_from_its_axis_alone():
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
     distance = np.hypot(y - (SIZE[0] - 1) / 2 - 2.0, x - (SIZE[1] - 1) / 2 + 3.5)
     truth = np.cos(distance / 6)

@@ -34,7 +34,7 @@ def test_a_line_of_the_lists_is_a_kernel_with_types(line):
 
 @pytest.mark.parametrize("lines", LISTS)
 @pytest.mark.parametrize("count", [2, 6])
-def test_a_module_is_one_process_s_and_its_kernels_stay_in_order(lines, count):
+def test_the_kernels_of_a_module_are_compiled_by_one_process_in_order(lines, count):
     shares = ahead._shares(lines, count)
     assert sorted(line for share in shares for line in share) == sorted(lines)
     modules = [{line.split(".")[0] for line in share} for share in shares]
@@ -42,7 +42,7 @@ def test_a_module_is_one_process_s_and_its_kernels_stay_in_order(lines, count):
     assert all([lines.index(line) for line in share] == sorted(map(lines.index, share)) for share in shares)
 
 
-def test_nobody_waits_for_a_kernel_that_is_in_no_list():
+def test_a_kernel_outside_the_lists_is_not_waited_for():
     assert not ahead.wait_for("raster.draw")
 
 

@@ -156,7 +156,7 @@ def test_total_variation_and_its_gradient(size, dtype, pictures, weight):
     assert torch.allclose(slope.double(), right, rtol=tolerance, atol=tolerance * float(right.abs().max()))
 
 
-def test_the_parts_of_a_range_are_all_of_it_once_whatever_the_number_of_threads(threads):
+def test_a_parallel_loop_covers_its_range_once_whatever_the_number_of_threads(threads):
     for count in (0, 1, 2, 10):
         seen, lock = [], threading.Lock()
 
@@ -168,7 +168,7 @@ def test_the_parts_of_a_range_are_all_of_it_once_whatever_the_number_of_threads(
         assert sorted(seen) == list(range(count))
 
 
-def test_what_goes_wrong_in_a_part_is_raised(threads):
+def test_an_error_in_a_thread_is_raised(threads):
     def fail(first, last):
         if last == 9:
             raise ArithmeticError("the last part")

@@ -86,7 +86,7 @@ def test_frames_arrive_and_are_corrected_from_the_first_estimate_on(page, runnin
     assert rough[1] < 0.3 * rough[0]
 
 
-def test_hold_is_pressed_until_it_is_let_go(page, running):
+def test_hold_is_pressed_until_it_is_let_go_and_a_recording_until_it_is_stopped(page, running):
     headline(page, "Correcting")
     page.click("#hold")
     headline(page, "Holding")
@@ -94,6 +94,11 @@ def test_hold_is_pressed_until_it_is_let_go(page, running):
     assert page.get_attribute("#hold", "aria-pressed") == "true"
     page.click("#hold")
     headline(page, "Correcting")
+    page.click("#record")
+    until(page, lambda: page.inner_text("#record") == "Stop")
+    arrive(page)
+    page.click("#record")
+    until(page, lambda: "frame(s) are in" in page.inner_text("#recorder"))
 
 
 def test_reset_asks_first(page, running):
@@ -158,15 +163,6 @@ def test_a_snapshot_holds_the_values(page, live):
         page.click("#tif")
     assert download.value.suggested_filename == "frame-1.tif"
     assert np.array_equal(tifffile.imread(download.value.path()), frame.corrected)
-
-
-def test_a_recording_is_started_and_stopped(page, running):
-    arrive(page)
-    page.click("#record")
-    until(page, lambda: page.inner_text("#record") == "Stop")
-    arrive(page)
-    page.click("#record")
-    until(page, lambda: "frame(s) are in" in page.inner_text("#recorder"))
 
 
 def test_the_end_is_reported_and_the_last_frame_stays(page, live):

@@ -32,7 +32,7 @@ def test_the_gains_are_found_from_the_pattern():
     assert np.allclose(found.numpy(), gains / np.exp(np.log(gains).mean()), rtol=0.03)
 
 
-def test_frames_of_one_gain_have_none():
+def test_equal_gains_are_not_estimated():
     frames, _, pattern = stretched(np.ones(6))
     usable = torch.ones(frames.shape, dtype=torch.bool)
     assert frame_gains(torch.from_numpy(frames), usable, torch.from_numpy(pattern)) is None

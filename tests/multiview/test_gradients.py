@@ -5,9 +5,7 @@ import torch
 
 from deepir.closed_form.normal_equations import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
-from deepir.fields.sensor_maps import Column, Pixel, Row
 from deepir.multiview.gradients import SHARE, Edges, likeliest_tail
-from deepir.multiview.pattern import find_pattern
 
 SIZE = (9, 11)
 
@@ -103,20 +101,3 @@ def test_conjugate_gradients_solve_a_system():
             max_iterations=20,
         )
         assert torch.allclose(a @ found, rhs, atol=1e-6)
-
-
-def test_a_pattern_of_the_gain_grows_with_the_level():
-    """Flat scenes of different levels: what there is of gradients is the pattern's, at each level."""
-    torch.manual_seed(1)
-    gain, offset = 0.03 * torch.randn(24, 30), 0.5 * torch.randn(24, 1)
-    levels = torch.linspace(100, 300, 8)[:, None, None]
-    frames = levels + gain * levels + offset + 0.2 * torch.randn(8, 24, 30)
-    maps = (1, 1, 24, 30)
-    parts = [Pixel(maps, 1.0)], [Row(maps, 0.0), Column(maps, 0.0)]
-    find_pattern(frames, torch.ones_like(frames, dtype=torch.bool), *parts)
-    found = parts[0][0].values[0, 0].detach()
-    quick = [
-        each.diff(dim=0).diff(dim=1).flatten() for each in (found, gain.double())
-    ]  # polynomials are the scenes'
-    assert torch.corrcoef(torch.stack(quick))[0, 1] > 0.99
-    assert float((found - gain).std()) < 0.3 * 0.03

@@ -1,7 +1,9 @@
 """Displacements under a fixed pattern, the low-order pattern that they show, and scores of corrections."""
 
+import driving
 import numpy as np
 import pytest
+from driving import SIZE
 from scipy import ndimage
 from skimage import data
 
@@ -9,24 +11,12 @@ from deepir.multiview.held_out_pattern import CorrectionScorer
 from deepir.multiview.low_order_pattern import low_order_pattern
 from deepir.multiview.texture_flow import displacements
 
-SIZE = (120, 160)
 ONE = np.ones(SIZE)
 
 
 @pytest.fixture(scope="module")
 def drive():
-    """Eight frames of a camera that drives forward: each is 3 % larger than the one before."""
-    scene = ndimage.zoom(data.camera().astype(float), 0.7, order=1)
-    middle = (np.array(scene.shape) - 1) / 2
-    y, x = (np.arange(side) - (side - 1) / 2 for side in SIZE)
-    return np.stack(
-        [
-            ndimage.map_coordinates(
-                scene, np.meshgrid(middle[0] + y / 1.03**k, middle[1] + x / 1.03**k, indexing="ij"), order=3
-            )
-            for k in range(8)
-        ]
-    )
+    return driving.drive(ndimage.zoom(data.camera().astype(float), 0.7, order=1), 8)
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +68,6 @@ def test_the_true_correction_is_likelier_than_none_and_than_one_with_a_false_slo
         assert left[0].change < 0.5 * left[1].change
 
 
-def test_frames_without_motion_judge_nothing(shading):
+def test_frames_without_motion_give_no_score(shading):
     frames = np.repeat(data.camera()[None, :120, :160].astype(float), 8, 0)
     assert judged(frames, (ONE, shading)) == [None]

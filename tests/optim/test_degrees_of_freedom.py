@@ -41,7 +41,7 @@ def explained(by):
 @pytest.mark.parametrize(
     "by", [((0, 0), (2.5, 0.5)), ((0, 0), (0.3, -1.2), (0.8, 0.6)), ((0, 0), (0.5, 3.0))]
 )
-def test_it_is_what_least_squares_explain_of_noise(by):
+def test_degrees_of_freedom_are_the_noise_that_least_squares_explain(by):
     lost = explained(((0, 0),)) - explained(by)
     ours = degrees_of_freedom(shifts((0, 0)), (SIDE, SIDE)) - degrees_of_freedom(shifts(*by), (SIDE, SIDE))
     assert float(ours) == pytest.approx(lost, rel=0.05)
@@ -49,7 +49,7 @@ def test_it_is_what_least_squares_explain_of_noise(by):
 
 
 @given(st.floats(0.05, 0.45), st.integers(-20, 20))
-def test_halves_gain_least_and_whole_pixels_do_not_count(part, whole):
+def test_shifts_by_half_a_pixel_explain_least_and_whole_pixels_do_not_count(part, whole):
     def gained(shift):
         return float(degrees_of_freedom(shifts((0, 0), (0, shift)), (40, 50)))
 

@@ -1,4 +1,4 @@
-"""Every optimiser on plain functions, without a problem's physics."""
+"""Every optimiser on plain functions, without a problem's physics; and one of a plugin."""
 
 import itertools
 import math
@@ -8,7 +8,10 @@ import pytest
 import torch
 from torch import nn
 
-from deepir.optim import lbfgs
+import deepir
+from deepir import registry
+from deepir.errors import ConfigError
+from deepir.optim import Optimiser, lbfgs
 from deepir.optim.lbfgs import LBFGS
 from deepir.registry import components
 
@@ -185,3 +188,38 @@ def test_a_step_that_goes_too_far_is_followed_by_one_to_the_parabola_s_least_poi
     optimiser.step(fresh=False)
     assert optimiser.take_count() == 3  # the start's, one that is five times too long, and the least point
     assert optimiser.value == pytest.approx(0.0, abs=1e-9)
+
+
+PLAN = {
+    "plan": [
+        {"name": "mine", "steps": [{"group": ["scene"], "method": "descent", "lr": 1e-3}], "iterations": 30}
+    ]
+}
+BARE = {"prior": "tv", "physics": {}, "solver": PLAN, "threads": 1, "noise": {"read": 0.1}}
+
+
+@pytest.fixture
+def descent(own_components):
+    @registry.register("optimiser", "descent")
+    class Descent(Optimiser):
+        """Gradient descent."""
+
+        descends = False
+
+        @torch.no_grad()
+        def step(self, *, fresh):
+            self.value, slopes = self.gradient()
+            for parameter, slope in zip(self.parameters, slopes, strict=True):
+                parameter.sub_(slope, alpha=self.lr[self.group[0]])
+
+
+def test_an_optimiser_of_a_plugin_takes_the_steps_of_a_configuration(descent):
+    frames = torch.arange(320.0).reshape(1, 16, 20) % 7
+    losses = [row["loss"] for row in deepir.run(BARE, frames=frames).history]
+    assert len(losses) == 30
+    assert losses[-1] < losses[0]
+
+
+def test_an_unknown_optimiser_is_refused_with_the_nearest_name():
+    with pytest.raises(ConfigError, match=r"stage 'mine': method: no optimiser is called 'descent'; .*lbfgs"):
+        deepir.run(BARE, frames=torch.rand(1, 16, 20))

@@ -10,8 +10,16 @@ from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.closed_form.variable_projection import COLUMN
 from deepir.config import load
+from deepir.joint_problem import JointProblem
+from deepir.optim import free_parameters
 from deepir.optim.objective import objective
-from deepir.optim.preconditioner import Preconditioner, low_frequencies
+from deepir.optim.preconditioner import (
+    BlockPreconditioner,
+    Preconditioner,
+    low_frequencies,
+    make_block_preconditioner,
+    make_preconditioner,
+)
 from deepir.optim.solve import solve
 from deepir.priors.penalties.distance import Ridge
 from deepir.problems.initial_estimate import start_scene
@@ -20,6 +28,15 @@ from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural
 
 SIGMA = 0.5  # of the pixels' pattern
+SENSOR = ("gain", "offset")
+
+
+def two_bursts(first, second):
+    """Two bursts of one sensor, and the parameters of their scenes and motions."""
+    for name in SENSOR:
+        second.fields[name] = first.fields[name]
+    joint = JointProblem(first, {"second": second})
+    return joint, free_parameters(joint, [name for name in joint.free() if name not in SENSOR])
 
 
 @pytest.fixture
@@ -56,9 +73,13 @@ def test_waves_curve_as_the_model_says(problem):
         assert float((back * wave).sum() / wave.square().sum()) == pytest.approx(1, abs=0.35)
 
 
-def test_the_inverse_is_symmetric_and_positive(problem):
+@pytest.mark.parametrize("bursts", [1, 2])
+def test_the_inverse_is_symmetric_and_positive(problem, small_nuc, bursts):
     parameters = [problem.fields["scene"].values, problem.fields["motion"].values]
-    model = Preconditioner(problem, parameters, ["offset"])
+    if bursts == 2:
+        problem, parameters = two_bursts(small_nuc(), small_nuc())
+    model = make_block_preconditioner(problem, parameters, SENSOR)
+    assert isinstance(model, BlockPreconditioner if bursts == 2 else Preconditioner)
     u, v = (torch.randn(sum(p.numel() for p in parameters), dtype=torch.float64) for _ in range(2))
     assert float(u @ model.solve(v)) == pytest.approx(float(v @ model.solve(u)), rel=1e-6)
     assert float(u @ model.solve(u)) > 0
@@ -80,14 +101,12 @@ def test_it_saves_iterations(problem, monkeypatch):
     assert reached[True] < reached[False]
 
 
-def test_it_stands_aside_for_other_scenes_than_pixels_behind_a_warp(problem):
-    from deepir.optim.preconditioner import make_preconditioner
-
+def test_there_is_none_for_other_scenes_than_pixels_behind_a_warp(problem):
     assert make_preconditioner(problem, [problem.fields["motion"].values], ["offset"]) is None
     assert isinstance(problem.penalties["scene"]["prior"], Ridge)
 
 
-def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
+def test_it_separates_a_slow_scene_from_stray_flux(monkeypatch):
     """With it, a few iterations tell a slope of the scene from one of the stray flux."""
     from deepir.fields.base import Pixels
     from deepir.fields.basis_expansion import DCT
@@ -128,7 +147,7 @@ def test_it_knows_what_a_slow_scene_and_stray_flux_have_in_common(monkeypatch):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_strong_columns_leave_open_the_scene_times_a_wave_rather_than_a_wave(seed, monkeypatch):
+def test_strong_column_gains_are_modelled_as_the_scene_times_a_wave(seed, monkeypatch):
     """So ten iterations get further than with columns that are taken for additive, over a scene dark in part."""
     camera = Settings(
         shape=(64, 80), n_frames=5, gain_distribution="uniform", gain_column=0.5, gain_pixel=0.0, photons=1000.0,
@@ -160,7 +179,7 @@ def fitted(problem, *, fine):
     return (scene().detach() - before)[0, 0]
 
 
-def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatch):
+def test_a_fine_stage_keeps_low_frequencies(problem, monkeypatch):
     monkeypatch.setattr(
         "deepir.optim.preconditioner.MIN_FRAMES_SEEN", -1.0
     )  # a rim that stays has slow waves of its own
@@ -175,8 +194,27 @@ def test_what_is_slow_stays_where_only_the_fine_is_asked_for(problem, monkeypatc
     assert moved[True][1] > 0.5 * moved[False][1]
 
 
-def test_where_no_frame_looks_the_fine_does_not_move(problem):
+def test_a_fine_stage_keeps_what_no_frame_shows(problem):
     problem.precision[..., :20, :] = 0
     change = fitted(problem, fine=True).abs()
     assert float(change[:16].max()) == 0
     assert float(change[28:-8, 8:-8].min()) > 0
+
+
+def test_what_scenes_of_one_sensor_share_is_as_uncertain_as_in_one_burst(small_nuc):
+    first = small_nuc()
+    joint, parameters = two_bursts(first, copy.deepcopy(first))
+    found = make_block_preconditioner(joint, parameters, SENSOR)
+    own = free_parameters(joint.first, ["scene", "motion"])
+    alone = make_block_preconditioner(joint.first, own, SENSOR)
+    scene = torch.randn(joint.first.fields["scene"].values.numel(), dtype=torch.float64)
+
+    def solved(model, parameters):
+        """For a slope of `scene` in each scene, and of nothing elsewhere: what is found of each scene."""
+        sizes = [p.numel() for p in parameters]
+        slope = torch.cat([scene if n == len(scene) else torch.zeros(n).double() for n in sizes])
+        return [each for each in model.solve(slope).split(sizes) if len(each) == len(scene)]
+
+    (one,) = solved(alone, own)
+    for both in solved(found, parameters):
+        assert torch.allclose(both, one, rtol=1e-6, atol=1e-9 * float(one.abs().max()))

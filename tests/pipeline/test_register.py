@@ -1,11 +1,15 @@
-"""What is said of how frames move."""
+"""What is reported of how frames move; frames that follow each other in time may not be missing."""
 
 import dataclasses
 
+import numpy as np
+import pytest
 import torch
 
 import deepir
+from deepir.errors import ConfigError
 from deepir.pipeline.register import _along_a_line, _places, _spans
+from deepir.pipeline.schedule import demand_order, interpolate_missing_motion, interpolation_message
 from deepir.registration import register
 from deepir.simulate import Settings, simulate
 
@@ -28,7 +32,7 @@ def test_a_burst_that_only_turns_about_a_point_is_warned_of_as_such():
     assert _along_a_line(_places(shaken, (120, 160))) == []
 
 
-def test_what_turns_about_a_corner_moves_elsewhere():
+def test_a_rotation_about_a_corner_moves_the_others():
     turned = torch.eye(3, dtype=torch.float64).repeat(2, 1, 1)
     turned[1, 0, 1], turned[1, 1, 0] = -0.05, 0.05
     turned[1, :2, 2] = -turned[1, :2, :2] @ torch.tensor([80.0, 60.0]).double() + torch.tensor([80.0, 60.0])
@@ -57,3 +61,25 @@ def shifted(by):
     motion = torch.eye(3, dtype=torch.float64).repeat(len(by), 1, 1)
     motion[:, :2, 2] = torch.tensor(by)
     return motion
+
+
+@pytest.mark.parametrize("select", [None, 8, "8", "2:10", "3:", [4, 5, 6], ":-1"])
+def test_frames_one_after_the_other_are_fine(select):
+    demand_order(select, "deblur_lag")
+
+
+@pytest.mark.parametrize("select", ["::2", [0, 2, 4], "10:2:-1", [3, 2, 1]])
+def test_a_selection_with_gaps_is_refused(select):
+    with pytest.raises(ConfigError, match="'deblur_lag' needs frames that follow each other in time"):
+        demand_order(select, "deblur_lag")
+
+
+def test_a_frame_in_between_is_taken_with_a_motion_in_between():
+    motion = torch.eye(3, dtype=torch.float64).repeat(6, 1, 1)
+    motion[:, 0, 2] = torch.tensor([np.nan, 0.0, 1.0, np.nan, 3.0, np.nan])
+    used = np.array([0, 1, 1, 0, 1, 0], bool)
+    filled, taken = interpolate_missing_motion(motion, used)
+    assert taken.tolist() == [False, True, True, True, True, False]
+    assert filled[1:5, 0, 2].tolist() == [0, 1, 2, 3]
+    (message,) = interpolation_message(used, taken)
+    assert message.startswith("frame 3 is bridged")

@@ -1,7 +1,9 @@
 """Corrections that leave more pattern than simpler ones are given up, and frames that do not register are not."""
 
+import driving
 import numpy as np
 import pytest
+from driving import SIZE
 from scipy import ndimage
 from skimage import data
 
@@ -11,22 +13,11 @@ from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.result import neutral
 from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
 
-SIZE = (120, 160)
-
 
 @pytest.fixture(scope="module")
 def drive():
-    """Twelve frames that grow by 3 % each, with stripes; the first eight are the burst, the others beside it."""
-    scene = ndimage.zoom(data.brick().astype(float), 0.8, order=1)
-    middle = (np.array(scene.shape) - 1) / 2
-    y, x = (np.arange(side) - (side - 1) / 2 for side in SIZE)
-    frames = [
-        ndimage.map_coordinates(
-            scene, np.meshgrid(middle[0] + y / 1.03**k, middle[1] + x / 1.03**k, indexing="ij"), order=3
-        )
-        for k in range(12)
-    ]
-    return np.array(frames, np.float32)
+    """Twelve frames; the first eight are the burst, the others beside it."""
+    return driving.drive(ndimage.zoom(data.brick().astype(float), 0.8, order=1), 12).astype(np.float32)
 
 
 STRIPES = 8 * np.random.default_rng(0).standard_normal(SIZE[1]).astype(np.float32)
@@ -98,7 +89,7 @@ def test_frames_whose_parts_move_get_an_offset_without_registration(drive):
     assert found.frames_used.tolist() == [True] + 7 * [False]
 
 
-def test_frames_that_stand_still_are_refused_as_before(drive):
+def test_frames_that_stand_still_are_refused(drive):
     still = drive[:1].repeat(12, 0) + np.random.default_rng(1).standard_normal((12, *SIZE)).astype(np.float32)
     with pytest.raises(DataError, match="they do not register"):
         unregistered(burst(still), DataError("they do not register"))

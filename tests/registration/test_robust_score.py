@@ -26,7 +26,7 @@ def shifted(truth, x):
     return motion
 
 
-@pytest.mark.parametrize("name", ["astronaut", "camera", "gravel"])
+@pytest.mark.parametrize("name", ["astronaut", "gravel"])
 def test_true_motions_explain_more_than_others_and_than_none(name):
     level, truth = burst(name)
     still = torch.eye(3, dtype=torch.float64).expand_as(truth)
@@ -52,31 +52,23 @@ def test_a_frame_that_is_not_used_explains_nothing_but_costs_nothing_either():
     assert robust_nll(level, fewer) == pytest.approx(robust_nll(level, truth), rel=0.2)
 
 
-def test_frames_that_share_nothing_explain_nothing():
+def test_frames_that_share_nothing_explain_nothing_and_two_give_no_likelihood_ratio():
     level, truth = burst()
     apart = shifted(truth, 1000.0)
     assert log_likelihood_ratio(level, apart, truth) > 1
     assert np.isfinite(robust_nll(level, apart))
+    truth[2:] = torch.nan
+    assert log_likelihood_ratio(level, truth, shifted(truth, 3.0)) == 0
 
 
 def test_a_frame_in_a_wrong_place_is_found_again_and_the_others_stay():
     level, truth = burst()
-    for k in range(6):
+    for k in (0, 3):
         wrong = truth.clone()
         wrong[k, :2, 2] += torch.tensor([17.0, -9.0])
         found = reregister_worst_frames(level, wrong, "rigid")
         rest = [j for j in range(6) if j != k]
         assert torch.equal(found[rest], wrong[rest])
         assert (found[k] - truth[k])[:2, 2].abs().max() < 1.5 * level.factor
-
-
-def test_a_frame_that_is_left_out_stays_so():
-    level, truth = burst()
-    truth[2] = torch.nan
+    truth[2] = torch.nan  # left out, and stays so
     assert torch.equal(reregister_worst_frames(level, truth, "rigid").isnan(), truth.isnan())
-
-
-def test_two_frames_say_nothing():
-    level, truth = burst()
-    truth[2:] = torch.nan
-    assert log_likelihood_ratio(level, truth, shifted(truth, 3.0)) == 0
