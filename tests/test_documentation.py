@@ -21,7 +21,8 @@ LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 PARTS = ROOT / "docs/tutorials/python.md"
 CONFIGURATION = ROOT / "docs/reference/configuration.md"
 #: Pages whose blocks belong together and are run by tests of their own.
-APART = {ROOT / "docs/how-to/extending.md"}
+#: Pages whose blocks have tests of their own.
+APART = {ROOT / "docs/how-to/extending.md", ROOT / "docs/how-to/ablations.md"}
 
 
 def ids(path):

@@ -276,3 +276,12 @@ def test_an_operator_between_warp_and_sensor_is_one_for_all_bursts_of_a_recordin
     result = deepir.run("recording", *QUICK, *changes, "prior=tv", frames=frames)
     assert result.scene.shape == (2, 48, 64)
     assert result.extra["strength"] == pytest.approx(0.1, abs=0.1)
+
+
+def test_the_problem_in_python_finds_the_gain():
+    (text,) = (text for _, text in blocks(PAGE, "python") if "op.Warp.around" in text)
+    found = {}
+    exec(text, found)
+    gain = found["problem"].fields["gain"]().detach().numpy()
+    assert np.corrcoef(gain.ravel(), found["burst"].truth.gain.ravel())[0, 1] > 0.9
+    assert len([line for line in text.splitlines() if line]) <= 18

@@ -1,13 +1,18 @@
 """deepir from Python: arrays and tensors in and out, and the caller's state is left alone."""
 
+import contextlib
 import json
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from documentation import ROOT, blocks
 
 import deepir
 from deepir import registry
+from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
@@ -20,6 +25,7 @@ from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.recipe import Recipe
 from deepir.result import neutral
+from deepir.simulate import Settings, simulate
 
 QUICK = ("prior=tv", "threads=1", "solver.max_iterations=1")
 
@@ -146,3 +152,69 @@ def test_a_network_that_moves_with_the_sensor_is_named(burst, own_components):
     assert any("is a network, and moves by L-BFGS" in each for each in found.messages)
     found = deepir.run("nuc", "prior=siren", *QUICK[1:], frames=burst.frames)
     assert not any("is a network" in each for each in found.messages)
+
+
+class Trial:
+    """A trial as Optuna makes one, at a given weight."""
+
+    def __init__(self, weight):
+        self.params = {"weight": weight}
+
+    def suggest_float(self, name, low, high, *, log):
+        assert low <= self.params[name] <= high
+        return self.params[name]
+
+
+class Study:
+    """A study that tries a few weights in order."""
+
+    def optimize(self, objective, n_trials):
+        errors = {weight: objective(Trial(weight)) for weight in (1.0, 10.0, 100.0)}
+        self.best_params = {"weight": min(errors, key=errors.__getitem__)}
+
+
+class Log(contextlib.AbstractContextManager):
+    """A run as W&B makes one."""
+
+    def __init__(self, config):
+        self.config, self.summary, self.logged = config, {}, []
+
+    def __exit__(self, *error):
+        return None
+
+    def log(self, values):
+        self.logged.append(values)
+
+
+def shown(package):
+    """The example of a package in docs/how-to/ablations.md."""
+    page = ROOT / "docs/how-to/ablations.md"
+    return next(text for _, text in blocks(page, "python") if f"import {package}" in text)
+
+
+def test_optuna_finds_a_weight_by_the_held_out_error(monkeypatch):
+    study = Study()
+    monkeypatch.setitem(sys.modules, "optuna", SimpleNamespace(create_study=lambda: study))
+    y, x = np.mgrid[:32, :40]
+    truth = np.float32((x - 20) ** 2 + (y - 16) ** 2 < 80)
+    noisy = truth + 0.1 * np.random.default_rng(0).standard_normal(truth.shape).astype(np.float32)
+    exec(shown("optuna"), {"frames": noisy})
+    assert study.best_params == {"weight": 10.0}
+
+
+def test_the_course_of_a_run_is_logged(monkeypatch):
+    logs = []
+    monkeypatch.setitem(
+        sys.modules,
+        "wandb",
+        SimpleNamespace(init=lambda project, config: logs.append(Log(config)) or logs[0]),
+    )
+    burst = simulate(settings=Settings(shape=(32, 40), n_frames=3), seed=0)
+    exec(shown("wandb"), {"frames": burst.frames})
+    assert len(logs[0].logged) > 10
+    assert logs[0].summary["noise"] > 0
+
+
+def test_scalars_of_numpy_are_numbers_in_a_configuration():
+    config = load("nuc", [], {"noise": {"read": np.float64(0.5)}, "seed": np.int64(3)})
+    assert (config.noise.read, config.seed) == (0.5, 3)

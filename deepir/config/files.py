@@ -157,6 +157,10 @@ def _overlay(under: Any, over: Any, where: str = "") -> Any:
 
     `OmegaConf.merge` raises a bare TypeError for some combinations; this names the key.
     """
+    if isinstance(over, list | tuple):
+        return [_overlay(None, each, f"{where}{i}.") for i, each in enumerate(over)]
+    if getattr(over, "ndim", None) == 0:  # a scalar of NumPy or of torch
+        return over.item()
     if not isinstance(over, Mapping):
         return over
     if wrong := [key for key in over if not isinstance(key, str)]:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.denoisers.cnn import MAX_CHANGE_SIGMAS
+from deepir.denoisers.unet import MAX_CHANGE_SIGMAS
 from deepir.denoisers.unit_range import unit_range
 from deepir.errors import ConfigError
 from deepir.registry import register

@@ -220,7 +220,7 @@ def read_array(path: str | os.PathLike[str], *, key: str | None = None) -> Array
     stored = readers.read(file, key)
     if stored.dtype.kind not in "fiub":
         raise DataError(f"{file}: values of type {stored.dtype.name}; real numbers are needed")
-    return to_float32(stored)
+    return as_float32(stored)
 
 
 def stream_frames(

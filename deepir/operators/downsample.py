@@ -29,7 +29,7 @@ class Downsample(Operator):
     def __init__(self, *, factor: float = 2) -> None:
         super().__init__()
         if not 1 <= factor <= MAX_FACTOR:
-            raise ValueError(f"factor must be 1 to {MAX_FACTOR}, not {factor}")
+            raise ValueError(f"factor must be 1 to {MAX_FACTOR}, not {factor:g}")
         self.exact = Fraction(factor).limit_denominator(MAX_DENOMINATOR)
         self.factor = int(self.exact) if self.exact.denominator == 1 else float(self.exact)
         self.noise_gain = float(factor)  # the information of a sample is shared by factor² unknowns

@@ -78,6 +78,7 @@ def make_result(
         "held_out_rmse": solution.held_out,
         "pattern_cost_db": None if math.isnan(cost) else cost,
         "strengths": strengths(problem),
+        "parameters": sum(each.numel() for each in problem.fields["scene"].parameters()),
         "reference_level": float(problem.reference),
     }
     return result

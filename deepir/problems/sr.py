@@ -68,22 +68,22 @@ class SR(Recipe):
         return Schedule(stages)
 
 
-def factor_of(problem: Problem) -> int:
+def factor_of(problem: Problem) -> float:
     """How many px of the scene a detector's pixel is wide."""
     stages = [stage for _, stage in problem.operator.named()]
-    return math.prod(stage.factor for stage in stages if isinstance(stage, Downsample))
+    return math.prod([float(stage.factor) for stage in stages if isinstance(stage, Downsample)])
 
 
-def few_frames(count: int, factor: int) -> list[str]:
+def few_frames(count: int, factor: float) -> list[str]:
     """A line if the frames have fewer samples than the scene has pixels."""
     if count >= factor**2:
         return []
-    less = math.isqrt(count)
+    needed, less = math.ceil(factor**2), math.isqrt(count)
     return [
         Message(
             "few-frames-for-factor",
-            f"{count} frames for factor {factor}: the scene has {factor**2} px for each of the detector's, and each "
-            "frame shows one sample of them; fine detail is in part the prior's. "
-            f"Take {factor**2} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}",
+            f"{count} frames for factor {factor:g}: the scene has {factor**2:g} px for each of the detector's, and "
+            "each frame shows one sample of them; fine detail is in part the prior's. "
+            f"Take {needed} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}",
         )
     ]

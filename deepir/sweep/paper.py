@@ -14,6 +14,7 @@ from PIL import Image
 
 from deepir.config import load
 from deepir.io import atomic_file
+from deepir.io.output.tone_mapping import SIGNED, WHITE_HOT
 from deepir.metrics import align
 from deepir.paths import printable
 from deepir.report.drawing import composed, draw_map
@@ -113,10 +114,16 @@ def panels(cells: Sequence[Cell]) -> list[list[Image.Image]]:
     names = ["truth", *(_name(cell) for cell in chosen)]
     shown = [truth, *scenes]
     return [
-        [draw_map(np.clip(each, low, high), name, PICTURE) for each, name in zip(shown, names, strict=True)],
         [
-            draw_map(np.clip(each, -reach, reach), "error", PICTURE, centre=0.0)
-            for each in [np.zeros_like(truth), *errors]
+            draw_map(np.clip(each, low, high), name, WHITE_HOT, PICTURE)
+            for each, name in zip(shown, names, strict=True)
+        ],
+        [
+            Image.new("RGB", PICTURE, "white"),
+            *(
+                draw_map(np.clip(each, -reach, reach), "error", SIGNED, PICTURE, centre=0.0)
+                for each in errors
+            ),
         ],
     ]
 

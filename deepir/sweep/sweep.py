@@ -15,6 +15,7 @@ from deepir.paths import expanded
 from deepir.storage.folder import Record, locked_folder, remove_temporaries
 from deepir.sweep import table
 from deepir.sweep.cells import SWEEP_FILES, Axis, Cell, check_cells, check_inputs, make_cells
+from deepir.sweep.paper import write_paper
 
 
 @dataclass
@@ -45,13 +46,15 @@ class Sweep:
                     self.errors[cell.name] = error
                 report(cell, error)
 
-    def write(self, title: str) -> list[table.Row]:
-        """Write `table.csv`, `table.md`, `quality.png` and `report.html`; the rows."""
+    def write(self, title: str, *, paper: bool = False) -> list[table.Row]:
+        """Write `table.csv`, `table.md`, `quality.png` and `report.html`, and those of a paper; the rows."""
         found = table.make_rows(self.cells, self.errors)
         table.write_markdown(self.folder / "table.md", found, title)
         table.write_csv(self.folder / "table.csv", found)
         table.write_plots(self.folder / "quality.png", found)
         table.write_report(self.folder / "report.html", found, title)
+        if paper:
+            write_paper(self.folder, self.cells, found)
         return found
 
 

@@ -28,6 +28,9 @@ def compare(
         list[str] | None,
         typer.Argument(metavar="KEY=VALUE,VALUE", help="Settings; all combinations are run."),
     ] = None,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="Also write paper.tex, paper.csv and paper.pdf.")
+    ] = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     overwrite: Overwrite = False,
@@ -36,11 +39,14 @@ def compare(
     """Run all combinations of values: deepir compare nuc data.path=burst.npz method=joint,average data.frames=3,5,10.
 
     Results go to output.dir (runs/NAME-compare): a folder for each run, report.html, table.md, table.csv and
-    quality.png. The same command again continues an interrupted comparison.
+    quality.png. The same command again continues an interrupted comparison. With --paper a LaTeX table of means and
+    standard deviations over seeds and bursts, all figures in long form, and pictures of scenes and errors.
     """
     plugins = load_plugins(plugin)
     command = ["compare", config, *(settings or ())]
-    return _sweep(command, settings or (), [], workers, scheduler, overwrite=overwrite, plugins=plugins)
+    return _sweep(
+        command, settings or (), [], workers, scheduler, overwrite=overwrite, plugins=plugins, paper=paper
+    )
 
 
 def batch(
@@ -85,6 +91,7 @@ def _sweep(
     *,
     overwrite: bool,
     plugins: Sequence[str],
+    paper: bool = False,
 ) -> int:
     """Run the missing cells, then write and print the table; the exit status.
 
@@ -96,6 +103,7 @@ def _sweep(
         scheduler: Address of a Dask scheduler; None: local workers.
         overwrite: Replace former runs.
         plugins: Modules to import on the workers.
+        paper: Whether to write the files of a paper.
     """
     from deepir.sweep.cells import parse_axes
     from deepir.sweep.sweep import prepare
@@ -118,7 +126,7 @@ def _sweep(
         except Interrupted as error:
             notify("interrupted; the same command continues with the missing runs")
             status = error.status
-        _report(checked.write(shlex.join(["deepir", *command])), checked.folder)
+        _report(checked.write(shlex.join(["deepir", *command]), paper=paper), checked.folder, paper=paper)
         return status or int(bool(checked.errors))
 
 
@@ -139,7 +147,7 @@ class _Progress:
         notify(f"{self.done}/{self.total} {cell.name}: {end}")
 
 
-def _report(rows: Sequence[Row], where: Path) -> None:
+def _report(rows: Sequence[Row], where: Path, *, paper: bool) -> None:
     """Print the table and the paths of the files."""
     from rich import box
     from rich.console import Console
@@ -155,4 +163,5 @@ def _report(rows: Sequence[Row], where: Path) -> None:
         shown.add_row(*(escape(printable(each)) for each in line))
     Console(width=None if sys.stdout.isatty() else 200).print(shown)
     plots = "; plots: quality.png" * (where / "quality.png").exists()
+    plots += "; for a paper: paper.tex, paper.csv" * paper + ", paper.pdf" * (where / "paper.pdf").exists()
     echo(f"results: {where}/table.md, table.csv and a folder for each run{plots}; to look at: report.html")
