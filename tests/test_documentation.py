@@ -20,7 +20,6 @@ from deepir.simulate import Settings
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 PARTS = ROOT / "docs/tutorials/python.md"
 CONFIGURATION = ROOT / "docs/reference/configuration.md"
-#: Pages whose blocks belong together and are run by tests of their own.
 #: Pages whose blocks have tests of their own.
 APART = {ROOT / "docs/how-to/extending.md", ROOT / "docs/how-to/ablations.md"}
 
