@@ -19,7 +19,7 @@ FRAMES = {1: 5, 2: 10, 4: 20}
 LARGE = (20, (1024, 1280), 1)
 CODE = """
 import sys, numpy, deepir
-from deepir.runner import peak_memory
+from deepir.kernels.memory import peak_memory
 import deepir.pipeline.reconstruct, deepir.problems.nuc, deepir.registration
 frames = numpy.load(sys.argv[1])
 before = peak_memory()

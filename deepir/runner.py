@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import platform
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -24,6 +23,7 @@ from deepir.config import Config, Data
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.joint_problem import JointProblem
 from deepir.kernels import memory, threads
+from deepir.kernels.memory import peak_memory
 from deepir.messages import labelled
 from deepir.metrics import roughness
 from deepir.optim.objective import Checkpoint
@@ -194,16 +194,6 @@ def seeded(seed: int) -> Iterator[None]:
     with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
         torch.manual_seed(seed)
         yield
-
-
-def peak_memory() -> float | None:
-    """Peak memory of this process, MB; None where the system does not say, as Windows."""
-    try:
-        import resource
-    except ModuleNotFoundError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)
 
 
 def machine() -> str:

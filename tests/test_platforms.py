@@ -23,7 +23,7 @@ import deepir
 for module in pkgutil.walk_packages(deepir.__path__, "deepir."):
     if not module.name.endswith("__main__"):
         importlib.import_module(module.name)
-from deepir.runner import peak_memory
+from deepir.kernels.memory import peak_memory
 assert peak_memory() is None
 """
 #: What Windows lacks, or does otherwise: a file that exists is not renamed to, an open one is not removed.

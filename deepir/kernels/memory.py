@@ -1,9 +1,10 @@
-"""Keep freed memory in the process: fresh pages from the system cost up to ten passes to be zeroed."""
+"""Memory of the process: its peak, and freed pages that are kept, as fresh ones cost up to ten passes to be zeroed."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -51,3 +52,13 @@ def _glibc() -> Any:
     except OSError:
         return None
     return libc if hasattr(libc, "mallopt") and hasattr(libc, "malloc_trim") else None
+
+
+def peak_memory() -> float | None:
+    """Peak memory of this process, MB; None where the system does not say, as Windows."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)

@@ -14,8 +14,9 @@ from deepir.burst import Burst
 from deepir.config import SHIPPED_CONFIGS, load, prior_names, shipped_names
 from deepir.config.components import options_schema
 from deepir.errors import DeepIRError
+from deepir.kernels.memory import peak_memory
 from deepir.registry import components, lookup
-from deepir.runner import check_components, peak_memory
+from deepir.runner import check_components
 
 LONGEST = 5.0  # seconds
 MOST = 2**30  # bytes

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from deepir.arrays.samples import as_float32
 from deepir.errors import DeepIRError
 from deepir.io import read_frames, readers, stream_frames
-from deepir.runner import peak_memory
+from deepir.kernels.memory import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
 

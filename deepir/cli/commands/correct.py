@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,7 @@ from deepir.cli.arguments import (
     recording_radiometry,
 )
 from deepir.cli.terminal import Interrupted, Interruptible, echo, notify
+from deepir.errors import ConfigError
 from deepir.messages import labelled
 
 if TYPE_CHECKING:
@@ -33,13 +34,29 @@ def correct(
     output: CorrectedOutput = None,
     float32: Float32 = False,
     overwrite: Overwrite = False,
-) -> None:
+    output_dir: Annotated[
+        Path | None,
+        typer.Option(help="Correct many: FILE is a folder of recordings, or a list of them (.txt)."),
+    ] = None,
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="With --output-dir: the I-th of N parts.")
+    ] = "1/1",
+) -> int:
     """Correct a whole recording of a moving camera: deepir correct drive.avi.
 
     Writes the corrected recording, the camera's maps (OUTPUT_maps.npz, for `deepir apply`) and a picture (OUTPUT.png).
     The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.crop, data.swap_bytes,
     data.radiometry, output.palette, output.tones.
+
+    deepir correct FOLDER --output-dir DIR corrects all recordings of a folder; one JSON line each. What is done already
+    is skipped, so the same command goes on where it was interrupted.
     """
+    if output_dir is not None:
+        from deepir.cli.archive import correct_all
+
+        if output is not None:
+            raise ConfigError("--output is of one recording; with --output-dir leave it out")
+        return correct_all(file, settings or (), output_dir, shard, rounded=not float32, overwrite=overwrite)
     config = recording_config(file, settings or (), RECORDING_SETTINGS)
     target = output or Path(f"{Path(file).stem}_corrected.tif")
     maps, picture = (target.with_name(f"{target.stem}{end}") for end in ("_maps.npz", ".png"))
@@ -47,15 +64,30 @@ def correct(
     known = maps.exists()
     try:
         with Interruptible(), held_outputs(*outputs, overwrite=overwrite, source=config.data.path):
-            _correct(config, *outputs, rounded=not float32)
+            correct_file(config, *outputs, rounded=not float32)
     except Interrupted as error:
         if maps.exists() and not known:
             error.outcome = f"interrupted; go on with: deepir apply {maps} {file}"
         raise
+    return 0
 
 
-def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded: bool) -> None:
-    """Estimate the sensor, then write maps, picture and all corrected frames."""
+def correct_file(
+    config: Config, target: Path, maps: Path, picture: Path, *, rounded: bool, quiet: bool = False
+) -> CorrectedRecording:
+    """Estimate the sensor, then write maps, picture and all corrected frames.
+
+    Args:
+        config: Of how the recording is read and displayed.
+        target: The corrected recording to write.
+        maps: The file for the maps.
+        picture: The file for the picture.
+        rounded: Whether values are rounded to the recording's type.
+        quiet: Whether nothing is printed.
+
+    Returns:
+        The corrected recording.
+    """
     import functools
     from concurrent.futures import ThreadPoolExecutor
 
@@ -73,25 +105,30 @@ def _correct(config: Config, target: Path, maps: Path, picture: Path, *, rounded
     dtype = output_type(next(read()).dtype, rounded=rounded)
     metadata = unit_metadata(recording_radiometry(config))
     writer = open_writer(target, dtype, metadata, shown.palette, shown.tones)
-    corrected = CorrectedRecording.of(read, lambda frames: track(frames, "reading"), sensor_of_burst)
+    follow: Any = (lambda frames, *_: frames) if quiet else track
+    corrected = CorrectedRecording.of(read, lambda frames: follow(frames, "reading"), sensor_of_burst)
     with atomic_files(maps, picture) as (own_maps, own_picture):
         corrected.save_maps(own_maps)
-        _describe(corrected)
+        if not quiet:
+            _describe(corrected)
         try:
             with ThreadPoolExecutor(1) as beside, writer as write:
                 drawn = beside.submit(write_correction, own_picture, corrected)
                 lag = beside.submit(lambda: corrected.lag)
-                count = write_frames(track(iter(corrected), "correcting", len(corrected)), write)
+                count = write_frames(follow(iter(corrected), "correcting", len(corrected)), write)
                 drawn.result()
                 findings = list(findings_lines(corrected.estimate, lag.result()))
         except Interrupted:
             if not maps.exists():
                 own_maps.replace(maps)  # all that the rest needs
             raise
+    if quiet:
+        return corrected
     for line in findings:
         echo(line)
     speed = count / (time.perf_counter() - begun)
     echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; picture: {picture}")
+    return corrected
 
 
 def _describe(corrected: CorrectedRecording) -> None:

@@ -1,0 +1,173 @@
+"""Many recordings: each corrected once, by any number of processes and machines, whatever interrupts them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import deepir
+from deepir.cli.arguments import RECORDING_SETTINGS, held_outputs, recording_config
+from deepir.cli.commands.correct import correct_file
+from deepir.cli.terminal import Interruptible, echo, notify
+from deepir.errors import ConfigError, DataError, DeepIRError
+from deepir.io import atomic_file, readers
+from deepir.io.frames import digest
+from deepir.kernels.memory import peak_memory
+
+LISTS = (".txt", ".lst", ".csv")  # endings of a file that names recordings, one a line
+CORRECTED, REFUSED, FAILED = "corrected", "refused", "failed"
+#: Exit statuses, the gravest last.
+EXIT = {CORRECTED: 0, REFUSED: 2, FAILED: 1}
+
+
+@dataclass(frozen=True)
+class Task:
+    """A recording, and the name of its results below the folder of all: its own path below the archive."""
+
+    file: Path
+    name: str
+
+    def outputs(self, folder: Path) -> tuple[Path, Path, Path]:
+        """The corrected recording, its maps and its picture."""
+        return (
+            folder / f"{self.name}_corrected.tif",
+            folder / f"{self.name}_maps.npz",
+            folder / f"{self.name}.png",
+        )
+
+    def record(self, folder: Path) -> Path:
+        """The file that says how it went: one line of JSON."""
+        return folder / f"{self.name}.json"
+
+
+def correct_all(
+    source: str, settings: Sequence[str], folder: Path, shard: str, *, rounded: bool, overwrite: bool
+) -> int:
+    """Correct the recordings of one shard that are not corrected yet; a JSON line each.
+
+    Args:
+        source: A folder of recordings, or a file that lists them.
+        settings: `KEY=VALUE` of how they are read and displayed.
+        folder: For the results, and a record of each.
+        shard: `i/n`: every n-th recording, from the i-th on.
+        rounded: Whether values are rounded to the recordings' types.
+        overwrite: Whether what is done is done again.
+
+    Returns:
+        The exit status: 0, 1 if a recording failed, else 2 if one was refused.
+
+    Raises:
+        DataError: There are no recordings.
+        ConfigError: A setting or the shard is wrong.
+    """
+    recording_config(source, settings, RECORDING_SETTINGS)  # what is wrong for one is wrong for all
+    first, count = parse_shard(shard)
+    tasks = recordings_of(source, any_file=any(each.startswith("data.raw") for each in settings))[
+        first - 1 :: count
+    ]
+    done, states = 0, [CORRECTED]
+    made_by = {"version": deepir.__version__, "settings": sorted(settings), "rounded": rounded}
+    with Interruptible():
+        for task in tasks:
+            found = _record(task, folder)
+            if not overwrite and found == {**found, **made_by, "sha256": _digest(task.file)}:
+                done += 1
+            else:
+                found = _corrected(task, folder, settings, made_by, rounded=rounded)
+                echo(json.dumps(found))
+            states.append(found["status"])
+    notify(f"{len(tasks)} recording(s), {done} of them done already; results: {folder}")
+    return EXIT[max(states, key=list(EXIT).index)]
+
+
+def parse_shard(shard: str) -> tuple[int, int]:
+    """Number and count of `i/n`; `ConfigError` if it is none."""
+    first, _, count = shard.partition("/")
+    if not (first.isdecimal() and count.isdecimal() and 1 <= int(first) <= int(count)):
+        raise ConfigError(f"--shard {shard}: give I/N, the I-th of N parts, such as 1/4")
+    return int(first), int(count)
+
+
+def recordings_of(source: str, *, any_file: bool = False) -> list[Task]:
+    """The recordings that a folder holds, at any depth, or that a file lists, in the order of their names.
+
+    Args:
+        source: The folder or the list.
+        any_file: Whether files of any ending are taken, as those without a header are.
+
+    Raises:
+        DataError: There is none, or a listed one is given twice.
+    """
+    path = Path(source)
+    if path.is_dir():
+        inside = sorted(each for each in path.rglob("*") if each.is_file() and not each.name.startswith("."))
+        wanted = [each for each in inside if any_file or each.suffix.lower() in readers.suffixes()]
+        tasks = [Task(each, str(each.relative_to(path))) for each in wanted]
+    elif path.is_file() and path.suffix.lower() in LISTS:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        files = [path.parent / line for line in lines if line and not line.startswith("#")]
+        tasks = [Task(each, str(each.relative_to(each.anchor or "."))) for each in sorted(files)]
+    else:
+        raise DataError(
+            f"{source}: give a folder of recordings, or a file ({', '.join(LISTS)}) with one a line"
+        )
+    if not tasks:
+        raise DataError(f"{source}: no recordings in it")
+    if twice := next((a.name for a, b in itertools.pairwise(tasks) if a.name == b.name), None):
+        raise DataError(f"{source}: {twice} is listed twice")
+    return tasks
+
+
+def _corrected(
+    task: Task, folder: Path, settings: Sequence[str], made_by: dict[str, Any], *, rounded: bool
+) -> dict[str, Any]:
+    """Correct a recording and write its record; the record."""
+    begun, outputs = time.perf_counter(), task.outputs(folder)
+    outputs[0].parent.mkdir(parents=True, exist_ok=True)
+    found: dict[str, Any] = {"file": str(task.file), "status": CORRECTED}
+    try:
+        config = recording_config(str(task.file), settings, RECORDING_SETTINGS)
+        with held_outputs(*outputs, overwrite=True, source=task.file):
+            found |= {"sha256": _digest(task.file)} | made_by
+            corrected = correct_file(config, *outputs, rounded=rounded, quiet=True)
+        estimate = corrected.estimate
+        found |= {
+            "frames": len(corrected),
+            "correction": str(estimate.kept),
+            "bad_pixels": int(estimate.bad_pixels.sum()),
+            "messages": [str(each) for each in estimate.messages],
+        }
+    except DeepIRError as error:
+        found |= {"status": REFUSED, "messages": [str(error)]}
+    except Exception as error:  # the others go on; nobody may sit beside the archive
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(last.filename).name}:{last.lineno}"
+        found |= {"status": FAILED, "messages": [f"{type(error).__name__}: {error} ({where})"]}
+    found |= {"seconds": round(time.perf_counter() - begun, 2), "peak_memory_mb": peak_memory()}
+    with atomic_file(task.record(folder)) as part:
+        part.write_text(json.dumps(found) + "\n", encoding="utf-8")
+    return found
+
+
+def _record(task: Task, folder: Path) -> dict[str, Any]:
+    """What is known of a recording that was corrected before; {} if it was not, or its results are gone."""
+    try:
+        found = json.loads(task.record(folder).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    whole = found.get("status") != CORRECTED or all(each.exists() for each in task.outputs(folder))
+    return found if isinstance(found, dict) and whole else {}
+
+
+def _digest(file: Path) -> str:
+    """Digest of a file; empty if it cannot be read."""
+    try:
+        return digest(file)
+    except (OSError, DeepIRError):
+        return ""
