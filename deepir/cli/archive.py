@@ -13,7 +13,7 @@ from typing import Any
 
 import deepir
 from deepir.cli.arguments import RECORDING_SETTINGS, held_outputs, recording_config
-from deepir.cli.commands.correct import correct_file
+from deepir.cli.correction import correct_file
 from deepir.cli.terminal import Interruptible, echo, notify
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io import atomic_file, readers
@@ -33,13 +33,11 @@ class Task:
     file: Path
     name: str
 
-    def outputs(self, folder: Path) -> tuple[Path, Path, Path]:
-        """The corrected recording, its maps and its picture."""
-        return (
-            folder / f"{self.name}_corrected.tif",
-            folder / f"{self.name}_maps.npz",
-            folder / f"{self.name}.png",
-        )
+    def outputs(self, folder: Path) -> tuple[Path, Path, Path, Path]:
+        """The corrected recording, its maps, its picture and its report."""
+        ends = ("_corrected.tif", "_maps.npz", ".png", ".html")
+        corrected, maps, picture, page = (folder / f"{self.name}{end}" for end in ends)
+        return corrected, maps, picture, page
 
     def record(self, folder: Path) -> Path:
         """The file that says how it went: one line of JSON."""

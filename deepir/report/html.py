@@ -102,9 +102,14 @@ class Verdict(NamedTuple):
 
 def verdict(result: Result) -> Verdict:
     """The verdict on a result: its most important warning, or what it reached."""
-    warnings = [each for each in by_importance(result.messages) if each[0] not in NOTES]
+    return warned(result.messages) or Verdict("good", _reached(result), _frames(result))
+
+
+def warned(messages: Sequence[str]) -> Verdict | None:
+    """The verdict of the most important of some messages; None without a warning."""
+    warnings = [each for each in by_importance(messages) if each[0] not in NOTES]
     if not warnings:
-        return Verdict("good", _reached(result), _frames(result))
+        return None
     (name, text), more = warnings[0], len(warnings) - 1
     meaning, advice = WARNINGS.get(name, (text, ""))
     what, _, rest = meaning.partition(". ")
@@ -152,8 +157,8 @@ def write_report(path: Path, result: Result, example: Array, config: Config) -> 
         "stop_reason": result.metrics.get("stop_reason", ""),
         "messages": [printable(each) for each in labelled(result.messages)],
         "maps": list(_maps(result, example)),
-        "palettes": {name: _colours(name) for name in PALETTES},
-        "others": {name: _colours(each) for name, each in MAP_PALETTES.items()},
+        "palettes": {name: colours(name) for name in PALETTES},
+        "others": {name: colours(each) for name, each in MAP_PALETTES.items()},
         "palette": config.output.palette,
         "stages": _stages(result.history),
         "motion": _motion(result),
@@ -174,7 +179,7 @@ def _unit(result: Result) -> str:
 def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     """The maps in order: name, title, unit, palette, and `pack_map`."""
     here = _unit(result)
-    yield _map("raw", "Raw frame", example, here)
+    yield packed("raw", "Raw frame", example, here)
     yield from _scenes("scene", "Scene", result.scene, here)
     kelvin = result.extra.get("scene_kelvin")
     if kelvin is not None and result.radiometry != KELVIN:
@@ -184,21 +189,21 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
     for name, image in result.extra.items():
         if image.ndim == 2 and name != "scene_kelvin":
             low, high = display_limits(image.astype(float))
-            yield _map(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
+            yield packed(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
     bad = result.bad_pixels
-    yield _map("bad_pixels", f"Bad pixels, {bad.sum()}", _first(bad), "") | {
+    yield packed("bad_pixels", f"Bad pixels, {bad.sum()}", _first(bad), "") | {
         "low": 0,
         "high": 1,
         "colours": "mask",
     }
     for name, image in result.uncertainty.items():
         own = "" if name == "gain" else here
-        yield _map(
+        yield packed(
             f"{name}_sd",
             f"Uncertainty of the {name}",
             _first(image),
             own,
-            colours="spread",
+            palette="spread",
             fine=COARSE_LEVELS,
         )
 
@@ -207,28 +212,38 @@ def _scenes(
     name: str, title: str, scenes: Array, here: str, *, centre: float | None = None
 ) -> Iterator[dict[str, Any]]:
     """The scene; where each frame or band has its own, that of the first by this name, and some others."""
-    yield _map(name, title, _first(scenes), here, centre=centre)
+    yield packed(name, title, _first(scenes), here, centre=centre)
     if scenes.ndim == 3:
         for other in evenly_spaced(len(scenes))[1:]:
-            yield _map(f"{name}_{other}", f"{title} {other}", scenes[other], here, centre=centre)
+            yield packed(f"{name}_{other}", f"{title} {other}", scenes[other], here, centre=centre)
 
 
 def _first(scenes: Array) -> Array:
     return scenes if scenes.ndim == 2 else scenes[0]
 
 
-def _map(
+def packed(
     name: str,
     title: str,
     image: Array,
     here: str,
+    palette: str = "",
     *,
     centre: float | None = None,
-    colours: str = "",
     fine: int = FINE_LEVELS,
 ) -> dict[str, Any]:
-    """One map; with a `centre` its palette is signed, and symmetric about it."""
-    found = {"name": name, "title": title, "unit": here, "colours": colours} | pack_map(image, fine)
+    """One map; with a `centre` its palette is signed, and symmetric about it.
+
+    Args:
+        name: Its name in the page.
+        title: Above it.
+        image: (h, w).
+        here: Its unit.
+        palette: One of `MAP_PALETTES`; "": that of the page.
+        centre: Of the scale.
+        fine: Levels between the display limits.
+    """
+    found = {"name": name, "title": title, "unit": here, "colours": palette} | pack_map(image, fine)
     if centre is None:
         return found
     reach = max(found["high"] - centre, centre - found["low"], 1e-6)
@@ -266,7 +281,8 @@ def pack_map(image: Array, fine: int = FINE_LEVELS) -> dict[str, Any]:
     }
 
 
-def _colours(palette: str) -> str:
+def colours(palette: str) -> str:
+    """The 256 colours of a palette, as text for the page."""
     return base64.b64encode(colour_table(palette).tobytes()).decode()
 
 

@@ -17,8 +17,9 @@ function words() {
   const lines = data.messages.length ? data.messages : ["Nothing to object to in this burst."];
   find("#messages").append(
     make("ul", {}, ...lines.map((text) => make("li", { class: kind(text), text }))),
-    make("p", { class: "hint", text: `The solver ${data.stop_reason}.` }),
+    ...(data.stop_reason ? [make("p", { class: "hint", text: `The solver ${data.stop_reason}.` })] : []),
   );
+  if (!data.config) return find("#full").remove();
   find("#config").textContent = data.config;
   find("#metrics").textContent = JSON.stringify(data.metrics, null, 2);
 }
@@ -42,7 +43,8 @@ async function start() {
   compare();
   data.maps.filter((map) => map.name !== "raw").forEach(card);
   views.forEach((view) => view.show());
-  find("#plots").append(...curves());
+  if (data.stages) find("#plots").append(...curves());
+  else find("#curves").remove();
   document.documentElement.dataset.ready = "";
 }
 

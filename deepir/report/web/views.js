@@ -60,7 +60,7 @@ function compare() {
     max: 100,
     step: 0.5,
     value: 50,
-    "aria-label": "Raw frame to the left, scene to the right",
+    "aria-label": `${raw.title} to the left, ${scene.title} to the right`,
   });
   const mark = cross();
   const box = make(
@@ -71,8 +71,8 @@ function compare() {
     make("span", { class: "handle" }),
     slider,
     mark,
-    make("span", { class: "tag left", text: "raw frame" }),
-    make("span", { class: "tag right", text: "scene" }),
+    make("span", { class: "tag left", text: raw.title }),
+    make("span", { class: "tag right", text: scene.title }),
   );
   box.style.aspectRatio = `${scene.width} / ${scene.height}`;
   box.style.setProperty("--ratio", scene.width / scene.height);
@@ -94,7 +94,7 @@ function compare() {
     const from = both ? scene : raw;
     paint(before, raw, coloursOf(raw), from.low, from.high);
     paint(after, scene, coloursOf(scene));
-    const bars = both ? { "": scene } : { raw, scene };
+    const bars = both ? { "": scene } : { [raw.title]: raw, [scene.title]: scene };
     find("#scales").replaceChildren(
       ...Object.entries(bars).map(([name, map]) => scale(coloursOf(map), map, name)),
     );

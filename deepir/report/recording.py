@@ -1,0 +1,133 @@
+"""The report of a corrected recording as one page of HTML, its verdict first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepir.io.output.tone_mapping import PALETTES, WHITE_HOT
+from deepir.messages import labelled
+from deepir.paths import printable
+from deepir.report.html import (
+    COARSE_LEVELS,
+    MAP_PALETTES,
+    Verdict,
+    colours,
+    packed,
+    warned,
+    write_page,
+)
+
+if TYPE_CHECKING:
+    from deepir.recording.correct import CorrectedRecording
+
+Array = np.ndarray[Any, Any]
+
+
+def write_recording_report(
+    path: Path, corrected: CorrectedRecording, source: str, unit: str, findings: Sequence[str]
+) -> None:
+    """Write the page.
+
+    Args:
+        path: The page.
+        corrected: The recording.
+        source: Its file.
+        unit: Of its values; "" if it has none.
+        findings: Lines on motion, offset and lag.
+    """
+    estimate = corrected.estimate
+    messages = [each for part in corrected.segments if part.estimate for each in part.estimate.messages]
+    data = {
+        "title": "correction",
+        "source": printable(Path(source).name),
+        "verdict": {
+            name: printable(each) for name, each in verdict(corrected, messages, unit)._asdict().items()
+        },
+        "figures": list(_figures(corrected, unit)),
+        "messages": [printable(each) for each in (*labelled(dict.fromkeys(messages)), *findings)],
+        "maps": list(_maps(corrected, unit)),
+        "palettes": {name: colours(name) for name in PALETTES},
+        "others": {name: colours(each) for name, each in MAP_PALETTES.items()},
+        "palette": WHITE_HOT,
+        "kept": estimate.kept,
+    }
+    write_page(path, "run.html", ("maps.js", "views.js", "run.js"), data)
+
+
+def verdict(corrected: CorrectedRecording, messages: Sequence[str], unit: str) -> Verdict:
+    """What was taken off and how sure that is; or what could not be told, and what to do."""
+    estimate, bad = corrected.estimate, int(corrected.estimate.bad_pixels.sum())
+    filled = f"{bad} bad pixel{'s are' if bad > 1 else ' is'} filled in." if bad else "No pixel is bad."
+    if found := warned(messages):
+        return Verdict(found.severity, found.sentence, f"{_taken_off(corrected, unit)} {found.more} {filled}")
+    if len(corrected.segments) > 1:
+        filled += f" The pattern jumps {len(corrected.segments) - 1} time(s); each part has maps of its own."
+    if not np.isfinite(estimate.motion_error):
+        filled += " Near and far things move differently here, so that shading is less sure than fine detail."
+    return Verdict("good", _taken_off(corrected, unit), filled)
+
+
+def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
+    was, now = pattern_before_and_after(corrected)
+    after = "" if np.isnan(now) else f", and is about {now:.2g} {unit}".rstrip() + " now"
+    return f"The fixed pattern was {was:.3g} {unit}".rstrip() + f"{after}."
+
+
+def pattern_before_and_after(corrected: CorrectedRecording) -> tuple[float, float]:
+    """Standard deviations of the pattern that was found, and of what is expected to be left; NaN if not known."""
+    estimate = corrected.estimate
+    good = ~estimate.bad_pixels
+    was = float(estimate.offset[good].std()) if good.any() else 0.0
+    if estimate.offset_deviation is None or not good.any():
+        return was, np.nan
+    return was, float(np.sqrt(np.mean(estimate.offset_deviation[good] ** 2)))
+
+
+def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, str]]:
+    was, now = pattern_before_and_after(corrected)
+    yield "fixed pattern before", f"{was:.3g} {unit}".rstrip()
+    if np.isfinite(now):
+        yield "expected to be left", f"{now:.2g} {unit}".rstrip()
+    yield "gain differs by", f"{100 * float(corrected.estimate.gain.std()):.2g} %"
+    yield "bad pixels", str(int(corrected.estimate.bad_pixels.sum()))
+    yield "frames", str(len(corrected))
+
+
+def _maps(corrected: CorrectedRecording, unit: str) -> Iterator[dict[str, Any]]:
+    """A frame as recorded and corrected, what was taken off it, and the maps."""
+    keyframes, estimate = corrected.keyframes, corrected.estimate
+    k = len(keyframes.frames) // 2
+    number, raw = int(keyframes.numbers[k]), keyframes.frames[k]
+    after = corrected.correct(raw, number)
+    yield packed("raw", "Recorded", raw, unit)
+    yield packed("scene", "Corrected", after, unit)
+    yield packed("difference", f"Taken off frame {number}", raw - after, unit, centre=0.0)
+    yield packed("offset", "Offset", estimate.offset, unit, centre=0.0)
+    if estimate.offset_deviation is not None:
+        yield packed(
+            "offset_sd",
+            "Uncertainty of the offset",
+            estimate.offset_deviation,
+            unit,
+            "spread",
+            fine=COARSE_LEVELS,
+        )
+    yield packed("gain", "Gain", estimate.gain, "", centre=1.0)
+    title = f"Bad pixels, {int(estimate.bad_pixels.sum())}, drawn larger"
+    yield packed("bad_pixels", title, _wider(estimate.bad_pixels), "") | {
+        "low": 0,
+        "high": 1,
+        "colours": "mask",
+    }
+
+
+def _wider(bad: Array) -> Array:
+    """Bad pixels (h, w) as squares that are seen in a picture of the page's size."""
+    from scipy.ndimage import binary_dilation
+
+    reach = max(1, bad.shape[1] // 200)
+    return np.asarray(binary_dilation(bad, np.ones((2 * reach - 1, 2 * reach - 1), bool)))

@@ -1,0 +1,86 @@
+"""The page of a corrected recording."""
+
+import json
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from deepir.messages import Message
+from deepir.recording.estimate import SensorEstimate
+from deepir.report.recording import verdict, write_recording_report
+
+SHAPE = (24, 32)
+
+
+class Recording:
+    """A corrected recording of three frames, with one bad pixel."""
+
+    def __init__(self, **changes):
+        rng = np.random.default_rng(0)
+        self.frames = 100 + rng.standard_normal((3, *SHAPE))
+        bad = np.zeros(SHAPE, bool)
+        bad[5, 7] = True
+        offset = 4 * rng.standard_normal(SHAPE)
+        known = SensorEstimate(np.ones(SHAPE), offset, bad, 100.0, np.full(SHAPE, 0.5), "offset", 0.05)
+        self.estimate = replace(known, **changes)
+        self.segments = [SimpleNamespace(estimate=self.estimate)]
+        self.keyframes = SimpleNamespace(frames=self.frames, numbers=np.arange(3))
+
+    def __len__(self):
+        return 3
+
+    def correct(self, frame, number):
+        return frame - self.estimate.offset
+
+
+def told(**changes):
+    recording = Recording(**changes)
+    return verdict(recording, recording.estimate.messages, "counts")
+
+
+def test_the_verdict_says_how_much_pattern_there_was_and_is():
+    found = told()
+    assert found.severity == "good"
+    assert re.fullmatch(
+        r"The fixed pattern was [34]\.\d+ counts, and is about 0\.5 counts now\.", found.sentence
+    )
+    assert found.more == "1 bad pixel is filled in."
+
+
+def test_what_was_left_comes_first():
+    left = Message("low-order-part-not-separated", "it could not be separated")
+    found = told(messages=(left,), offset_deviation=None)
+    assert found.severity == "care"
+    assert "was not separated from the scenes" in found.sentence
+    assert "The fixed pattern was" in found.more
+    assert "Turn the camera both ways" in found.more
+
+
+def test_local_displacements_are_less_sure_of_shading():
+    assert "shading is less sure" in told(motion_error=np.inf).more
+
+
+def test_the_page_holds_frames_difference_and_maps(tmp_path):
+    recording = Recording()
+    write_recording_report(tmp_path / "page.html", recording, "films/drive.avi", "counts", ["motion: none"])
+    text = (tmp_path / "page.html").read_text()
+    data = json.loads(
+        re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1]
+    )
+    assert (data["title"], data["source"]) == ("correction", "drive.avi")
+    names = [each["name"] for each in data["maps"]]
+    assert names == ["raw", "scene", "difference", "offset", "offset_sd", "gain", "bad_pixels"]
+    assert ["bad pixels", "1"] in data["figures"]
+    assert data["messages"][-1] == "motion: none"
+
+
+@pytest.mark.parametrize("width", [32, 640])
+def test_bad_pixels_are_seen_on_the_page_whatever_the_size(width):
+    from deepir.report.recording import _wider
+
+    bad = np.zeros((40, width), bool)
+    bad[20, 16] = True
+    assert np.sqrt(_wider(bad).sum()) >= width / 200
