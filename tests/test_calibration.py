@@ -27,11 +27,6 @@ def camera():
     return gain, offset, bad, see
 
 
-def flats(see, *levels):
-    """Mean frames of uniform surfaces of these levels."""
-    return [calibration.mean_frame(see(level), "flat") for level in levels]
-
-
 @pytest.fixture
 def scene():
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -45,7 +40,9 @@ def mean_flats(see, *levels):
 
 def test_two_flats_give_gain_and_offset_and_many_agree_better(camera):
     gain, _, bad, see = camera
-    found = calibration.maps_from_flats(flats(see, 7000, 9000))
+    found = calibration.maps_from_flats(
+        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
+    )
     np.testing.assert_array_equal(found.bad_pixels, bad)
     good = ~bad
     assert np.std((found.gain - gain)[good]) < 0.002
@@ -55,14 +52,14 @@ def test_two_flats_give_gain_and_offset_and_many_agree_better(camera):
 
 def test_many_flats_agree_better_than_two(camera):
     gain, _, bad, see = camera
-    means = flats(see, 7000, 7000, 7000, 9000, 9000, 9000)
-    errors = [np.std((calibration.maps_from_flats(some).gain - gain)[~bad]) for some in (means[2:4], means)]
+    means = [calibration.mean_frame(see(level), "flat") for level in (7000, 7000, 7000, 9000, 9000, 9000)]
+    errors = [np.std((calibration.maps_from_flats(flats).gain - gain)[~bad]) for flats in (means[2:4], means)]
     assert errors[1] < 0.7 * errors[0]
 
 
 def test_one_flat_takes_away_all_of_the_pattern_at_its_temperature(camera):
     _, _, bad, see = camera
-    found = calibration.maps_from_flats(flats(see, 8000))
+    found = calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat")])
     corrected = found.correct(see(8000, 1)[0])
     assert (found.gain == 1).all()
     assert np.std(corrected[~bad]) == pytest.approx(4, rel=0.1)  # the noise
@@ -124,25 +121,19 @@ def test_frames_that_maps_cannot_correct_and_flats_that_give_none_are_refused(ca
         CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(np.ones((9, 9)))
 
 
+def test_flats_of_one_temperature_give_no_gain(camera):
+    _, _, _, see = camera
+    with pytest.raises(DataError, match="two temperatures are needed"):
+        calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat") for _ in range(2)])
+
+
 def test_a_pixel_without_a_value_in_one_flat_is_bad(camera):
     _, _, bad, see = camera
-    means = flats(see, 7000, 9000)
-    means[1][7, 7] = np.nan
-    assert np.argwhere(calibration.maps_from_flats(means).bad_pixels & ~bad).tolist() == [[7, 7]]
-
-
-@pytest.mark.parametrize(
-    ("levels", "spread", "message"),
-    [
-        ([8000, 8000], 0.1, "two temperatures are needed"),
-        ([np.nan], 0.0, "no pixel has a value"),
-        ([8000, 8100], 300.0, r"\d+% of the pixels answer unlike the others.*--burst"),  # frames of a scene
-    ],
-)
-def test_what_is_no_flat_is_refused(levels, spread, message):
-    rng = np.random.default_rng(8)
-    with pytest.raises(DataError, match=message):
-        calibration.maps_from_flats([level + spread * rng.standard_normal(SHAPE) for level in levels])
+    flats = [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
+    flats[1][7, 7] = np.nan
+    assert np.argwhere(calibration.maps_from_flats(flats).bad_pixels & ~bad).tolist() == [[7, 7]]
+    with pytest.raises(DataError, match="no pixel has a value"):
+        calibration.maps_from_flats([np.full(SHAPE, np.nan)])
 
 
 @pytest.mark.parametrize("end", [0, 2**14 - 1])
@@ -173,10 +164,19 @@ def test_maps_come_back_from_their_file_and_those_of_a_run_hold_its_stray_flux(t
 
 def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene):
     _, _, _, see = camera
-    found = calibration.maps_from_flats(flats(see, 7000, 9000))
+    found = calibration.maps_from_flats(
+        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
+    )
     frame = see(scene, 1)[0]
     assert found.roughness_ratio(frame) < 0.3
     assert found.roughness_ratio(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3
     assert found.roughness_ratio(frame / 50 + 200) > 5
     for nothing in (8000.0, np.nan):
         assert found.roughness_ratio(np.full(SHAPE, nothing)) == 1.0
+
+
+def test_frames_of_a_scene_are_no_flats():
+    rng = np.random.default_rng(8)
+    scenes = [8000 + 300 * rng.standard_normal(SHAPE) for _ in range(2)]
+    with pytest.raises(DataError, match=r"\d+% of the pixels answer unlike the others.*--burst"):
+        calibration.maps_from_flats([scenes[0], scenes[1] + 100])

@@ -96,36 +96,42 @@ def test_why_a_device_does_not_open_is_said(monkeypatch, number, said):
 
 @pytest.fixture
 def flirpy(monkeypatch):
-    """A Boson as flirpy gives it, `flirpy.camera`; its commands are in `flirpy.commands`."""
-    commands = []
-    camera = SimpleNamespace(
-        conn=object(),
-        mode=1,
-        setup_video=lambda number: commands.append("video"),
-        get_camera_serial=lambda: 4711,
-        get_ffc_mode=lambda: camera.mode,
-        set_ffc_manual=lambda: commands.append("manual"),
-        set_ffc_auto=lambda: commands.append("auto"),
-        grab=lambda: RAMP[0],
-        close=lambda: commands.append("close"),
-    )
-    module = SimpleNamespace(
-        Boson=lambda port: camera, FLR_BOSON_AUTO_FFC=1, camera=camera, commands=commands
-    )
+    """A Boson as flirpy gives it; its commands are in `flirpy.commands`."""
+    module = SimpleNamespace(commands=[], FLR_BOSON_AUTO_FFC=1, connected=True, mode=1)
+
+    def made(port):
+        said = module.commands.append
+        return SimpleNamespace(
+            conn=object() if module.connected else None,
+            setup_video=lambda number: said("video"),
+            get_camera_serial=lambda: 4711,
+            get_ffc_mode=lambda: module.mode,
+            set_ffc_manual=lambda: said("manual"),
+            set_ffc_auto=lambda: said("auto"),
+            grab=lambda: RAMP[0],
+            close=lambda: said("close"),
+        )
+
+    module.Boson = made
     monkeypatch.setitem(sys.modules, "flirpy.camera.boson", module)
     return module
 
 
-@pytest.mark.parametrize(("mode", "restored"), [(1, ["auto", "close"]), (0, ["close"])])
-def test_the_bosons_shutter_is_held_and_then_as_it_was(flirpy, mode, restored):
-    flirpy.camera.mode = mode
+def test_the_bosons_shutter_is_held_and_let_go(flirpy):
     with Boson() as camera:
         np.testing.assert_array_equal(camera.read(), RAMP[0])
         assert flirpy.commands == ["video", "manual"]
-    assert flirpy.commands[2:] == restored
+    assert flirpy.commands[2:] == ["auto", "close"]
+
+
+def test_a_shutter_that_was_held_stays_held(flirpy):
+    flirpy.mode = 0
+    with Boson():
+        pass
+    assert flirpy.commands[2:] == ["close"]
 
 
 def test_no_boson(flirpy):
-    flirpy.camera.conn = None
+    flirpy.connected = False
     with pytest.raises(DataError, match="camera 'boson': cannot be opened: it does not answer"):
         Boson()

@@ -19,8 +19,6 @@ BLOCK_SIDE = 8  # px; side of the blocks whose means show motion
 MIN_VISIBLE_MOTION = 0.1  # px between frames below which a camera counts as still
 MIN_F_STATISTIC = 10.0  # F statistic above which a shift is significant
 MEASURED_PAIRS = 32  # pairs of consecutive frames in which noise and motion are measured
-SAMPLES = 100_000  # of many values, near whose median theirs is sought
-NEAR_MEDIAN = (0.45, 0.55)  # quantiles of these between which it is
 
 
 def describe(burst: Frames) -> list[str]:
@@ -32,7 +30,7 @@ def describe(burst: Frames) -> list[str]:
     lines = [f"{count} frame(s) of {height} x {width} px (height x width), stored as {burst.dtype}"]
     if not finite.size:
         return [*lines, "no finite value at all"]
-    lines.append(f"values {finite.min():g} to {finite.max():g}, median {_median(finite):g}")
+    lines.append(f"values {finite.min():g} to {finite.max():g}, median {np.median(finite):g}")
     lines += _temperatures(burst, finite)
     lines += _unusable(burst, finite)
     unusable = unusable_frames(frames)
@@ -50,34 +48,15 @@ def describe(burst: Frames) -> list[str]:
     if (drawn := drawn_pixels(frames)).any():
         lines += drawn_message(drawn)
         frames = np.where(drawn, np.float32(np.nan), frames)
-    repeats = [k for k in range(1, len(frames)) if _are_equal(frames[k], frames[k - 1])]
+    repeats = [k for k in range(1, len(frames)) if frames[k].tobytes() == frames[k - 1].tobytes()]
     if 0 < len(repeats) < len(frames) - 1:
         lines.append(f"{len(repeats)} frame(s) repeat the one before them; a run leaves them out")
         frames = _without(frames, repeats, axis=0)
     return lines + _noise_and_motion(frames)
 
 
-def _median(values: Array) -> float:
-    """Median of finite values, exact: of many, only those near the median of some are sorted."""
-    if values.size > SAMPLES:
-        low, high = np.quantile(values[:: values.size // SAMPLES], NEAR_MEDIAN)
-        near = values[(values >= low) & (values <= high)]
-        middle = np.array([values.size - 1, values.size]) // 2 - np.count_nonzero(values < low)
-        if middle[0] >= 0 and middle[1] < near.size:
-            return float(np.partition(near, middle)[middle].mean())
-    return float(np.median(values))
-
-
 def _without(frames: Array, numbers: list[int], axis: int) -> Array:
     return np.delete(frames, numbers, axis) if numbers else frames
-
-
-def _are_equal(frame: Array, other: Array) -> bool:
-    middle = len(frame) // 2
-    return all(
-        np.array_equal(frame[rows], other[rows], equal_nan=True)
-        for rows in (slice(middle, middle + 1), slice(None))
-    )
 
 
 def _temperatures(burst: Frames, finite: Array) -> list[str]:
@@ -167,7 +146,7 @@ def temporal_noise(frames: Array) -> float:
         d = second - first
         detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
     detail = np.abs(detail[np.isfinite(detail)])
-    return float(1.4826 * _median(detail) / np.sqrt(2)) if detail.size else float("nan")
+    return float(1.4826 * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
 
 
 def apparent_motion(frames: Array) -> tuple[float, float]:
@@ -184,7 +163,7 @@ def apparent_motion(frames: Array) -> tuple[float, float]:
     pairs = np.stack(_pairs(frames))
     known = np.isfinite(pairs)
     if not known.all():
-        pairs = np.where(known, pairs, _median(pairs[known]))
+        pairs = np.where(known, pairs, np.median(pairs[known]))
     shifts, evidence = [], []
     for a, b in zip(*map(_block_means, pairs), strict=True):
         gradients = [g.ravel() for g in np.gradient((a + b) / 2)]
