@@ -101,13 +101,13 @@ WARNINGS = {
         "Use neighbouring frames of a moving camera.",
     ),
     "shading-implausible": (
-        "The low-order part that all frames share is too strong for a sensor with so weak a fine pattern. It is left "
+        "The shading that all frames share is too strong for a sensor with so weak a fine pattern. It is left "
         "to the scenes.",
         "Take frames of different scenes, with a camera that turns.",
     ),
-    "low-order-part-not-separated": (
-        "The low-order part (shading) of the fixed pattern was not separated from the scenes and stays in the "
-        "recording. It is weak, or the motion does not reveal it.",
+    "shading-stays": (
+        "The shading of the fixed pattern was not separated from the scenes and stays in the recording. It is weak, or "
+        "the motion does not reveal it.",
         "Turn the camera both ways, and record for longer.",
     ),
     "camera-turns-one-way": (

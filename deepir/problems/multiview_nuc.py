@@ -175,7 +175,7 @@ def _divide_low_order_part(
         messages = [
             Message(
                 "shading-implausible",
-                "the low-order part of what all frames share is implausibly strong for a sensor's pattern, by its fine "
+                "the shading that all frames share is implausibly strong for a sensor's pattern, by its fine "
                 "part: it is left to the scenes. Take frames of different scenes, and of a camera that turns",
             )
         ]

@@ -260,9 +260,9 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
         rest = former.offset + (former.gain - 1) * samples.level
         return _estimate(samples, SensorSolution.of_offset(offset + low_order_part(rest)), "offset")
     message = Message(
-        "low-order-part-not-separated",
-        "the low-order part (shading) of the fixed pattern could not be separated from the scenes and was not "
-        "corrected: it is weak, or the camera moves too little",
+        "shading-stays",
+        "the shading of the fixed pattern could not be separated from the scenes and was not corrected: it is weak, or "
+        "the camera moves too little",
     )
     return _estimate(samples, SensorSolution.of_offset(offset), "fine offset", (message,))
 

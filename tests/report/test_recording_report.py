@@ -51,7 +51,7 @@ def test_the_verdict_says_how_much_pattern_there_was_and_is():
 
 
 def test_what_was_left_comes_first():
-    left = Message("low-order-part-not-separated", "it could not be separated")
+    left = Message("shading-stays", "it could not be separated")
     found = told(messages=(left,), offset_deviation=None)
     assert found.severity == "care"
     assert "was not separated from the scenes" in found.sentence
