@@ -106,10 +106,8 @@ def simulate(
     rare_rng, bolometer_rng, lines_rng = streams[8:]
     motion, tau, beside = random_motion(settings, motion_rng), np.zeros(settings.shape), None
     if settings.tau:
-        motion, tau = (
-            homographies(settings, smooth_path(settings, rare_rng)),
-            time_constants(settings, rare_rng),
-        )
+        motion = homographies(settings, smooth_path(settings, rare_rng))
+        tau = time_constants(settings, rare_rng)
     gain, offset, bad = fixed_pattern(settings, pattern_rng, shading_rng)
     if settings.bolometer:
         gain, offset, slowness = bolometer_pixels(settings, bolometer_rng)
@@ -291,12 +289,8 @@ def simulate_from_config(given: Mapping[str, Any], seed: int) -> Simulation:
         raise ConfigError(f"data.simulate.seed = {own!r}: a whole number, zero or more, is needed")
     name = None if scene is None else str(scene)
     changed = Path(name).stat().st_mtime_ns if name and Path(name).is_file() else 0
-    return _recorded(
-        settings_from_mapping(settings, Settings, extra=("scene", "seed")),
-        name,
-        seed if own is None else own,
-        changed,
-    )
+    camera = settings_from_mapping(settings, Settings, extra=("scene", "seed"))
+    return _recorded(camera, name, seed if own is None else own, changed)
 
 
 @functools.lru_cache(maxsize=2)  # a check of many configurations asks for the same burst again and again

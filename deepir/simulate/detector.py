@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from enum import IntEnum
 
 import numpy as np
@@ -150,23 +150,28 @@ def fixed_pattern(
         rng: Random stream of the pattern.
         shading_rng: Random stream of the gain's shading.
     """
-    height, width = settings.shape
-    layout = ((height, width), (1, width), (height, 1))
     sigmas = (settings.gain_pixel, settings.gain_column, settings.gain_row)
-    normal, uniform = ([draw(size) for size in layout] for draw in (rng.standard_normal, rng.random))
+    normal, uniform = (sensor_parts(settings.shape, draw) for draw in (rng.standard_normal, rng.random))
     parts = normal if settings.gain_distribution == "normal" else [-part for part in uniform]
     gain = np.maximum(1 + sum(s * part for s, part in zip(sigmas, parts, strict=True)), 0.05)
     smooth = shading(settings.gain_shading, settings.shape, shading_rng)
     gain = gain * (1 + smooth - smooth.mean())
 
     sigmas = (settings.offset_pixel, settings.offset_column, settings.offset_row)
-    offset = sum(s * rng.standard_normal(size) for s, size in zip(sigmas, layout, strict=True))
+    parts = sensor_parts(settings.shape, rng.standard_normal)
+    offset = sum(s * part for s, part in zip(sigmas, parts, strict=True))
     offset = settings.range * (offset + shading(settings.shading, settings.shape, rng))
 
-    bad = np.zeros((height, width), np.uint8)
+    bad = np.zeros(settings.shape, np.uint8)
     defects = rng.permutation(bad.size)[: round(settings.dead_pixels * bad.size)]
     bad.flat[defects] = np.arange(defects.size) % 3 + Defect.LOW
     return gain, offset, bad
+
+
+def sensor_parts(shape: tuple[int, int], draw: Callable[[tuple[int, int]], np.ndarray]) -> list[np.ndarray]:
+    """Random numbers of all pixels (H, W), columns (1, W) and rows (H, 1)."""
+    height, width = shape
+    return [draw(size) for size in ((height, width), (1, width), (height, 1))]
 
 
 def shading(peak_to_peak: float, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.guards import import_optional
-from deepir.simulate.detector import expose, fixed_pattern, lagged
+from deepir.simulate.detector import expose, fixed_pattern, lagged, sensor_parts
 from deepir.simulate.files import Simulated
 from deepir.simulate.paths import CameraPath, camera_path
 from deepir.simulate.planes import World, render_view
@@ -168,7 +168,6 @@ def drifting_offsets(
     """
     parts = np.array([settings.offset_pixel, settings.offset_column, settings.offset_row])
     parts = parts / np.linalg.norm(parts) if parts.any() else np.array([1.0, 0.0, 0.0])
-    height, width = settings.shape
     passed = 1 / settings.frame_rate
     kept, variance = 1.0, passed
     if settings.drift_time:
@@ -186,17 +185,14 @@ def drifting_offsets(
         return (1 - gain) * settings.flat + residual - residual.mean()
 
     base = after_closure() if settings.shutter_every else offset
-    drift, found = np.zeros((height, width)), np.empty((settings.n_frames, height, width), np.float32)
+    drift, found = np.zeros(settings.shape), np.empty((settings.n_frames, *settings.shape), np.float32)
     for k in range(settings.n_frames):
         if k and closed[k - 1] and not closed[k]:
-            base, drift = after_closure(), np.zeros((height, width))
+            base, drift = after_closure(), np.zeros(settings.shape)
         found[k] = base + drift
         if size:
-            steps = (
-                s * rng.standard_normal(n)
-                for s, n in zip(parts, ((height, width), (1, width), (height, 1)), strict=True)
-            )
-            drift = kept * drift + size * sum(steps)
+            steps = sensor_parts(settings.shape, rng.standard_normal)
+            drift = kept * drift + size * sum(s * step for s, step in zip(parts, steps, strict=True))
     return found
 
 

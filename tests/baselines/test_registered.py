@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 import deepir
+from deepir import registry
+from deepir.baselines.rival import estimate_offset, rival
+from deepir.errors import ConfigError
 from deepir.registry import components
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture
@@ -65,3 +68,17 @@ def test_it_says_what_it_is_and_where_it_is_from(name):
     method = components("method")[name]
     assert name in ("average", "bicubic") or "(19" in method.__doc__ or "(20" in method.__doc__
     assert list(inspect.signature(method).parameters)[:2] == ["burst", "config"]
+
+
+def test_a_function_of_arrays_becomes_a_method_with_its_options(camera, monkeypatch):
+    monkeypatch.setattr(registry, "_components", {k: dict(v) for k, v in registry._components.items()})
+
+    @rival("level", estimate_offset)
+    def level(frames: np.ndarray, *, share: float = 1.0) -> np.ndarray:
+        """A share of the mean frame."""
+        return share * frames.mean(0)
+
+    result = deepir.run("nuc", frames=camera.frames, method={"type": "level", "share": 0.5})
+    assert (result.offset - level(camera.frames, share=0.5)).std() < 0.01
+    with pytest.raises(ConfigError, match="method 'level': no option 'shar'; did you mean 'share'"):
+        deepir.run("nuc", frames=camera.frames, method={"type": "level", "shar": 0.5})
