@@ -100,8 +100,8 @@ def report(only: str) -> Iterator[str]:
     """Lines of markdown."""
     yield "# What each effect is worth\n"
     yield "PSNR of the scene with an effect of `nuc` less that without it (`effects.NAME=false`, `prior=tv`), dB:"
-    yield f"median of {len(SEEDS)} seeds (worst to best). Bursts of what it is for, weak to strong; clean bursts; ten frames"
-    yield "of hand-held recordings of real pictures, by the pattern that is left. Last: CPU seconds on a clean burst.\n"
+    yield f"median of {len(SEEDS)} seeds (worst to best). Bursts of what it is for, weak to strong; clean bursts; ten"
+    yield "frames of hand-held recordings of real pictures, by the pattern left. Last: CPU seconds on a clean burst.\n"
     yield "| effect | for | weak | medium | strong | clean | drawn | s |"
     yield "|---|---|---|---|---|---|---|---|"
     is_drawn = not recordings_drawn.missing("hand-held")

@@ -11,8 +11,8 @@ from torch import Tensor
 from deepir.arrays.statistics import masked_values, median, subsample
 from deepir.arrays.windows import box_sum, squared_gradient
 from deepir.joint_problem import AnyProblem
-from deepir.operators import Sensor
 from deepir.optim.fourier_hessian import spline_response, variance_spectrum
+from deepir.optim.preconditioner import scene_information
 from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
 from deepir.problem import Problem
 
@@ -112,13 +112,10 @@ def weight_from_gradients(gradient: Tensor, exponent: float, noise_factor: float
 
 def _information(problem: Problem) -> tuple[Tensor, float]:
     """Inverse noise variance of each pixel of the scene, (1, 1, H, W), and of a typical one."""
-    slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
     summed = problem.precision.sum(0)
     typical = float(summed[summed > 0].median())
-    weighed = problem.precision * slots.get(problem.slot(Sensor, "gain"), 1.0)  # once more by the adjoint
-    information = problem.operator.adjoint(weighed, (1, 1, *problem.fields["scene"].shape[-2:]), **slots)
-    low, high = WEIGHT_INFORMATION_RANGE
-    return _mean(information, INFORMATION_WINDOW).clamp_(low * typical, high * typical), typical
+    low, high = (share * typical for share in WEIGHT_INFORMATION_RANGE)
+    return _mean(scene_information(problem), INFORMATION_WINDOW).clamp_(low, high), typical
 
 
 def _mean(image: Tensor, window: int) -> Tensor:

@@ -340,11 +340,14 @@ def _sample_scale(problem: Problem, precision: float) -> Tensor:
 
 def _information(problem: Problem, precision: float) -> Tensor:
     """Information of the samples on each pixel of the scene, relative to samples of this precision, (H, W)."""
+    return scene_information(problem)[0, 0].div_(precision * len(problem.data))
+
+
+def scene_information(problem: Problem) -> Tensor:
+    """Information of the samples on each pixel of the scene, inverse variances, (1, 1, H, W)."""
     slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
     weighed = problem.precision * slots.get(problem.slot(Sensor, "gain"), 1.0)  # once more by the adjoint
-    canvas = (1, 1, *problem.fields["scene"].shape[-2:])
-    information: Tensor = problem.operator.adjoint(weighed, canvas, **slots)[0, 0]
-    return information.div_(precision * len(weighed))
+    return problem.operator.adjoint(weighed, (1, 1, *problem.fields["scene"].shape[-2:]), **slots)
 
 
 def _is_time_constant(problem: Problem, parameter: nn.Parameter) -> bool:
