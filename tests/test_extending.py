@@ -83,7 +83,8 @@ def plugin(outside, own_components, monkeypatch):
 def command(*arguments, path=None):
     """`deepir ...` in a process of its own."""
     code = "import sys; from deepir.cli import main; sys.exit(main())"
-    environment = os.environ | {"OMP_NUM_THREADS": "1"} | ({"PYTHONPATH": str(path)} if path else {})
+    found = os.pathsep.join(map(str, (path, ROOT) if path else (ROOT,)))
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": found}
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments], env=environment, capture_output=True, text=True, check=False
     )

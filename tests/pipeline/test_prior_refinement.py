@@ -1,5 +1,7 @@
 """A prior competes on the scene alone: sensor and motion are those that total variation found."""
 
+import functools
+
 import numpy as np
 import pytest
 import torch
@@ -17,13 +19,14 @@ from deepir.registry import lookup
 from deepir.storage.stored import FileCheckpoint
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def run(burst):
-    """Few iterations of a prior."""
+    """Few iterations of a prior; each is solved once."""
 
-    def run(prior, *more, **options):
+    @functools.cache
+    def run(prior, *more):
         short = ("threads=1", "solver.max_iterations=12", *more)
-        return deepir.run("nuc", f"prior={prior}", *short, frames=burst.frames, **options)
+        return deepir.run("nuc", f"prior={prior}", *short, frames=burst.frames)
 
     return run
 

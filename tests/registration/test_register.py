@@ -85,7 +85,7 @@ def gain(kind):
 def test_shifts_are_not_pulled_to_whole_pixels(name):
     motions = [move(), move(x=5.25, y=-3.25), move(x=-4.75, y=6.3), move(x=2.2, y=-7.2), move(x=4, y=-3)]
     result = register(burst(name, motions, tau=1e5), model="shift")
-    assert errors(result, motions).max() < 0.04
+    assert errors(result, motions).max() < 0.05
     assert result.motion.dtype == torch.float64
 
 

@@ -62,7 +62,7 @@ def test_frames_that_share_nothing_explain_nothing_and_two_give_no_likelihood_ra
 
 
 def test_a_frame_in_a_wrong_place_is_found_again_and_the_others_stay():
-    level, truth = burst()
+    level, truth = burst("gravel")
     for k in (0, 3):
         wrong = truth.clone()
         wrong[k, :2, 2] += torch.tensor([17.0, -9.0])
