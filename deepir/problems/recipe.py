@@ -10,7 +10,7 @@ import torch
 
 from deepir.effects.effect import Effect
 from deepir.estimation.cross_validation import SCENE, WeightSearch, fraction_for_weights
-from deepir.estimation.prior_weight import penalties_of, weigh_scene
+from deepir.estimation.prior_weight import penalties_of, weigh_scene, weigh_unknown
 from deepir.joint_problem import AnyProblem, JointProblem
 from deepir.optim.objective import hold_out
 from deepir.optim.solve import Solution, solve
@@ -96,6 +96,8 @@ class Recipe:
         for each in each_by_itself(problem):
             initial_estimate(each, self.effects)
         self.weigh(problem, self.sensor_weight)
+        for name in penalised(problem):
+            weigh_unknown(problem, name)
 
     @torch.no_grad()
     def restart(self, problem: Any) -> None:
@@ -236,8 +238,12 @@ class Generic(Recipe):
 
 def searches(problem: AnyProblem) -> list[WeightSearch]:
     """Those for the weights of the scenes, and of each other unknown that has penalties."""
-    others = [name for name in problem.free() if name not in problem.scenes and penalties_of(problem, name)]
     return [
         WeightSearch(name, first=0.0, least=MIN_LOG2_WEIGHT, iterations=LONG_TRIAL, restart=True)
-        for name in (SCENE, *others)
+        for name in (SCENE, *penalised(problem))
     ]
+
+
+def penalised(problem: AnyProblem) -> list[str]:
+    """Unknowns beside the scenes that are free and have penalties."""
+    return [name for name in problem.free() if name not in problem.scenes and penalties_of(problem, name)]
