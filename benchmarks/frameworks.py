@@ -36,7 +36,7 @@ SIDE, NOISE, BLUR, RADIUS, FACTOR = 128, 0.02, 1.5, 6, 2
 MARGIN = 4  # px of the rim that are not judged
 WEIGHTS = (1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2)  # of the rivals' total variation
 ITERATIONS = 200  # of the rivals' total variation
-PRIORS = ("tv", "foe", "tgv", "red", "pnp", "dip")
+PRIORS = ("tv", "foe", "tgv", "red", "pnp")
 TASKS = ("deblurring", "super-resolution")
 
 
