@@ -13,7 +13,7 @@ from scipy import ndimage
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
 from deepir.kernels.median_filter import median_filter
-from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Displacement, displacements, sampled
+from deepir.multiview.texture_flow import RADIUS, Displacement, coarsening, displacements, enlarged, sampled
 
 Array = np.ndarray[Any, Any]
 
@@ -121,7 +121,7 @@ def low_order_pattern(
         if round_ == 0 and not _related(coarse, ahead, quantile):
             return LowOrderPattern(np.zeros(frames.shape[1:]), related=False, displacements=both)
         total += grid.fitted(coarse - total, ahead)
-    offset = contrast * _enlarged(total, frames.shape[1:], factor)
+    offset = contrast * enlarged(total, frames.shape[1:], factor)
     return LowOrderPattern(offset - offset.mean(), related=True, displacements=both)
 
 
@@ -138,11 +138,6 @@ def _related(frames: Array, found: Sequence[Displacement], quantile: float) -> b
     shares = [each.share_moved for each in found if each.second - each.first == nearest]
     known = float(np.quantile(shares, quantile))
     return known >= max(MIN_KNOWN, CHANCE_FACTOR * chance)
-
-
-def coarsening(size: Sequence[int]) -> int:
-    """Side of the blocks, px, over which frames of a size are averaged before displacements are sought."""
-    return max(1, min(size) // SHORT_SIDE)
 
 
 class _Grid:
@@ -220,9 +215,3 @@ def _change(frames: Array, found: Displacement, sigma: float) -> Array:
     known = ndimage.gaussian_filter(found.known.astype(float), sigma)
     change = ndimage.gaussian_filter(np.where(found.known, change, 0.0), sigma)
     return np.asarray(change / np.maximum(known, np.finfo(float).tiny))
-
-
-def _enlarged(coarse: Array, size: Sequence[int], factor: int) -> Array:
-    """A map of block means at each px of `size`, bilinear about the blocks' centres."""
-    y, x = ((np.arange(side) + 0.5) / factor - 0.5 for side in size)
-    return sampled(coarse, *np.meshgrid(y, x, indexing="ij"))

@@ -20,8 +20,8 @@ from deepir.fields.shading import Shading
 from deepir.kernels.block_means import block_means
 from deepir.multiview.coloured_pixels import ColouredPixels
 from deepir.multiview.gradients import AXES, Edges, WhiteParts, median_gradients
-from deepir.multiview.low_order_pattern import coarsening, is_implausible, low_order_part, low_order_pattern
-from deepir.multiview.texture_flow import TEXTURE_SIGMA, displacements
+from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
+from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
 
 Array = np.ndarray[Any, Any]
 

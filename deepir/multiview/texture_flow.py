@@ -66,7 +66,7 @@ def optical_flow(first: Pyramid, second: Pyramid) -> Array:
     for (here, gradient, tensor, damping), (there, *_) in zip(
         reversed(first.levels), reversed(second.levels), strict=True
     ):
-        flow = np.zeros((2, *here.shape)) if flow is None else _enlarged(flow, here.shape)
+        flow = np.zeros((2, *here.shape)) if flow is None else _at_twice_the_resolution(flow, here.shape)
         lucas_kanade(here, there, gradient, tensor, damping, RADIUS, ITERATIONS, flow)
         flow = np.stack([median_filter(each, MEDIAN_SIDE) for each in flow])
     assert flow is not None
@@ -81,6 +81,17 @@ def sampled(values: Array, y: Array, x: Array) -> Array:
     return found.reshape(np.shape(y))
 
 
+def enlarged(means: Array, size: Sequence[int], factor: int) -> Array:
+    """A map of means over blocks of `factor` px at each px of `size`, bilinear about the blocks' centres."""
+    y, x = ((np.arange(side) + 0.5) / factor - 0.5 for side in size)
+    return sampled(means, *np.meshgrid(y, x, indexing="ij"))
+
+
+def coarsening(size: Sequence[int]) -> int:
+    """Side of the blocks, px, over which frames of a size are averaged before displacements are sought."""
+    return max(1, min(size) // SHORT_SIDE)
+
+
 def _structure_tensor(gradient: Array) -> tuple[Array, float]:
     """Structure tensor (yy, xy, xx), (3, h, w), summed over windows, and what is added to its diagonal."""
     down, across = gradient
@@ -93,13 +104,10 @@ def _structure_tensor(gradient: Array) -> tuple[Array, float]:
     return tensor, damping
 
 
-def _enlarged(flow: Array, shape: tuple[int, ...]) -> Array:
-    """A flow at twice the resolution: pixel (i, j) of the coarse grid is (2 i, 2 j) of the fine one."""
+def _at_twice_the_resolution(flow: Array, shape: tuple[int, ...]) -> Array:
+    """A flow on the next finer grid: pixel (i, j) of the coarse grid is (2 i, 2 j) of the fine one."""
     y, x = np.meshgrid(*(np.arange(side) / 2 for side in shape), indexing="ij")
     return np.stack([2 * sampled(each, y, x) for each in flow])
-
-
-__all__ = ["RADIUS", "Displacement", "displacements", "sampled", "texture"]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@ from skimage import data
 
 from deepir.recording.burst import Burst
 from deepir.recording.joint_solve import low_order_step
-from deepir.recording.low_order import LowOrderModes
-from deepir.recording.offset_prior import PatternPrior, dct
+from deepir.recording.modes import LowOrderModes, PatternPrior, dct
 
 
 def test_a_slope_along_either_axis_is_made_of_modes_exactly():
