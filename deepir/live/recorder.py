@@ -22,7 +22,6 @@ from deepir.errors import DataError
 from deepir.io.output.recording import Write, output_type, tiff
 from deepir.recording.keyframes import (
     WINDOW,
-    Chosen,
     ChosenFrames,
     KeyframeCollector,
     in_groups,
@@ -228,13 +227,10 @@ class LiveKeyframes:
         groups = self._groups.groups
         if self._groups.count < MIN_IN_GROUPS:
             first = self._newest[0][0]
-            groups = [group for group in groups if group[-1][0] < first] + in_groups(self._spaced())
+            spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
+            newest = [(number, frame, spacing) for number, frame, _ in self._newest]
+            groups = [group for group in groups if group[-1][0] < first] + in_groups(newest)
         return ChosenFrames.of_groups(groups, self.length)
-
-    def _spaced(self) -> list[Chosen]:
-        """The newest frames, with the spacing that their motion asks for."""
-        spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
-        return [(number, frame, spacing) for number, frame, _ in self._newest]
 
 
 def _change(one: Array, other: Array) -> float:

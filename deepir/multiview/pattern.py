@@ -18,8 +18,7 @@ from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
 from deepir.kernels.block_means import block_means
-from deepir.multiview.coloured_pixels import ColouredPixels
-from deepir.multiview.gradients import AXES, Edges, WhiteParts, median_gradients
+from deepir.multiview.gradients import AXES, ColouredPixels, Edges, WhiteParts, median_gradients
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
 
@@ -159,8 +158,8 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
     _, pattern, low_order = find_pattern(data, good, (), (Column(maps), Row(maps), Pixel(maps)))
     offset = pattern[1].numpy()
     moved = low_order_pattern(frames - offset, usable)
-    if moved.related:
-        offset = offset + moved.offset
+    if moved is not None:
+        offset = offset + moved
     else:
         shared = low_order.values[0, 0].detach().numpy()
         shrink_shading(low_order, data - pattern[1])
@@ -168,7 +167,7 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
     known = np.asarray(usable.any(0))
     if is_implausible(offset, known):
         offset = offset - low_order_part(offset, known)
-    return offset - offset[known].mean(), moved.related
+    return offset - offset[known].mean(), moved is not None
 
 
 def isolated_offsets(frames: Tensor, usable: Tensor) -> Tensor:

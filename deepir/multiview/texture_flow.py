@@ -54,11 +54,6 @@ class Pyramid:
                 break
             level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
 
-    @property
-    def picture(self) -> Array:
-        """What is registered at the finest level, (h, w)."""
-        return self.levels[0][0]
-
 
 def optical_flow(first: Pyramid, second: Pyramid) -> Array:
     """Displacement (2, h, w), px down and across, at which `second` shows what `first` shows at each pixel."""
@@ -138,21 +133,17 @@ class Displacement:
         return float((moved & self.known).mean())
 
 
-def displacements(
-    frames: Array, pairs: Sequence[tuple[int, int]], *, both_ways: bool = False
-) -> Iterator[Displacement]:
+def displacements(frames: Array, pairs: Sequence[tuple[int, int]]) -> Iterator[Displacement]:
     """Displacements between pairs of frames by the optical flow of their texture, forward and backward.
 
     Args:
         frames: (N, h, w) float64, finite, with little fixed pattern left.
         pairs: numbers of the first and the second frame.
-        both_ways: whether the displacement from the second frame to the first follows each.
     """
     wanted = sorted({k for pair in pairs for k in pair})
     with ThreadPoolExecutor(threads.count()) as pool:
         textures = dict(zip(wanted, pool.map(lambda k: Pyramid(frames[k], texture), wanted), strict=True))
-        for found in pool.map(lambda pair: _displacements(pair[0], pair[1], textures), pairs):
-            yield from found if both_ways else found[:1]
+        yield from pool.map(lambda pair: _displacement(*pair, textures), pairs)
 
 
 def texture(frame: Array) -> Array:
@@ -163,18 +154,11 @@ def texture(frame: Array) -> Array:
     return np.asarray(even / max(even.std(), np.finfo(float).tiny))
 
 
-def _displacements(first: int, second: int, textures: dict[int, Pyramid]) -> list[Displacement]:
-    """From the first frame to the second, and back."""
-    here, there = textures[first], textures[second]
-    ahead, back = optical_flow(here, there), optical_flow(there, here)
-    return [
-        _trusted(first, second, ahead, back, here.picture, there.picture),
-        _trusted(second, first, back, ahead, there.picture, here.picture),
-    ]
-
-
-def _trusted(first: int, second: int, ahead: Array, back: Array, here: Array, there: Array) -> Displacement:
+def _displacement(first: int, second: int, textures: dict[int, Pyramid]) -> Displacement:
     """A displacement, trusted where that back returns to the start and the local correlation is high."""
+    ahead = optical_flow(textures[first], textures[second])
+    back = optical_flow(textures[second], textures[first])
+    here, there = (textures[k].levels[0][0] for k in (first, second))
     height, width = here.shape
     rows, columns = np.mgrid[:height, :width].astype(float)
     y, x = rows + ahead[0], columns + ahead[1]

@@ -1,8 +1,10 @@
 """Motion of frames of one scene, once the fixed pattern is taken off: phase of shifts first, then Gauss-Newton steps.
 
 Under a fixed pattern every registration finds no motion. A first estimate of the pattern, from the gradients that all
-frames share, removes that bias, whatever the pattern's strength. Frames are compared on a canvas: the reference frame's grid, extended
-by what the other frames see beyond it. Coordinates are px from the centre of a frame or of the canvas, x first.
+frames share, removes that bias, whatever the pattern's strength.
+
+Frames are compared on a canvas: the reference frame's grid, extended by what the other frames see beyond it. Cubic
+splines warp in both directions. Coordinates are px from the centre of a frame or of the canvas, x first.
 """
 
 from __future__ import annotations

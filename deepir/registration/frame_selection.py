@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity
-from deepir.registration.alignment import Alignment, align, misfit_at, tukey_weights, warp_to_reference
+from deepir.registration.alignment import Alignment, align, estimate_pattern, tukey_weights, warp_to_reference
 from deepir.registration.preprocess import Level
 from deepir.registration.shift_likelihood import correlation_search, match_to_reference
 
@@ -279,7 +279,7 @@ def shutter_frames(level: Level, model: str) -> Tensor:
     difference = replace(level, frames=level.frames[scene_frames] - level.frames[shutter].mean(0))
     motion, match_score = correlation_search(difference.frames, difference, model, pattern_present=False)
     used, alignment = reject_frames(difference, match_score > 1, motion, model)
-    misfit_at_rest = misfit_at(difference.subset(used), identity(int(used.sum())))
+    _, misfit_at_rest = estimate_pattern(difference.subset(used), identity(int(used.sum())))
     static_power = SHUTTER.max_static_power * difference.frames.square().mean()
     is_static = alignment.pattern.square().mean() > static_power
     is_explained = alignment.misfit < SHUTTER.max_misfit_ratio * misfit_at_rest

@@ -71,11 +71,6 @@ def correlation_search(
     return best
 
 
-def detection_threshold(level: Level) -> float:
-    """Peak height, in standard deviations over all lags, at which the match score is one."""
-    return min(PEAK.max_threshold, max(PEAK.min_threshold, PEAK.per_root_pixel * level.weight.numel() ** 0.5))
-
-
 def match_to_reference(
     reference: Tensor, images: Tensor, level: Level, model: str, pattern_present: bool
 ) -> tuple[Tensor, Tensor]:
@@ -107,7 +102,8 @@ def match_to_reference(
         motion[:, :2, 2] = lag.double() * level.factor @ turn[:2, :2].T
         improved = height > best_height * (ROTATION_MARGIN if k else 1.0)
         best_motion[improved], best_height[improved] = motion[improved], height[improved]
-    return best_motion, best_height.double() / detection_threshold(level)
+    threshold = float(np.clip(PEAK.per_root_pixel * (h * w) ** 0.5, PEAK.min_threshold, PEAK.max_threshold))
+    return best_motion, best_height.double() / threshold
 
 
 def hann_window(h: int, w: int) -> Tensor:
