@@ -235,7 +235,7 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
     if (
         pattern.std() < MIN_PATTERN_CONTRAST * scene.std()
-        or _alike(pattern, problem.alive()) < MIN_PATTERN_CORRELATION
+        or _neighbour_correlation(pattern, problem.alive()) < MIN_PATTERN_CORRELATION
         or motion_nats(problem) > MIN_MOTION_NATS
     ):
         return []
@@ -259,7 +259,7 @@ def _rough(image: Tensor, good: Tensor) -> Tensor:
     return image.clamp(-limit, limit) * good
 
 
-def _alike(image: Tensor, good: Tensor) -> float:
+def _neighbour_correlation(image: Tensor, good: Tensor) -> float:
     """Correlation of pixels that are `PATTERN_DISTANCE` px apart, along rows and columns."""
     found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
     middle = len(found) // 2

@@ -205,11 +205,11 @@ class LiveKeyframes:
         if small is None:
             return
         if self._before is not None:
-            self._steps.append(_change(small, self._before))
+            self._steps.append(float(np.abs(small - self._before).mean()))
         self._before = small
         self._pending.append((self.length - 1, frame, small))
-        if not self._newest or _change(small, self._newest[-1][2]) > MIN_CHANGE_RATIO * np.median(
-            self._steps
+        if not self._newest or (
+            np.abs(small - self._newest[-1][2]).mean() > MIN_CHANGE_RATIO * np.median(self._steps)
         ):
             self._taken += min(len(self._pending), MAX_NEWEST - len(self._newest))
             self._newest.extend(self._pending)
@@ -231,7 +231,3 @@ class LiveKeyframes:
             newest = [(number, frame, spacing) for number, frame, _ in self._newest]
             groups = [group for group in groups if group[-1][0] < first] + in_groups(newest)
         return ChosenFrames.of_groups(groups, self.length)
-
-
-def _change(one: Array, other: Array) -> float:
-    return float(np.abs(one - other).mean())

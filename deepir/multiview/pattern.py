@@ -253,10 +253,9 @@ class _Unknowns:
             if any(pair):
                 kind = WhiteParts if along else ColouredPixels
                 self.parts.append(kind(along, pair, edges.level, (height, width)))
-        self.shading = next((part for part in offset if isinstance(part, Shading)), None)
-        given = self.shading is not None and self.shading.sigma_is_fixed
+        given = [part for part in offset if isinstance(part, Shading) and part.sigma_is_fixed]
         free = Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
-        self.low_order = self.shading if self.shading is not None and given else free
+        self.low_order = given[0] if given else free
         deviation = float(edges.frames.flatten(1).std(1).median())
         self.unit = math.hypot(edges.level, deviation)  # counts that a gain of one is about
         free_by = edges.scales.new_tensor([[1.0 if gain else 0.0], [deviation]])  # of gain and level
@@ -299,12 +298,8 @@ class _Unknowns:
 
     def _smooth(self, edges: Edges) -> Tensor:
         """The inverse of the polynomials' block of the normal matrix, if all edges along an axis weighed the same."""
-        y, x, order_y, order_x = (
-            self.low_order.basis_y,
-            self.low_order.basis_x,
-            self.low_order.order_y,
-            self.low_order.order_x,
-        )
+        y, x = self.low_order.basis_y, self.low_order.basis_x
+        order_y, order_x = self.low_order.order_y, self.low_order.order_x
         steep = self.steep.flatten()
         block = torch.zeros(len(steep), len(steep)).to(steep)
         for sums, down, across in zip(edges.sums, (y, y.diff()), (x.diff(), x), strict=True):

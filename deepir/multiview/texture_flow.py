@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -35,36 +35,33 @@ MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are 
 BORDER = 2  # px from the border within which no displacement is trusted
 
 
-class Pyramid:
-    """A picture (h, w) at several resolutions, with gradients and structure tensors.
+Pyramid = list[
+    tuple[Array, Array, Array, float]
+]  # of each resolution texture, gradient, structure tensor, damping
 
-    Args:
-        picture: (h, w).
-        transform: what is registered of the picture at each resolution, same shape: its texture.
-    """
 
-    def __init__(self, picture: Array, transform: Callable[[Array], Array]) -> None:
-        level = np.ascontiguousarray(picture, np.float64)
-        self.levels: list[tuple[Array, Array, Array, float]] = []
-        for _ in range(LEVELS):
-            shown = transform(level)
-            gradient = np.stack(np.gradient(ndimage.gaussian_filter(shown, GRADIENT_SIGMA)))
-            self.levels.append((shown, gradient, *_structure_tensor(gradient)))
-            if min(level.shape) < 2 * MIN_SIDE:
-                break
-            level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
+def texture_pyramid(frame: Array) -> Pyramid:
+    """The texture of a frame (h, w) at several resolutions, the finest first."""
+    level, levels = np.ascontiguousarray(frame, np.float64), []
+    for _ in range(LEVELS):
+        shown = texture(level)
+        gradient = np.stack(np.gradient(ndimage.gaussian_filter(shown, GRADIENT_SIGMA)))
+        levels.append((shown, gradient, *_structure_tensor(gradient)))
+        if min(level.shape) < 2 * MIN_SIDE:
+            break
+        level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
+    return levels
 
 
 def optical_flow(first: Pyramid, second: Pyramid) -> Array:
     """Displacement (2, h, w), px down and across, at which `second` shows what `first` shows at each pixel."""
-    flow: Array | None = None
-    for (here, gradient, tensor, damping), (there, *_) in zip(
-        reversed(first.levels), reversed(second.levels), strict=True
-    ):
-        flow = np.zeros((2, *here.shape)) if flow is None else _at_twice_the_resolution(flow, here.shape)
+    flow = np.zeros((2, *first[-1][0].shape))
+    for (here, gradient, tensor, damping), (there, *_) in zip(first[::-1], second[::-1], strict=True):
+        if flow.shape[1:] != here.shape:
+            y, x = np.meshgrid(*(np.arange(side) / 2 for side in here.shape), indexing="ij")
+            flow = np.stack([2 * sampled(each, y, x) for each in flow])
         lucas_kanade(here, there, gradient, tensor, damping, RADIUS, ITERATIONS, flow)
         flow = np.stack([median_filter(each, MEDIAN_SIDE) for each in flow])
-    assert flow is not None
     return flow
 
 
@@ -97,12 +94,6 @@ def _structure_tensor(gradient: Array) -> tuple[Array, float]:
     tensor[0] += damping
     tensor[2] += damping
     return tensor, damping
-
-
-def _at_twice_the_resolution(flow: Array, shape: tuple[int, ...]) -> Array:
-    """A flow on the next finer grid: pixel (i, j) of the coarse grid is (2 i, 2 j) of the fine one."""
-    y, x = np.meshgrid(*(np.arange(side) / 2 for side in shape), indexing="ij")
-    return np.stack([2 * sampled(each, y, x) for each in flow])
 
 
 @dataclass(frozen=True)
@@ -142,7 +133,7 @@ def displacements(frames: Array, pairs: Sequence[tuple[int, int]]) -> Iterator[D
     """
     wanted = sorted({k for pair in pairs for k in pair})
     with ThreadPoolExecutor(threads.count()) as pool:
-        textures = dict(zip(wanted, pool.map(lambda k: Pyramid(frames[k], texture), wanted), strict=True))
+        textures = dict(zip(wanted, pool.map(lambda k: texture_pyramid(frames[k]), wanted), strict=True))
         yield from pool.map(lambda pair: _displacement(*pair, textures), pairs)
 
 
@@ -158,7 +149,7 @@ def _displacement(first: int, second: int, textures: dict[int, Pyramid]) -> Disp
     """A displacement, trusted where that back returns to the start and the local correlation is high."""
     ahead = optical_flow(textures[first], textures[second])
     back = optical_flow(textures[second], textures[first])
-    here, there = (textures[k].levels[0][0] for k in (first, second))
+    here, there = (textures[k][0][0] for k in (first, second))
     height, width = here.shape
     rows, columns = np.mgrid[:height, :width].astype(float)
     y, x = rows + ahead[0], columns + ahead[1]

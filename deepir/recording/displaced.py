@@ -130,12 +130,11 @@ def _displaced(frames: Array, neighbours: Sequence[Sequence[int]]) -> list[LowOr
     pairs = [(k, other) for k in references for other in spread(neighbours[k], NEIGHBOURS)]
     noise = noise_deviation(frames.astype(np.float32))
     found = [each for each in displacements(frames, pairs) if each.known.mean() > MIN_KNOWN]
-    sets: list[LowOrderSystem] = []
-    for k in references:
-        mine = [each for each in found if each.first == k]
-        if mine:
-            sets.append(DisplacedFrames(frames[[k, *(each.second for each in mine)]], mine, noise))
-    return sets
+    return [
+        DisplacedFrames(frames[[k, *(each.second for each in mine)]], mine, noise)
+        for k in references
+        if (mine := [each for each in found if each.first == k])
+    ]
 
 
 def fine_part(one: Array, other: Array) -> Array:

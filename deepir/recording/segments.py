@@ -145,18 +145,15 @@ def estimate_segments(keyframes: Keyframes, *, former: CorrectionMaps | None = N
 
 def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> list[Segment]:
     jumps = pattern_jumps(keyframes.frames)
-    whole: SensorEstimate | DataError
     try:
         whole = _estimate(keyframes, former, keyframes.numbers[jumps].tolist())
+        if not whole.jumps:
+            return [_segment(keyframes, whole)]
         jumps = np.searchsorted(keyframes.numbers, whole.jumps).tolist()
-    except DataError as error:
-        whole = error
-    ends = [0, *jumps, len(keyframes.frames)]
-    parts = [np.arange(*each) for each in itertools.pairwise(ends)]
-    if len(parts) == 1:
-        if isinstance(whole, DataError):
-            raise whole
-        return [_segment(keyframes, whole)]
+    except DataError:
+        if not jumps:
+            raise
+    parts = [np.arange(*each) for each in itertools.pairwise([0, *jumps, len(keyframes.frames)])]
     found, refused = [], []
     for part in parts:
         some = keyframes.subset(part)

@@ -54,21 +54,16 @@ def correlation_search(
         Motions `(N, 3, 3)` relative to the reference, and match scores `(N,)`: height of the peak over the detection
         threshold, infinite for the reference itself.
     """
-    n = len(images)
-    candidates, best = list(range(n)), None
-    for _ in range(min(MAX_REFERENCES, n)):
-        if not candidates:
-            break
+    candidates, found = list(range(len(images))), []
+    for _ in range(MAX_REFERENCES):
         reference = candidates[0]
         motion, match_score = match_to_reference(images[reference], images, level, model, pattern_present)
         motion[reference], match_score[reference] = torch.eye(3, dtype=torch.float64), math.inf
-        if best is None or (match_score > 1).sum() > (best[1] > 1).sum():
-            best = motion, match_score
-        if 2 * (match_score > 1).sum() > n:
-            break
+        found.append((motion, match_score))
         candidates = [k for k in candidates if not match_score[k] > 1]
-    assert best is not None
-    return best
+        if not candidates or 2 * (match_score > 1).sum() > len(images):
+            break
+    return max(found, key=lambda each: int((each[1] > 1).sum()))
 
 
 def match_to_reference(
