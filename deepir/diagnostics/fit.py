@@ -173,9 +173,8 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
     gain, offset = (values[problem.slots[f"{name}.{slot}"]] for slot in ("gain", "offset"))
     pattern = gain * problem.flux(values).median() + offset
     counts = problem.precision > 0
-    if left[counts].std() < pattern.expand_as(left[:1])[counts.any(0, keepdim=True)].std():
-        return []
-    if motion_nats(problem) > MIN_MOTION_NATS:
+    shown = pattern.expand_as(left[:1])[counts.any(0, keepdim=True)]
+    if left[counts].std() < shown.std() or motion_nats(problem) > MIN_MOTION_NATS:
         return []
     return [
         Message(

@@ -86,9 +86,8 @@ class Corrector:
     """
 
     def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
-        self._start = maps
         self._estimator = estimator or ProcessEstimator()
-        self.reset()
+        self.begin(maps)
 
     def __enter__(self) -> Corrector:
         return self

@@ -24,7 +24,6 @@ from deepir.recording.keyframes import (
     WINDOW,
     ChosenFrames,
     KeyframeCollector,
-    in_groups,
     motion_spacing,
 )
 
@@ -229,5 +228,5 @@ class LiveKeyframes:
             first = self._newest[0][0]
             spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
             newest = [(number, frame, spacing) for number, frame, _ in self._newest]
-            groups = [group for group in groups if group[-1][0] < first] + in_groups(newest)
+            groups = [*(group for group in groups if group[-1][0] < first), newest]
         return ChosenFrames.of_groups(groups, self.length)

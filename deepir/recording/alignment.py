@@ -59,9 +59,6 @@ class Canvas:
         self._to_canvas = np.ascontiguousarray(motion, np.float32)
         self._to_frames = np.ascontiguousarray(np.linalg.inv(motion), np.float32)
 
-    def __len__(self) -> int:
-        return len(self.motion)
-
     def predicted(self, scene: Array) -> Array:
         """What frames (n, h, w) see of a scene (H, W)."""
         return _warped(spline(scene)[None], self._to_canvas, self.size)

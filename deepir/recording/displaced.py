@@ -109,7 +109,7 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
     """
     size = frames.shape[1:]
     modes = LowOrderModes(size, RADIUS, slopes=False)
-    prior = PatternPrior.of_finest(dct(start.astype(float)))
+    prior = PatternPrior(dct(start.astype(float)))
     offset = start.astype(float)
     for _ in range(ROUNDS):
         rest = (frames - offset).astype(float)

@@ -90,7 +90,7 @@ def solve_sensor(
     """
     size = bursts[0].frames.shape[1:]
     modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
-    prior = PatternPrior.of_finest(dct(start))
+    prior = PatternPrior(dct(start))
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
     fine = ~modes.low

@@ -98,16 +98,11 @@ def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
         shown = [k for k in range(len(head)) if k == 0 or not np.array_equal(head[k], head[k - 1])]
         spacing, _ = motion_spacing(np.stack([coarse(head[k]) for k in shown[:WINDOW]]))
         kept = [(k, head[k], spacing) for k in shown]
-        return ChosenFrames.of_groups(in_groups(kept), len(head)).copied()
+        return ChosenFrames.of_groups([kept], len(head)).copied()
     collector = KeyframeCollector()
     for frame in chain(head, stream):
         collector.add(frame)
     return ChosenFrames.of_groups(collector.groups, collector.length).copied()
-
-
-def in_groups(kept: list[Chosen]) -> list[list[Chosen]]:
-    """Frames one after the other, in groups."""
-    return [kept[k : k + GROUP_SIZE] for k in range(0, len(kept), GROUP_SIZE)]
 
 
 @dataclass(frozen=True)

@@ -53,27 +53,22 @@ class PatternPrior:
     """Variances of the cosine modes of a pattern (h, w), estimated by expectation maximisation.
 
     Args:
-        size: (h, w), px.
-        pixel_variance: of the finest modes, to start from, squared units of the pattern.
+        modes: (h, w), of a pattern, to start from its finest ones: the others continue their spectrum.
 
     Attributes:
         start: (h, w), variance of each mode before the data; of the mean next to nothing, which no data determine.
         variance: (h, w), of each mode.
     """
 
-    def __init__(self, size: Sequence[int], pixel_variance: float) -> None:
-        self.groups = mode_groups(size)
-        radius = mode_radius(size)
-        growth = np.maximum(1, (2 * max(size) / WHITE_PERIOD / np.maximum(radius, 1)) ** 2)
+    def __init__(self, modes: Array) -> None:
+        self.groups = mode_groups(modes.shape)
+        radius, longer = mode_radius(modes.shape), max(modes.shape)
+        finest = modes[radius > longer / 2]
+        pixel_variance = max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12)
+        growth = np.maximum(1, (2 * longer / WHITE_PERIOD / np.maximum(radius, 1)) ** 2)
         self.start = pixel_variance * growth
         self.start[0, 0] = 1e-9 * pixel_variance
         self.variance = self.start.copy()
-
-    @classmethod
-    def of_finest(cls, modes: Array) -> PatternPrior:
-        """To start from the finest of the modes (h, w) of a pattern: the others continue their spectrum."""
-        finest = modes[mode_radius(modes.shape) > max(modes.shape) / 2]
-        return cls(modes.shape, max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12))
 
     def strengths(self, modes: Array, posterior: Array, among: Array) -> Array:
         """Variances of modes in a mask (h, w), by the means and posterior variances (h, w) of those of their group."""

@@ -109,8 +109,7 @@ def thermal_lag(runs: Sequence[Array]) -> ThermalLag | None:
     frames = np.nan_to_num(np.concatenate(runs), copy=False)
     factor = coarsening(frames.shape[1:])
     noise = noise_deviation(frames)
-    usable = np.ones(frames.shape, bool)
-    coarse = block_means(frames, usable, factor)
+    coarse = block_means(frames, np.ones(frames.shape, bool), factor)
     pairs = [(4 * k + i, 4 * k + j) for k in range(len(runs)) for i, j in ((1, 0), (3, 2), (1, 3))]
     found = list(displacements(coarse, pairs))
     compared = []
