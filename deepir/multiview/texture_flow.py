@@ -134,7 +134,7 @@ def displacements(frames: Array, pairs: Sequence[tuple[int, int]]) -> Iterator[D
     wanted = sorted({k for pair in pairs for k in pair})
     with ThreadPoolExecutor(threads.count()) as pool:
         textures = dict(zip(wanted, pool.map(lambda k: texture_pyramid(frames[k]), wanted), strict=True))
-        yield from pool.map(lambda pair: _displacement(*pair, textures), pairs)
+        yield from pool.map(lambda pair: _displacement(pair, textures), pairs)
 
 
 def texture(frame: Array) -> Array:
@@ -145,11 +145,11 @@ def texture(frame: Array) -> Array:
     return np.asarray(even / max(even.std(), np.finfo(float).tiny))
 
 
-def _displacement(first: int, second: int, textures: dict[int, Pyramid]) -> Displacement:
+def _displacement(pair: tuple[int, int], textures: dict[int, Pyramid]) -> Displacement:
     """A displacement, trusted where that back returns to the start and the local correlation is high."""
-    ahead = optical_flow(textures[first], textures[second])
-    back = optical_flow(textures[second], textures[first])
-    here, there = (textures[k][0][0] for k in (first, second))
+    first, second = (textures[k] for k in pair)
+    ahead, back = optical_flow(first, second), optical_flow(second, first)
+    here, there = first[0][0], second[0][0]
     height, width = here.shape
     rows, columns = np.mgrid[:height, :width].astype(float)
     y, x = rows + ahead[0], columns + ahead[1]
@@ -162,4 +162,4 @@ def _displacement(first: int, second: int, textures: dict[int, Pyramid]) -> Disp
 
     energy = np.sqrt(local_mean(here**2) * local_mean(matched**2))
     is_correlated = local_mean(here * matched) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
-    return Displacement(first, second, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)
+    return Displacement(*pair, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)
