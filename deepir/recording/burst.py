@@ -69,6 +69,10 @@ AT_REST = (
 )
 
 
+class CameraAtRestError(DataError):
+    """The camera stands still."""
+
+
 class Burst:
     """Frames of one scene.
 
@@ -231,10 +235,6 @@ def phase_change(motion: Array, size: Sequence[int]) -> Array:
                 for phase in (of_rows, np.conj(of_rows))
             ]
     return np.asarray(np.maximum(1 - np.mean(same, 0), 1e-6))
-
-
-class CameraAtRestError(DataError):
-    """The camera stands still."""
 
 
 def _frames_alike(frames: Array, around: int, pattern: Array) -> tuple[Array, Array, Links] | None:
